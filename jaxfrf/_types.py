@@ -1,0 +1,36 @@
+"""The glossary of axis names, and the 64-bit check.
+
+Axes, in every public signature:
+
+    pos     operating point (arm configuration)      freq    excited line
+    exp     experiment at one operating point        out     plant output
+    real    realisation (block of n_in experiments)  in      plant input
+    period  excitation period                        ref     reference
+    time    sample                                   sig     [output; input], stacked
+    joint   joint of the arm                         vec     out*in, columns of G stacked
+
+Signals are (pos, exp, time, channel), spectra (pos, exp, freq, channel), FRFs (pos, freq, out, in).
+"""
+
+import jax
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+Array = jax.Array | np.ndarray
+
+Signal = Float[Array, "pos exp time channel"]
+Spectrum = Complex[Array, "pos exp freq channel"]
+Response = Complex[Array, "pos freq out in"]
+Covariance = Complex[Array, "pos freq vec vec"]
+Frequency = Float[Array, "freq"]
+Lines = Int[Array, "freq"]
+
+
+def require_x64(what: str) -> None:
+    """Raise if JAX works in 32 bit: a local least-squares problem squares rounding away in single precision."""
+    if not jax.config.jax_enable_x64:
+        raise ValueError(
+            f"{what} needs 64-bit numbers, but JAX is set to 32 bit. jaxfrf never changes that setting for you: "
+            'set the environment variable JAX_ENABLE_X64=1, or call jax.config.update("jax_enable_x64", True) '
+            "before the first array is made."
+        )

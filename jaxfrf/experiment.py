@@ -1,0 +1,357 @@
+"""The record of an experiment: reference r, input u, output y, and what is known about them."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from ._errors import input_error
+from ._types import Array
+
+QUANTITIES = {"position": 0, "velocity": 1, "acceleration": 2}
+"""How many times each quantity is the time derivative of a position."""
+
+UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
+
+
+class Source(eqx.Module):
+    """Where data come from: a file name and the sha256 of its bytes."""
+
+    name: str = eqx.field(static=True)
+    sha256: str = eqx.field(static=True, default="")
+
+
+class Experiment(eqx.Module):
+    """Records of one or several experiments at one or several operating points, sampled together.
+
+    **Arguments:**
+
+    - `u`: plant input, (pos, exp, time, in), N m (motor side).
+    - `y`: plant output, (pos, exp, time, out), unit by `y_quantity`.
+    - `fs`: sampling frequency, Hz.
+    - `period`: samples in one excitation period; 0 = not periodic.
+    - `r`: reference, (pos, exp, time, ref), unit by `r_quantity`; `None` where it was not recorded.
+    - `q`: arm configuration of every operating point, (pos, joint), rad; `None` where there is none.
+    - `lines`: excited DFT lines of one period; `None` = to be found in `r` (or `u`).
+    - `transient_periods`: leading periods that are not steady and are dropped by `jaxfrf.dft`.
+    - `r_quantity`, `y_quantity`: `position`, `velocity` or `acceleration`.
+
+    Fewer dimensions are accepted where the meaning is plain: (time, channel) is one operating point and one
+    experiment, (exp, time, channel) one operating point. Signals are held in double precision on the host.
+
+    **Raises:** `jaxfrf.InputError` naming the variable, what was found, what was expected and what to do.
+    """
+
+    u: Float[Array, "pos exp time in"]
+    y: Float[Array, "pos exp time out"]
+    r: Float[Array, "pos exp time ref"] | None
+    q: Float[Array, "pos joint"] | None
+    lines: Int[Array, "freq"] | None
+    fs: float = eqx.field(static=True)
+    period: int = eqx.field(static=True)
+    transient_periods: int = eqx.field(static=True)
+    r_quantity: str = eqx.field(static=True)
+    y_quantity: str = eqx.field(static=True)
+    sources: tuple[Source, ...] = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        u,
+        y,
+        fs: float,
+        period: int = 0,
+        *,
+        r=None,
+        q=None,
+        lines=None,
+        transient_periods: int = 0,
+        r_quantity: str = "velocity",
+        y_quantity: str = "velocity",
+        sources: Sequence[Source] = (),
+        warnings: Sequence[str] = (),
+    ):
+        self.u = _signal("u", u)
+        self.y = _signal("y", y)
+        self.r = None if r is None else _signal("r", r)
+        self.q = None if q is None else _configurations(q)
+        self.lines = None if lines is None else _line_numbers(lines)
+        self.fs = _positive("fs", fs)
+        self.period = _count("period", period)
+        self.transient_periods = _count("transient_periods", transient_periods)
+        self.r_quantity = _quantity("r_quantity", r_quantity)
+        self.y_quantity = _quantity("y_quantity", y_quantity)
+        self.sources = tuple(sources)
+        self.warnings = tuple(warnings)
+
+    def __check_init__(self):
+        for name in ("y", "r"):
+            x = getattr(self, name)
+            if x is not None and x.shape[:3] != self.u.shape[:3]:
+                raise input_error(
+                    f"{name} and u",
+                    f"{x.shape[:3]} and {self.u.shape[:3]} (position, experiment, time)",
+                    "the same number of positions, experiments and samples",
+                    "Cut both to their common part, or read each record from its own file.",
+                )
+        n_pos, _, n_time, _ = self.u.shape
+        if self.q is not None and len(self.q) != n_pos:
+            raise input_error(
+                "q", f"{len(self.q)} configurations", f"one for each of the {n_pos} positions", "Check the order of axes."
+            )
+        if self.period:
+            _check_periods(n_time, self.period, self.transient_periods)
+        if self.lines is not None:
+            _check_lines(self.lines, self.period or n_time)
+
+    @property
+    def n_pos(self) -> int:
+        return self.u.shape[0]
+
+    @property
+    def n_exp(self) -> int:
+        return self.u.shape[1]
+
+    @property
+    def n_time(self) -> int:
+        return self.u.shape[2]
+
+    @property
+    def n_in(self) -> int:
+        return self.u.shape[3]
+
+    @property
+    def n_out(self) -> int:
+        return self.y.shape[3]
+
+    @property
+    def n_periods(self) -> int:
+        """Steady periods (transient ones not counted); 0 where the record is not periodic."""
+        return self.n_time // self.period - self.transient_periods if self.period else 0
+
+
+def select_periods(data: Experiment, start: int, stop: int | None = None) -> Experiment:
+    """The steady periods `start:stop` of a record, counted from 0 after the transient ones (as a Python slice).
+
+    **Raises:** `jaxfrf.InputError` if the record is not periodic or nothing is left.
+    """
+    if not data.period:
+        raise input_error(
+            "period", "0 (not periodic)", "a periodic record", "Say how long a period is, e.g. --set period=2500."
+        )
+    chosen = range(data.n_periods)[start:stop]
+    if not chosen:
+        raise input_error(
+            "periods",
+            f"{start}:{'' if stop is None else stop}",
+            f"a part of the {data.n_periods} steady periods (0:{data.n_periods})",
+            "Choose periods that are there.",
+        )
+    first, last = data.transient_periods + chosen[0], data.transient_periods + chosen[-1] + 1
+    samples = slice(first * data.period, last * data.period)
+    return _rebuild(
+        data,
+        u=data.u[:, :, samples],
+        y=data.y[:, :, samples],
+        r=None if data.r is None else data.r[:, :, samples],
+        transient_periods=0,
+    )
+
+
+def _rebuild(data: Experiment, **changes) -> Experiment:
+    fields = {f.name: getattr(data, f.name) for f in dataclasses.fields(data)}
+    return Experiment(**(fields | changes))
+
+
+def concatenate(records: Sequence[Experiment]) -> Experiment:
+    """Several records as one data set.
+
+    Records of the same operating points (equal `q`, or none) become further experiments there; records of other
+    operating points become further positions.
+
+    **Raises:** `jaxfrf.InputError` where they do not fit together (other `fs`, `period`, lines, channels or quantities).
+    """
+    records = list(records)
+    if not records:
+        raise input_error("records", "none", "at least one record", "Name a file.")
+    first = records[0]
+    for other in records[1:]:
+        _check_compatible(first, other)
+    if len(records) == 1:
+        return first
+    same_place = all(_same(first.q, other.q) for other in records[1:])
+    axis = 1 if same_place else 0
+    if axis == 1 and len({x.n_pos for x in records}) > 1:
+        raise input_error(
+            "positions",
+            f"{[x.n_pos for x in records]} without configurations q",
+            "as many in every file",
+            "Store q in the files, so that positions can be told apart.",
+        )
+    if axis == 0 and len({x.n_exp for x in records}) > 1:
+        raise input_error(
+            "experiments",
+            f"{[x.n_exp for x in records]} at different positions",
+            "as many at every position",
+            "Leave out the surplus experiments, or estimate the files one by one.",
+        )
+
+    def join(name):
+        parts = [getattr(x, name) for x in records]
+        return None if parts[0] is None else np.concatenate(parts, axis=axis)
+
+    return _rebuild(
+        first,
+        u=join("u"),
+        y=join("y"),
+        r=join("r"),
+        q=first.q if axis == 1 else join("q"),
+        sources=tuple(s for x in records for s in x.sources),
+        warnings=tuple(dict.fromkeys(w for x in records for w in x.warnings)),
+    )
+
+
+def _check_compatible(first: Experiment, other: Experiment) -> None:
+    where = other.sources[0].name if other.sources else "a record"
+    pairs = {
+        "fs": (first.fs, other.fs),
+        "period": (first.period, other.period),
+        "samples after the transient": (
+            first.n_time - first.transient_periods * first.period,
+            other.n_time - other.transient_periods * other.period,
+        ),
+        "transient_periods": (first.transient_periods, other.transient_periods),
+        "inputs": (first.n_in, other.n_in),
+        "outputs": (first.n_out, other.n_out),
+        "references": (_width(first.r), _width(other.r)),
+        "r_quantity": (first.r_quantity, other.r_quantity),
+        "y_quantity": (first.y_quantity, other.y_quantity),
+        "joints in q": (_width(first.q), _width(other.q)),
+    }
+    for name, (a, b) in pairs.items():
+        if a != b:
+            raise input_error(
+                f"{where}: {name}", f"{b}", f"{a} as in the file before it", "Estimate files that differ one by one."
+            )
+    if not _same(first.lines, other.lines):
+        raise input_error(
+            f"{where}: lines",
+            f"{'no list' if other.lines is None else f'{len(other.lines)} lines'}",
+            "the same excited lines as in the file before it",
+            "Estimate files with other lines one by one.",
+        )
+
+
+def _width(x) -> int:
+    return 0 if x is None else x.shape[-1]
+
+
+def _same(a, b) -> bool:
+    if a is None or b is None:
+        return a is b
+    return a.shape == b.shape and bool(np.allclose(a, b, rtol=0, atol=1e-9))
+
+
+def _signal(name: str, value) -> np.ndarray:
+    x = np.asarray(value)
+    if not (np.issubdtype(x.dtype, np.floating) or np.issubdtype(x.dtype, np.integer) or x.dtype == bool):
+        kind = "complex numbers" if np.issubdtype(x.dtype, np.complexfloating) else f"{x.dtype} data"
+        raise input_error(name, kind, "real numbers", "Store the time record itself, not its spectrum or a text.")
+    if x.size == 0:
+        raise input_error(name, f"no samples (shape {x.shape})", "a record", "Check the file and the names in --map.")
+    if x.ndim == 1:
+        x = x[:, None]
+    if not 2 <= x.ndim <= 4:
+        raise input_error(
+            name,
+            f"{x.ndim} dimensions {x.shape}",
+            "(time, channel), (experiment, time, channel) or (position, experiment, time, channel)",
+            "Reshape the array.",
+        )
+    x = x.astype(np.float64, copy=False)
+    x = x.reshape((1,) * (4 - x.ndim) + x.shape)
+    if x.shape[3] > x.shape[2]:
+        raise input_error(
+            name,
+            f"{x.shape[2]} samples of {x.shape[3]} channels",
+            "more samples than channels (the last two axes are time, channel)",
+            "The axes look swapped: transpose the array.",
+        )
+    bad = ~np.isfinite(x)
+    if bad.any():
+        pos, exp, time, channel = (int(i) for i in np.argwhere(bad)[0])
+        raise input_error(
+            name,
+            f"{int(bad.sum())} NaN or Inf samples, the first at position {pos}, experiment {exp}, sample {time}, "
+            f"channel {channel}",
+            "finite numbers",
+            "Repair or cut the record: a DFT spreads one bad sample over all frequencies.",
+        )
+    return x
+
+
+def _configurations(value) -> np.ndarray:
+    q = np.atleast_2d(np.asarray(value, dtype=np.float64))
+    if q.ndim != 2 or not np.isfinite(q).all():
+        raise input_error("q", f"shape {q.shape}", "finite angles of shape (position, joint), rad", "Check q.")
+    return q
+
+
+def _line_numbers(value) -> np.ndarray:
+    k = np.atleast_1d(np.asarray(value)).ravel()
+    if k.size == 0 or not np.issubdtype(k.dtype, np.number) or np.any(k != np.round(k.real)):
+        raise input_error("lines", f"{k[:5]}...", "whole DFT line numbers of one period", "Line k is k*fs/period Hz.")
+    return k.astype(np.int64)
+
+
+def _positive(name: str, value) -> float:
+    x = float(np.asarray(value).squeeze())
+    if not (np.isfinite(x) and x > 0):
+        raise input_error(name, f"{x}", "a positive number", f"Set it, e.g. --set {name}=2000.")
+    return x
+
+
+def _count(name: str, value) -> int:
+    x = float(np.asarray(value).squeeze())
+    if not (np.isfinite(x) and x >= 0 and x == round(x)):
+        raise input_error(name, f"{x:g}", "a whole number, 0 or more", f"Set it, e.g. --set {name}=2500.")
+    return int(x)
+
+
+def _quantity(name: str, value) -> str:
+    value = str(value)
+    if value not in QUANTITIES:
+        raise input_error(name, repr(value), "position, velocity or acceleration", f"Set it: --set {name}=velocity.")
+    return value
+
+
+def _check_periods(n_time: int, period: int, transient: int) -> None:
+    if n_time % period:
+        raise input_error(
+            "period",
+            f"{n_time} samples, {n_time / period:.4g} periods of {period}",
+            "a whole number of periods",
+            f"Cut the record to {n_time // period} periods, or correct the period.",
+        )
+    if n_time // period <= transient:
+        raise input_error(
+            "transient_periods",
+            f"{transient} of {n_time // period} periods",
+            "at least one period left after them",
+            "Lower transient_periods, or record longer.",
+        )
+
+
+def _check_lines(lines: np.ndarray, period: int) -> None:
+    top = (period - 1) // 2
+    if lines.min() < 1 or lines.max() > top:
+        raise input_error(
+            "lines",
+            f"{lines.min()} to {lines.max()}",
+            f"lines between 1 and {top} (below half the sampling frequency)",
+            "Check period and fs: line k is k*fs/period Hz.",
+        )
+    if np.any(np.diff(lines) <= 0):
+        raise input_error("lines", "a list that is not increasing", "increasing line numbers", "Sort them, without repeats.")

@@ -1,0 +1,1 @@
+from .response import FRF as FRF

@@ -1,0 +1,73 @@
+"""The frequency response function with its uncertainty."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+from .._types import Array
+from ..experiment import Source
+
+
+class FRF(eqx.Module):
+    """Estimated frequency response functions G = dy/du, with their covariance, at several operating points.
+
+    **Fields:**
+
+    - `G`: (pos, freq, out, in), complex; unit of y over unit of u.
+    - `frequency`: (freq,), Hz.
+    - `cov`: covariance of vec(G) (columns stacked: element `j*n_out + i` is G[i, j]), (pos, freq, vec, vec),
+      E[(g - Eg)(g - Eg)^H]; NaN where the method had no residual degree of freedom. Estimates of local methods
+      at neighbouring lines share data: see `window`.
+    - `dof`: residual degrees of freedom behind `cov`, (pos, freq); intervals use them (F quantiles).
+    - `status`: bits of `jaxfrf.Status`, (pos, freq).
+    - `cov_noise`: part of `cov` that measurement noise explains (scatter between periods); `None` if unknown.
+    - `cov_total`: scatter between realisations (noise and nonlinear distortion); `None` if unknown.
+    - `window`: lines that took part in each estimate, (pos, freq); 1 for classical methods. The band holds about
+      `sum(1/window)` independent estimates.
+    - `q`: arm configurations, (pos, joint), rad, or `None`.
+    - `method`: name and options as text. `y_quantity`: what y is. `sources`, `version`, `warnings`: provenance.
+    """
+
+    G: Complex[Array, "pos freq out in"]
+    frequency: Float[Array, "freq"]
+    cov: Complex[Array, "pos freq vec vec"]
+    dof: Float[Array, "pos freq"]
+    status: Int[Array, "pos freq"]
+    window: Float[Array, "pos freq"]
+    cov_noise: Complex[Array, "pos freq vec vec"] | None = None
+    cov_total: Complex[Array, "pos freq vec vec"] | None = None
+    q: Float[Array, "pos joint"] | None = None
+    method: str = eqx.field(static=True, default="")
+    y_quantity: str = eqx.field(static=True, default="velocity")
+    sources: tuple[Source, ...] = eqx.field(static=True, default=())
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
+    version: str = eqx.field(static=True, default="")
+
+    def __check_init__(self):
+        if self.G.ndim != 4 or self.G.shape[1] != len(self.frequency):
+            raise ValueError(
+                f"G has shape {self.G.shape} with {len(self.frequency)} frequencies; expected (pos, freq, out, in)."
+            )
+        vec = self.G.shape[2] * self.G.shape[3]
+        for name in ("cov", "cov_noise", "cov_total"):
+            value = getattr(self, name)
+            if value is not None and value.shape != (*self.G.shape[:2], vec, vec):
+                raise ValueError(f"{name} has shape {value.shape}; expected {(*self.G.shape[:2], vec, vec)}.")
+
+    @property
+    def n_pos(self) -> int:
+        return self.G.shape[0]
+
+    @property
+    def n_out(self) -> int:
+        return self.G.shape[2]
+
+    @property
+    def n_in(self) -> int:
+        return self.G.shape[3]
+
+    @property
+    def std(self) -> Float[Array, "pos freq out in"]:
+        """Standard deviation of every element of G, sqrt(E|G - EG|^2): (pos, freq, out, in)."""
+        variance = np.real(np.diagonal(np.asarray(self.cov), axis1=-2, axis2=-1))
+        return np.sqrt(np.maximum(variance, 0)).reshape(*self.G.shape[:2], self.n_in, self.n_out).swapaxes(-1, -2)

@@ -1,0 +1,287 @@
+"""From records to spectra: steady periods, Fourier coefficients at the excited lines, noise between periods."""
+
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+import scipy.fft
+from jaxtyping import Complex, Float, Int
+
+from ._errors import input_error
+from ._types import Array
+from .experiment import QUANTITIES, Experiment, Source
+
+_FOUND_GAP_DB = 10.0  # excited and other lines are told apart by a gap of at least this much
+_FOUND_RANGE_DB = 40.0  # without such a gap: lines within this range of the strongest
+_SILENT = 1e-14  # power, relative to the median line, below which a line carries nothing (rounding)
+
+
+class Spectra(eqx.Module):
+    """Fourier coefficients X(k) = 1/N sum_t x(t) exp(-2 pi j k t / N) of the mean steady period.
+
+    **Fields:**
+
+    - `U`, `Y`, `R`: input, output, reference, (pos, exp, freq, channel); `R` is `None` where it was not recorded.
+    - `lines`, `frequency`: DFT lines (freq,) and their frequencies, Hz.
+    - `noise`: covariance of [Y; U] (mean over the periods) that the scatter between periods shows,
+      (pos, exp, freq, sig, sig); `None` with fewer than two periods.
+    - `n_periods`: periods averaged. `periodic`: false where the record was taken whole, with leakage
+      (`record_spectra`); only methods with a transient term can use it then.
+    - `q`, `fs`, `period`, `y_quantity`, `sources`, `warnings`: as in `Experiment`.
+    """
+
+    U: Complex[Array, "pos exp freq in"]
+    Y: Complex[Array, "pos exp freq out"]
+    R: Complex[Array, "pos exp freq ref"] | None
+    lines: Int[Array, "freq"]
+    frequency: Float[Array, "freq"]
+    noise: Complex[Array, "pos exp freq sig sig"] | None
+    q: Float[Array, "pos joint"] | None = None
+    fs: float = eqx.field(static=True, default=1.0)
+    period: int = eqx.field(static=True, default=0)
+    n_periods: int = eqx.field(static=True, default=1)
+    periodic: bool = eqx.field(static=True, default=True)
+    y_quantity: str = eqx.field(static=True, default="velocity")
+    sources: tuple[Source, ...] = eqx.field(static=True, default=())
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self):
+        for name in ("Y", "R"):
+            x = getattr(self, name)
+            if x is not None and x.shape[:3] != self.U.shape[:3]:
+                raise ValueError(f"{name} has shape {x.shape}, U {self.U.shape}; expected the same first three axes.")
+        if self.U.shape[2] != len(self.lines):
+            raise ValueError(f"U holds {self.U.shape[2]} lines, `lines` {len(self.lines)}; expected as many.")
+
+    @property
+    def n_pos(self) -> int:
+        return self.U.shape[0]
+
+    @property
+    def n_exp(self) -> int:
+        return self.U.shape[1]
+
+    @property
+    def n_in(self) -> int:
+        return self.U.shape[3]
+
+    @property
+    def n_out(self) -> int:
+        return self.Y.shape[3]
+
+    @property
+    def n_real(self) -> int:
+        """Blocks M of n_in experiments; experiments beyond the last whole block are not counted."""
+        return self.n_exp // self.n_in
+
+
+def dft(data: Experiment) -> Spectra:
+    """Spectra of the mean steady period at the excited lines (`data.lines`, or found by `excited_lines`).
+
+    Periodic data only: the DFT of whole steady periods has no leakage. The noise covariance of the mean is
+    1/(P (P-1)) sum_p (X_p - X)(X_p - X)^H (Pintelon & Schoukens 2012, ch. 2); it needs P >= 2 periods and does not
+    see what repeats with the period (nonlinear distortion, ripple).
+
+    **Raises:** `jaxfrf.InputError` if the record is not periodic, or an excited line carries no power.
+    """
+    if not data.period:
+        raise input_error(
+            _where(data, "period"),
+            "0: the record is not periodic",
+            "whole steady periods, which this method needs (the DFT of anything else leaks)",
+            "Say the period if there is one (--set period=N). Otherwise use a local method with a transient term "
+            "(--method lpm --option transient=2), which takes the record whole.",
+        )
+    lines = excited_lines(data) if data.lines is None else np.asarray(data.lines)
+    spectra = _at_lines(data, lines)
+    _check_power(data, spectra)
+    return spectra
+
+
+def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None) -> Spectra:
+    """Spectra of the mean steady period at the *unexcited* lines (detection lines) inside the excited band, or `band` (Hz).
+
+    What stands there is noise and nonlinear distortion: even lines show even, odd lines odd nonlinearity.
+    In closed loop it is the loop's reaction too; `jaxfrf.distortion` subtracts G U first.
+    """
+    excited = dft(data)
+    low, high = (excited.frequency[0], excited.frequency[-1]) if band is None else band
+    k = np.arange(1, (data.period - 1) // 2 + 1)
+    f = k * data.fs / data.period
+    k = k[(f >= low) & (f <= high) & ~np.isin(k, excited.lines)]
+    if k.size == 0:
+        raise input_error(
+            "detection lines",
+            f"every line from {low:.4g} to {high:.4g} Hz is excited",
+            "some lines left unexcited",
+            "Excite odd or random-odd lines only, to see nonlinear distortion.",
+        )
+    return _at_lines(data, k)
+
+
+def record_spectra(data: Experiment, band: tuple[float, float] | None = None) -> Spectra:
+    """Spectra of the whole record, for data that are not periodic: all DFT lines of the record in `band` (Hz).
+
+    Leakage makes Y = G U + T with a transient T that is smooth in frequency: only estimators with a transient term
+    take such spectra. Without `band`, the lines from the lowest to the highest one that holds at least 1e-4 of the
+    strongest reference power (input power where there is no reference).
+    """
+    n = data.n_time
+    k = np.arange(1, (n - 1) // 2 + 1)
+    whole = _rebuild_whole(data)
+    if band is None:
+        strength = _strength(whole, k)
+        strong = np.flatnonzero(strength >= 1e-4 * strength.max())
+        k = k[strong[0] : strong[-1] + 1]
+    else:
+        f = k * data.fs / n
+        k = k[(f >= band[0]) & (f <= band[1])]
+        if k.size == 0:
+            raise input_error(
+                "band",
+                f"{band[0]:g} to {band[1]:g} Hz",
+                f"a band that holds lines between {data.fs / n:.4g} and {data.fs / 2:g} Hz",
+                "Widen the band.",
+            )
+    return dataclasses.replace(_at_lines(whole, k), periodic=False, noise=None)
+
+
+def _rebuild_whole(data: Experiment) -> Experiment:
+    return Experiment(
+        data.u,
+        data.y,
+        data.fs,
+        data.n_time,
+        r=data.r,
+        q=data.q,
+        r_quantity=data.r_quantity,
+        y_quantity=data.y_quantity,
+        sources=data.sources,
+        warnings=data.warnings,
+    )
+
+
+def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
+    """The lines that the reference (or, without one, the input) excites, found from its power.
+
+    A line counts when *every* channel carries power there (a slow sine on one axis does not make a line), and when it
+    stands above the largest gap in the sorted power of all lines, or, where no gap of 10 dB exists, within 40 dB
+    of the strongest line. The gap can be wrong for weak or smoothly decaying spectra: give `lines` then.
+    """
+    k = np.arange(1, (data.period - 1) // 2 + 1)
+    strength = _strength(data, k)
+    if strength.max() <= 0:
+        raise input_error(
+            _where(data, "u" if data.r is None else "r"),
+            "no power at any line",
+            "an excitation in every channel",
+            "Check the names in --map, and that every channel was excited.",
+        )
+    level = 10 * np.log10(np.maximum(strength / strength.max(), 1e-30))
+    order = np.sort(level)[::-1]
+    gaps = order[:-1] - order[1:]
+    fewest = min(3, len(order) - 2)
+    cut = fewest + int(np.argmax(gaps[fewest:])) if len(gaps) > fewest >= 0 else 0
+    threshold = order[cut] if gaps[cut] >= _FOUND_GAP_DB else max(-_FOUND_RANGE_DB, order[-1])
+    return k[level >= threshold]
+
+
+def _strength(data: Experiment, k) -> np.ndarray:
+    """Power per line of the weakest channel, each channel in units of its own median-free peak: (freq,)."""
+    x = data.u if data.r is None else data.r
+    power = np.zeros((len(k), x.shape[-1]))
+    for pos in range(data.n_pos):
+        for exp in range(data.n_exp):
+            mean, _ = _coefficients(x[pos, exp], data.period, data.transient_periods, k)
+            power += np.abs(mean) ** 2
+    if data.r is not None and data.r_quantity == "position":
+        power = power * k[:, None].astype(float) ** 2
+    peak = np.sort(power, axis=0)[-min(4, len(k))]
+    if np.any(peak <= 0):
+        return np.zeros(len(k))
+    return np.min(power / peak, axis=1)
+
+
+def _at_lines(data: Experiment, lines) -> Spectra:
+    lines = np.asarray(lines)
+    shape = (data.n_pos, data.n_exp, len(lines))
+    n_sig = data.n_out + data.n_in
+    U = np.empty((*shape, data.n_in), complex)
+    Y = np.empty((*shape, data.n_out), complex)
+    R = None if data.r is None else np.empty((*shape, data.r.shape[-1]), complex)
+    noise = np.empty((*shape, n_sig, n_sig), complex) if data.n_periods > 1 else None
+    for pos in range(data.n_pos):
+        for exp in range(data.n_exp):
+            signal = np.concatenate([data.y[pos, exp], data.u[pos, exp]], axis=-1)
+            mean, scatter = _coefficients(signal, data.period, data.transient_periods, lines)
+            Y[pos, exp], U[pos, exp] = mean[:, : data.n_out], mean[:, data.n_out :]
+            if noise is not None:
+                noise[pos, exp] = scatter
+            if R is not None:
+                R[pos, exp], _ = _coefficients(data.r[pos, exp], data.period, data.transient_periods, lines)
+    return Spectra(
+        U=U,
+        Y=Y,
+        R=R,
+        lines=lines,
+        frequency=lines * data.fs / data.period,
+        noise=noise,
+        q=data.q,
+        fs=data.fs,
+        period=data.period,
+        n_periods=data.n_periods,
+        y_quantity=data.y_quantity,
+        sources=data.sources,
+        warnings=data.warnings,
+    )
+
+
+def _coefficients(x, period: int, transient: int, lines) -> tuple[np.ndarray, np.ndarray | None]:
+    """Mean over the periods of the Fourier coefficients of x (time, channel), and the covariance of that mean."""
+    x = x[transient * period :].reshape(-1, period, x.shape[-1])
+    per_period = scipy.fft.rfft(x, axis=1, workers=-1)[:, lines] / period
+    mean = per_period.mean(axis=0)
+    n = len(per_period)
+    if n < 2:
+        return mean, None
+    deviation = per_period - mean
+    return mean, np.einsum("pfa,pfb->fab", deviation, deviation.conj(), optimize=True) / (n * (n - 1))
+
+
+def _check_power(data: Experiment, spectra: Spectra) -> None:
+    """An excited line without any power in the reference (or input) would make the estimate there rounding noise."""
+    name, X = ("u", spectra.U) if spectra.R is None else ("r", spectra.R)
+    power = np.mean(np.abs(X) ** 2, axis=(0, 1))
+    silent = power <= _SILENT * np.median(power, axis=0)
+    if silent.any():
+        line, channel = (int(i) for i in np.argwhere(silent)[0])
+        raise input_error(
+            _where(data, name),
+            f"no power in channel {channel} at {int(np.any(silent, axis=1).sum())} of the {len(spectra.lines)} excited "
+            f"lines, the first line {spectra.lines[line]} ({spectra.frequency[line]:.4g} Hz)",
+            "power at every excited line in every channel",
+            "Check fs and period, or leave these lines out of `lines`.",
+        )
+
+
+def _where(data: Experiment, name: str) -> str:
+    return f"{data.sources[0].name}: {name}" if data.sources else name
+
+
+def differentiate(X, omega, times: int):
+    """Differentiate spectra (*batch, freq, channel) `times` times: multiply by (j omega)^times, omega in rad/s."""
+    return X * ((1j * np.asarray(omega)) ** times)[:, None]
+
+
+def with_output_quantity(spectra: Spectra, quantity: str) -> Spectra:
+    """The same spectra with the output as `position`, `velocity` or `acceleration`, by (j omega)^n."""
+    if quantity not in QUANTITIES:
+        raise input_error("quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them.")
+    times = QUANTITIES[quantity] - QUANTITIES[spectra.y_quantity]
+    factor = (2j * np.pi * np.asarray(spectra.frequency)) ** times
+    noise = spectra.noise
+    if noise is not None:
+        scale = np.ones((len(factor), noise.shape[-1]), complex)
+        scale[:, : spectra.n_out] = factor[:, None]
+        noise = noise * scale[:, :, None] * scale[:, None, :].conj()
+    return dataclasses.replace(spectra, Y=spectra.Y * factor[:, None], noise=noise, y_quantity=quantity)
