@@ -1,0 +1,74 @@
+"""Robots with elastic joints: dynamics, operating point, linearisation, frequency response.
+
+    robot = jaxfrf.robot.r3x()
+    point = jaxfrf.robot.operating_point(robot, arm_angles)
+    G = jaxfrf.robot.frf(jaxfrf.robot.linearise(robot, point), frequency)
+"""
+
+from .chain import (
+    Chain as Chain,
+    Frames as Frames,
+    bias_forces as bias_forces,
+    forward_kinematics as forward_kinematics,
+    gravity_forces as gravity_forces,
+    inverse_dynamics as inverse_dynamics,
+    mass_and_bias as mass_and_bias,
+    mass_matrix as mass_matrix,
+    potential_energy as potential_energy,
+)
+from .drive import (
+    AbstractFriction as AbstractFriction,
+    AbstractSpring as AbstractSpring,
+    Drives as Drives,
+    Friction as Friction,
+    Spring as Spring,
+    ViscousFriction as ViscousFriction,
+    effective_friction as effective_friction,
+)
+from .linearise import (
+    LinearRobot as LinearRobot,
+    OperatingPoint as OperatingPoint,
+    linearise as linearise,
+    local_stiffness as local_stiffness,
+    operating_point as operating_point,
+)
+from .parameters import (
+    PARAMETER_UNITS as PARAMETER_UNITS,
+    parameters as parameters,
+    with_parameters as with_parameters,
+)
+from .r3x import r3x as r3x
+from .response import (
+    ParametricResponse as ParametricResponse,
+    ZeroOrderHold as ZeroOrderHold,
+    frf as frf,
+    frf_and_jacobian as frf_and_jacobian,
+    hold_remainder as hold_remainder,
+    parameter_names as parameter_names,
+)
+from .robot import (
+    Controller as Controller,
+    EffectTable as EffectTable,
+    Robot as Robot,
+    arm_inertia as arm_inertia,
+    arm_inertia_and_bias as arm_inertia_and_bias,
+    chain_angles as chain_angles,
+    deflections as deflections,
+    drive_forces as drive_forces,
+    energy as energy,
+    forward_dynamics as forward_dynamics,
+    generalised_forces as generalised_forces,
+    inertia as inertia,
+    motor_directions as motor_directions,
+    motor_inertia as motor_inertia,
+    motor_values as motor_values,
+    spring_directions as spring_directions,
+)
+from .schema import robot_from_table as robot_from_table, table_from_robot as table_from_robot
+from .state_space import (
+    StateSpace as StateSpace,
+    discretise as discretise,
+    state_space as state_space,
+    state_space_frf as state_space_frf,
+    to_control as to_control,
+)

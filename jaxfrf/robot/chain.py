@@ -1,0 +1,241 @@
+"""Rigid-body dynamics of a serial chain of revolute joints.
+
+Everything is written in world axes about the world origin, so that sums along the chain are cumulative sums and only
+the orientations need a recursion. Inside, arrays are component first and batch last, (joint, 3, ..., batch): one
+instruction then works on many configurations. Nothing is unrolled into scalars, which XLA would take minutes to compile.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._types import Array
+
+Angles = Float[Array, "*batch joint"]
+
+
+class Chain(eqx.Module):
+    """A serial chain of revolute joints, base to tip; massless links are allowed.
+
+    With all joints at zero every frame is parallel to the base frame. That loses no generality: constant rotations
+    between joints only turn the constants below.
+
+    **Arguments:**
+
+    - `axis`: unit vector of every joint, (joint, 3).
+    - `offset`: origin of the joint's frame in the frame of the joint before it, (joint, 3), m.
+    - `mass`: (joint,), kg. `com`: centre of mass in the joint's frame, (joint, 3), m.
+    - `inertia`: tensor elements Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass in the joint's frame,
+      (joint, 6), kg m^2.
+    - `gravity`: (3,), m/s^2.
+    """
+
+    axis: Float[Array, "joint 3"]
+    offset: Float[Array, "joint 3"]
+    mass: Float[Array, "joint"]
+    com: Float[Array, "joint 3"]
+    inertia: Float[Array, "joint 6"]
+    gravity: Float[Array, "3"]
+
+    def __check_init__(self):
+        n = np.shape(self.axis)[0]
+        shapes = {"axis": (n, 3), "offset": (n, 3), "mass": (n,), "com": (n, 3), "inertia": (n, 6), "gravity": (3,)}
+        for name, shape in shapes.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise ValueError(f"{name} has shape {np.shape(getattr(self, name))}; expected {shape}.")
+
+    @property
+    def n_joints(self) -> int:
+        return np.shape(self.axis)[0]
+
+
+class Frames(eqx.Module):
+    """Frames of the links in the world: `rotation` (*batch, joint, 3, 3) and `position` (*batch, joint, 3), m."""
+
+    rotation: Float[Array, "*batch joint 3 3"]
+    position: Float[Array, "*batch joint 3"]
+
+
+def forward_kinematics(chain: Chain, q: Angles) -> Frames:
+    """Orientation and origin of every joint's frame: R_i = R_{i-1} exp(q_i [axis_i]x), p_i = p_{i-1} + R_{i-1} offset_i.
+
+    **Arguments:** `q`: joint angles, (*batch, joint), rad.
+    """
+    (angles,), batch = _columns(chain, q)
+    rotation, position = _frames(chain, angles)
+    return Frames(
+        jnp.moveaxis(rotation, -1, 0).reshape(*batch, chain.n_joints, 3, 3),
+        jnp.moveaxis(position, -1, 0).reshape(*batch, chain.n_joints, 3),
+    )
+
+
+def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
+    """Joint-space inertia by composite bodies (CRBA): M_ij = s_i . I_c(max(i, j)) s_j; (*batch, joint, joint), kg m^2.
+
+    Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 6.2, here in world axes.
+    """
+    (angles,), batch = _columns(chain, q)
+    matrix = _mass_matrix(_bodies(chain, angles))
+    return jnp.moveaxis(matrix, -1, 0).reshape(*batch, chain.n_joints, chain.n_joints)
+
+
+def inverse_dynamics(chain: Chain, q: Angles, rate: Angles, acceleration: Angles) -> Angles:
+    """Joint torque of a motion, tau = M(q) q'' + c(q, q') + g(q), by recursive Newton-Euler (RNEA); (*batch, joint), N m.
+
+    Source: Featherstone (2008), section 5.3, here in world axes.
+    """
+    (angles, rates, accelerations), batch = _columns(chain, q, rate, acceleration)
+    return _rows(_newton_euler(chain, _bodies(chain, angles), rates, accelerations), batch)
+
+
+def bias_forces(chain: Chain, q: Angles, rate: Angles) -> Angles:
+    """Torque at zero acceleration, c(q, q') + g(q); (*batch, joint), N m."""
+    (angles, rates), batch = _columns(chain, q, rate)
+    return _rows(_newton_euler(chain, _bodies(chain, angles), rates, jnp.zeros_like(angles)), batch)
+
+
+def gravity_forces(chain: Chain, q: Angles) -> Angles:
+    """Torque that holds the chain at rest, g(q) = d potential_energy / dq; (*batch, joint), N m."""
+    (angles,), batch = _columns(chain, q)
+    return _rows(_gravity(chain, _bodies(chain, angles)), batch)
+
+
+def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "*batch joint joint"], Angles]:
+    """`mass_matrix` and `bias_forces` from one pass over the kinematics: what a time step needs."""
+    (angles, rates), batch = _columns(chain, q, rate)
+    bodies = _bodies(chain, angles)
+    matrix = jnp.moveaxis(_mass_matrix(bodies), -1, 0).reshape(*batch, chain.n_joints, chain.n_joints)
+    return matrix, _rows(_newton_euler(chain, bodies, rates, jnp.zeros_like(angles)), batch)
+
+
+def potential_energy(chain: Chain, q: Angles) -> Float[Array, "*batch"]:
+    """Energy of the links in gravity, -sum_i m_i gravity . c_i(q); (*batch,), J."""
+    frames = forward_kinematics(chain, q)
+    centres = frames.position + jnp.einsum("...nij,nj->...ni", frames.rotation, chain.com)
+    return -jnp.einsum("...ni,n,i->...", centres, chain.mass, chain.gravity)
+
+
+class _Bodies(eqx.Module):
+    """Joint axes and links in world axes about the world origin, batch last.
+
+    A joint moves the world by the twist (`axis`, `moment` = position x axis); a link's momentum follows from its
+    `mass`, first moment `first` = m c and second moment `second` (3 x 3).
+    """
+
+    axis: jax.Array
+    moment: jax.Array
+    mass: jax.Array
+    first: jax.Array
+    second: jax.Array
+
+
+def _columns(chain: Chain, *angles):
+    """Angles (*batch, joint) as (joint, flat batch), and the batch shape they share."""
+    for x in angles:
+        if jnp.shape(x)[-1:] != (chain.n_joints,):
+            raise ValueError(f"Angles have shape {jnp.shape(x)}; expected (*batch, {chain.n_joints}).")
+    batch = jnp.broadcast_shapes(*(jnp.shape(x)[:-1] for x in angles))
+    flat = (jnp.broadcast_to(x, (*batch, chain.n_joints)).reshape(-1, chain.n_joints) for x in angles)
+    return tuple(x.T for x in flat), batch
+
+
+def _rows(columns, batch):
+    return columns.T.reshape(*batch, columns.shape[0])
+
+
+def _cross(a, b):
+    return jnp.cross(a, b, axis=-2)
+
+
+def _skew(v):
+    """[v]x of vectors (joint, 3)."""
+    zero = jnp.zeros_like(v[:, 0])
+    x, y, z = v[:, 0], v[:, 1], v[:, 2]
+    return jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+
+
+def _frames(chain: Chain, q):
+    """Rotation (joint, 3, 3, batch) and position (joint, 3, batch) of every frame."""
+    k = _skew(jnp.asarray(chain.axis))
+    sine, versine = jnp.sin(q)[:, None, None], 2.0 * jnp.square(jnp.sin(0.5 * q))[:, None, None]
+    turns = jnp.eye(3)[..., None] + k[..., None] * sine + (k @ k)[..., None] * versine  # Rodrigues
+
+    def step(frame, joint):
+        rotation, position = frame
+        turn, offset = joint
+        position = position + jnp.sum(rotation * offset[:, None], axis=1)
+        rotation = jnp.sum(rotation[:, :, None] * turn[None], axis=1)
+        return (rotation, position), (rotation, position)
+
+    # The start takes its type from `turns`, so that a batch axis that vmap adds is carried along.
+    start = jnp.zeros_like(turns[0]) + jnp.eye(3, dtype=turns.dtype)[..., None], jnp.zeros_like(turns[0, 0])
+    _, frames = jax.lax.scan(step, start, (turns, jnp.asarray(chain.offset, turns.dtype)))
+    return frames
+
+
+def _bodies(chain: Chain, q) -> _Bodies:
+    rotation, position = _frames(chain, q)
+    axis = jnp.sum(rotation * chain.axis[:, None, :, None], axis=2)
+    centre = position + jnp.sum(rotation * chain.com[:, None, :, None], axis=2)
+    xx, yy, zz, xy, xz, yz = jnp.asarray(chain.inertia).T
+    tensor = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
+    turned = jnp.sum(rotation[:, :, :, None] * tensor[:, None, :, :, None], axis=2)
+    about_centre = jnp.sum(turned[:, :, None] * rotation[:, None], axis=3)
+    spread = jnp.sum(centre * centre, axis=1)[:, None, None] * jnp.eye(3)[..., None] - centre[:, :, None] * centre[:, None]
+    mass = jnp.asarray(chain.mass)
+    return _Bodies(
+        axis=axis,
+        moment=_cross(position, axis),
+        mass=mass,
+        first=mass[:, None, None] * centre,
+        second=about_centre + mass[:, None, None, None] * spread,
+    )
+
+
+def _from_tip(x):
+    """Sum over the joint itself and all joints after it."""
+    return jnp.flip(jnp.cumsum(jnp.flip(x, 0), axis=0), 0)
+
+
+def _momentum(bodies: _Bodies, angular, linear):
+    """Momentum about the world origin of links that move with the twists (angular, linear)."""
+    about_origin = jnp.sum(bodies.second * angular[:, None], axis=2) + _cross(bodies.first, linear)
+    return about_origin, bodies.mass[:, None, None] * linear + _cross(angular, bodies.first)
+
+
+def _project(bodies: _Bodies, moment, force):
+    """Torque about each joint of the wrenches on it and on all that it carries: (joint, batch)."""
+    return jnp.sum(bodies.axis * _from_tip(moment), axis=1) + jnp.sum(bodies.moment * _from_tip(force), axis=1)
+
+
+def _mass_matrix(bodies: _Bodies):
+    composite = _Bodies(
+        bodies.axis, bodies.moment, _from_tip(bodies.mass), _from_tip(bodies.first), _from_tip(bodies.second)
+    )
+    angular, linear = _momentum(composite, bodies.axis, bodies.moment)
+    full = jnp.sum(bodies.axis[:, None] * angular[None], axis=2) + jnp.sum(bodies.moment[:, None] * linear[None], axis=2)
+    # s_i . I_c(j) s_j is the element where joint i carries composite body j, that is for i <= j.
+    upper = np.triu(np.ones(full.shape[:2], bool))[..., None]
+    return jnp.where(upper, full, jnp.swapaxes(full, 0, 1))
+
+
+def _newton_euler(chain: Chain, bodies: _Bodies, rate, acceleration):
+    rate, acceleration = rate[:, None], acceleration[:, None]
+    turn, shift = bodies.axis * rate, bodies.moment * rate
+    angular, linear = jnp.cumsum(turn, axis=0), jnp.cumsum(shift, axis=0)
+    # A joint's twist is fixed in its link, so its rate of change is (link twist) x (joint twist).
+    angular_rate = jnp.cumsum(bodies.axis * acceleration + _cross(angular, turn), axis=0)
+    linear_rate = jnp.cumsum(bodies.moment * acceleration + _cross(angular, shift) + _cross(linear, turn), axis=0)
+    linear_rate = linear_rate - jnp.asarray(chain.gravity)[:, None]
+    about_origin, momentum = _momentum(bodies, angular, linear)
+    moment, force = _momentum(bodies, angular_rate, linear_rate)
+    moment = moment + _cross(angular, about_origin) + _cross(linear, momentum)
+    force = force + _cross(angular, momentum)
+    return _project(bodies, moment, force)
+
+
+def _gravity(chain: Chain, bodies: _Bodies):
+    upward = -jnp.asarray(chain.gravity)[:, None]
+    return _project(bodies, _cross(bodies.first, upward[None]), bodies.mass[:, None, None] * upward)

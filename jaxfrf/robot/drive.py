@@ -1,0 +1,127 @@
+"""Drive trains: motors behind gears, the springs of transmissions and bearings, motor friction.
+
+A spring or a friction law is a small module that acts on all its joints at once. Another law is another subclass.
+"""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from .._types import Array
+
+
+class AbstractSpring(eqx.Module):
+    """Springs and dampers, one for every flexible transmission and elastic joint.
+
+    `deflection` (*batch, spring) is in rad on the arm side, the torque in N m.
+    """
+
+    @abc.abstractmethod
+    def torque(self, deflection, rate) -> Float[Array, "*batch spring"]:
+        """Torque that resists the deflection and its rate, rad and rad/s."""
+
+    @abc.abstractmethod
+    def tangent(self, deflection) -> Float[Array, "*batch spring"]:
+        """Local stiffness, d torque / d deflection at rest, N m/rad."""
+
+    @abc.abstractmethod
+    def energy(self, deflection) -> Float[Array, "*batch"]:
+        """Energy stored in all springs together, J."""
+
+
+class Spring(AbstractSpring):
+    """A spring that stiffens from k_lo at zero to k_hi at high deflection, with a linear damper.
+
+        tau = k x - k (1 - rho) x0 tanh(x/x0) + d x',    k = k_hi, rho = k_lo/k_hi
+
+    rho = 1 is a linear spring. Stating the ratio and not k_lo keeps the shape when `stiffness` is identified.
+
+    **Arguments:** (each of shape (spring,))
+
+    - `stiffness`: k, N m/rad, at high deflection.
+    - `damping`: d, N m s/rad.
+    - `stiffness_ratio`: rho. `stiffness_knee`: x0, rad; not zero even where the ratio is 1.
+    """
+
+    stiffness: Float[Array, "spring"]
+    damping: Float[Array, "spring"]
+    stiffness_ratio: Float[Array, "spring"]
+    stiffness_knee: Float[Array, "spring"]
+
+    def torque(self, deflection, rate):
+        knee = self.stiffness_knee
+        shape = deflection - (1.0 - self.stiffness_ratio) * knee * jnp.tanh(deflection / knee)
+        return self.stiffness * shape + self.damping * rate
+
+    def tangent(self, deflection):
+        bend = 1.0 - jnp.square(jnp.tanh(deflection / self.stiffness_knee))
+        return self.stiffness * (1.0 - (1.0 - self.stiffness_ratio) * bend)
+
+    def energy(self, deflection):
+        x = jnp.abs(deflection / self.stiffness_knee)
+        log_cosh = x + jnp.log1p(jnp.exp(-2.0 * x)) - jnp.log(2.0)
+        soft = (1.0 - self.stiffness_ratio) * jnp.square(self.stiffness_knee) * log_cosh
+        return jnp.sum(self.stiffness * (0.5 * jnp.square(deflection) - soft), axis=-1)
+
+
+class AbstractFriction(eqx.Module):
+    """Friction of the motors, on the motor side, one for every driven joint."""
+
+    @abc.abstractmethod
+    def torque(self, speed) -> Float[Array, "*batch axis"]:
+        """Torque against the motor speed (*batch, axis), rad/s; N m."""
+
+
+class Friction(AbstractFriction):
+    """Viscous and smoothed Coulomb friction, tau = f v + c tanh(v/eps).
+
+    It is not to be linearised at rest, where its slope f + c/eps holds for speeds below eps only: see
+    `jaxfrf.robot.effective_friction`.
+
+    **Arguments:** `viscous`: f, (axis,), N m s/rad. `coulomb`: c, (axis,), N m. `smoothing`: eps, rad/s.
+    """
+
+    viscous: Float[Array, "axis"]
+    coulomb: Float[Array, "axis"]
+    smoothing: Float[Array, ""]
+
+    def torque(self, speed):
+        return self.viscous * speed + self.coulomb * jnp.tanh(speed / self.smoothing)
+
+
+class ViscousFriction(AbstractFriction):
+    """Viscous friction alone, tau = f v; `viscous`: (axis,), N m s/rad."""
+
+    viscous: Float[Array, "axis"]
+
+    def torque(self, speed):
+        return self.viscous * speed
+
+
+def effective_friction(friction: Friction, amplitude: Float[Array, "axis"] | float) -> Float[Array, "axis"]:
+    """Gain of the friction for small motion on top of a slow sine of this speed: f + 2 c/(pi A), N m s/rad.
+
+    The mean slope of c sgn(v) over v = A sin(phi) is 2 c/(pi A). It fails where the speed does not reverse cleanly
+    (A not large against the smoothing, or the excitation not small against A).
+
+    **Arguments:** `amplitude`: A, motor side, (axis,) or a number, rad/s.
+    """
+    return friction.viscous + 2.0 * friction.coulomb / (jnp.pi * amplitude)
+
+
+class Drives(eqx.Module):
+    """The motors and gears of all driven joints, base to tip.
+
+    **Arguments:**
+
+    - `motor_inertia`: (axis,), kg m^2. `gear_ratio`: motor turns per joint turn, (axis,).
+    - `torque_limit`: of the motor, (axis,), N m; `inf` where there is none.
+    - `friction`: of the motors.
+    """
+
+    motor_inertia: Float[Array, "axis"]
+    gear_ratio: Float[Array, "axis"]
+    torque_limit: Float[Array, "axis"]
+    friction: AbstractFriction

@@ -1,0 +1,99 @@
+"""Parameters of a robot by name: `joint1.stiffness`, `bearing2.damping`, `joint6.mass`."""
+
+import difflib
+from collections.abc import Callable, Iterable, Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .._errors import input_error
+from .drive import Friction, Spring
+from .robot import Robot
+
+PARAMETER_UNITS: dict[str, str] = {
+    "stiffness": "N m/rad",
+    "damping": "N m s/rad",
+    "stiffness_ratio": "1",
+    "stiffness_knee": "rad",
+    "motor_inertia": "kg m^2",
+    "gear_ratio": "1",
+    "viscous_friction": "N m s/rad",
+    "coulomb_friction": "N m",
+    "mass": "kg",
+    "com": "m",
+    "inertia": "kg m^2",
+    "offset": "m",
+}
+"""Every kind of parameter that a joint can have, and its unit."""
+
+
+def parameters(robot: Robot, kinds: Iterable[str] = ("stiffness", "damping")) -> dict[str, jax.Array]:
+    """The robot's parameters of these kinds as {"joint.kind": value}, kind by kind and in the order of the joints.
+
+    A kind that a joint does not have (the stiffness of a rigid transmission) is left out. `com`, `inertia` and `offset`
+    are vectors, everything else numbers.
+
+    **Raises:** `jaxfrf.InputError` for an unknown kind.
+    """
+    return {f"{joint}.{kind}": _field(robot, kind)[0](robot)[i] for kind in kinds for i, joint in enumerate(_field(robot, kind)[1])}
+
+
+def with_parameters(robot: Robot, values: Mapping[str, jax.Array | float]) -> Robot:
+    """The same robot with these parameters changed; differentiable in the values.
+
+    **Raises:** `jaxfrf.InputError` for a name that the robot does not have, with the nearest one that it has.
+    """
+    by_kind: dict[str, dict[str, jax.Array | float]] = {}
+    for name, value in values.items():
+        joint, _, kind = name.rpartition(".")
+        if kind not in PARAMETER_UNITS or joint not in _field(robot, kind)[1]:
+            raise _unknown(name, robot)
+        by_kind.setdefault(kind, {})[joint] = value
+    for kind, changes in by_kind.items():
+        where, joints = _field(robot, kind)
+        array = jnp.asarray(where(robot))
+        index = jnp.array([joints.index(joint) for joint in changes])
+        array = array.at[index].set(jnp.stack([jnp.asarray(x, array.dtype) for x in changes.values()]))
+        robot = eqx.tree_at(where, robot, array)
+    return robot
+
+
+def _field(robot: Robot, kind: str) -> tuple[Callable[[Robot], jax.Array], tuple[str, ...]]:
+    """The array that holds this kind of parameter, and the joints of its rows (none where the robot has none)."""
+    springs = robot.spring_names if isinstance(robot.springs, Spring) else ()
+    rubbing = robot.axis_names if isinstance(robot.drives.friction, Friction) else ()
+    fields = {
+        "stiffness": (lambda r: r.springs.stiffness, springs),
+        "damping": (lambda r: r.springs.damping, springs),
+        "stiffness_ratio": (lambda r: r.springs.stiffness_ratio, springs),
+        "stiffness_knee": (lambda r: r.springs.stiffness_knee, springs),
+        "motor_inertia": (lambda r: r.drives.motor_inertia, robot.axis_names),
+        "gear_ratio": (lambda r: r.drives.gear_ratio, robot.axis_names),
+        "viscous_friction": (lambda r: r.drives.friction.viscous, rubbing),
+        "coulomb_friction": (lambda r: r.drives.friction.coulomb, rubbing),
+        "mass": (lambda r: r.chain.mass, robot.joint_names),
+        "com": (lambda r: r.chain.com, robot.joint_names),
+        "inertia": (lambda r: r.chain.inertia, robot.joint_names),
+        "offset": (lambda r: r.chain.offset, robot.joint_names),
+    }
+    if kind not in fields:
+        raise input_error(
+            "kind of parameter", repr(kind), ", ".join(fields), f"Did you mean {_nearest(kind, fields)!r}?"
+        )
+    return fields[kind]
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    known = list(known)
+    return (difflib.get_close_matches(name, known, n=1, cutoff=0.0) or known)[0]
+
+
+def _unknown(name: str, robot: Robot):
+    known = [f"{joint}.{kind}" for kind in PARAMETER_UNITS for joint in _field(robot, kind)[1]]
+    return input_error(
+        f"parameter of {robot.name}",
+        repr(name),
+        "the name of a joint and a kind of parameter that it has, as joint1.stiffness",
+        f"Did you mean {_nearest(name, known)!r}?",
+    )

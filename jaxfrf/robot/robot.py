@@ -1,0 +1,259 @@
+"""A robot with elastic joints: a chain, the motors and gears that drive it, and the springs in between.
+
+    M_m q_m'' = u - tau_fm(q_m') - tau_g / n
+    M_ae(q_a, q_e) [q_a''; q_e''] = [tau_g; tau_e] - c_ae - g_ae
+
+(the extended flexible joint model: Moberg, Wernholt, Hanssen & Brogardh, J. Dyn. Sys. Meas. Control 136, 2014).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._types import Array
+from .chain import Chain, mass_and_bias, mass_matrix, potential_energy
+from .drive import AbstractSpring, Drives
+
+
+class Controller(eqx.Module):
+    """Settings of the sampled joint controller, as the robot's file states them; the simulation acts on them.
+
+    Velocity error e = position_gain (q_ref - q_m) + v_ref - v_m; torque u = velocity_gain (e + integral(e)/integral_time).
+
+    **Arguments:** `position_gain`: 1/s. `integral_time`: s; `inf` = no integral part. `velocity_gain`: (axis,),
+    N m s/rad, motor side. `feedforward`: whether the speed reference v_ref is added.
+    """
+
+    position_gain: Float[Array, ""]
+    integral_time: Float[Array, ""]
+    velocity_gain: Float[Array, "axis"]
+    feedforward: bool = eqx.field(static=True, default=True)
+
+
+class EffectTable(eqx.Module):
+    """An `[[effect]]` table of a robot's file: the effect's name, the joint it acts on ("" = none) and its parameters."""
+
+    name: str = eqx.field(static=True)
+    joint: str = eqx.field(static=True, default="")
+    parameters: tuple[tuple[str, float | tuple[float, ...]], ...] = eqx.field(static=True, default=())
+
+
+class Robot(eqx.Module):
+    """Chain, drive trains and springs; immutable, differentiable in every array.
+
+    Coordinates are z = [q_m, q_a, q_e]: angles of the motors behind flexible transmissions (motor side), of all driven
+    joints (arm side), of the compliant elastic joints. A rigid transmission (`stiffness = inf`) has no coordinate of its
+    own, its motor turns with the arm; a stiff elastic joint stays at zero. The state is [z, z'], (*batch, 2 dof).
+
+    **Arguments:**
+
+    - `chain`: links and joints. `drives`: motors and gears of the driven joints.
+    - `springs`: of the flexible transmissions, then of the compliant elastic joints.
+    - `joint_names`: of all joints, base to tip. `driven`: whether a joint has a motor (elastic otherwise).
+    - `stiff`: whether its transmission is rigid (driven), or it is locked (elastic).
+    - `controller`, `effects`, `sampling_frequency` (Hz): what the file says for the simulation.
+    """
+
+    chain: Chain
+    drives: Drives
+    springs: AbstractSpring
+    joint_names: tuple[str, ...] = eqx.field(static=True)
+    driven: tuple[bool, ...] = eqx.field(static=True)
+    stiff: tuple[bool, ...] = eqx.field(static=True)
+    controller: Controller | None = None
+    effects: tuple[EffectTable, ...] = ()
+    name: str = eqx.field(static=True, default="robot")
+    sampling_frequency: float = eqx.field(static=True, default=2000.0)
+
+    def __check_init__(self):
+        n = self.chain.n_joints
+        for field in ("joint_names", "driven", "stiff"):
+            if len(getattr(self, field)) != n:
+                raise ValueError(f"{field} has {len(getattr(self, field))} entries; expected one for each of {n} joints.")
+        if np.shape(self.drives.motor_inertia) != (self.n_axes,):
+            raise ValueError(
+                f"motor_inertia has shape {np.shape(self.drives.motor_inertia)}; expected ({self.n_axes},)."
+            )
+
+    @property
+    def n_axes(self) -> int:
+        """Driven joints: inputs and outputs of the robot."""
+        return sum(self.driven)
+
+    @property
+    def n_motors(self) -> int:
+        """Motors with a coordinate of their own, behind flexible transmissions."""
+        return len(self.flexible_axes)
+
+    @property
+    def n_elastic(self) -> int:
+        return len(self.elastic_joints)
+
+    @property
+    def dof(self) -> int:
+        return self.n_motors + self.n_axes + self.n_elastic
+
+    @property
+    def driven_joints(self) -> tuple[int, ...]:
+        """Place in the chain of every axis."""
+        return tuple(i for i, driven in enumerate(self.driven) if driven)
+
+    @property
+    def elastic_joints(self) -> tuple[int, ...]:
+        """Place in the chain of every compliant elastic joint."""
+        return tuple(
+            i for i, (driven, stiff) in enumerate(zip(self.driven, self.stiff, strict=True)) if not (driven or stiff)
+        )
+
+    @property
+    def arm_joints(self) -> tuple[int, ...]:
+        """Place in the chain of [q_a, q_e]."""
+        return self.driven_joints + self.elastic_joints
+
+    @property
+    def flexible_axes(self) -> tuple[int, ...]:
+        """Axes (counted among the driven joints) whose transmission is flexible."""
+        return tuple(axis for axis, joint in enumerate(self.driven_joints) if not self.stiff[joint])
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        return tuple(self.joint_names[i] for i in self.driven_joints)
+
+    @property
+    def spring_names(self) -> tuple[str, ...]:
+        """Names of the joints that the springs belong to, in the order of `springs`."""
+        flexible = tuple(self.driven_joints[axis] for axis in self.flexible_axes)
+        return tuple(self.joint_names[i] for i in flexible + self.elastic_joints)
+
+
+def chain_angles(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch joint"]:
+    """Angles of all joints in chain order, from [q_a, q_e]; a locked joint stands at zero."""
+    place = np.full(robot.chain.n_joints, arm.shape[-1])
+    place[list(robot.arm_joints)] = np.arange(arm.shape[-1])
+    return jnp.concatenate([arm, jnp.zeros_like(arm[..., :1])], axis=-1)[..., place]
+
+
+def _arm_matrix(robot: Robot, matrix):
+    """Chain inertia in the order [q_a, q_e], with the rotors of rigid transmissions on the diagonal."""
+    order = np.array(robot.arm_joints)
+    reflected = np.zeros(len(order))
+    reflected[: robot.n_axes] = 1.0
+    reflected[list(robot.flexible_axes)] = 0.0
+    rotor = jnp.square(robot.drives.gear_ratio) * robot.drives.motor_inertia
+    rotor = jnp.concatenate([rotor, jnp.zeros(robot.n_elastic)]) * reflected
+    return matrix[..., order[:, None], order] + jnp.diag(rotor)
+
+
+def arm_inertia(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:
+    """M_ae(q_a, q_e), with the rotors of rigid transmissions; `arm` = [q_a, q_e], rad; kg m^2."""
+    return _arm_matrix(robot, mass_matrix(robot.chain, chain_angles(robot, arm)))
+
+
+def arm_inertia_and_bias(robot: Robot, arm: Float[Array, "*batch arm"], rate: Float[Array, "*batch arm"]):
+    """M_ae and c_ae + g_ae from one pass over the kinematics: what changes slowly within a control sample."""
+    matrix, bias = mass_and_bias(robot.chain, chain_angles(robot, arm), chain_angles(robot, rate))
+    return _arm_matrix(robot, matrix), bias[..., np.array(robot.arm_joints)]
+
+
+def motor_inertia(robot: Robot) -> Float[Array, "motor"]:
+    """Inertia of the motors that have a coordinate of their own, kg m^2."""
+    return robot.drives.motor_inertia[np.array(robot.flexible_axes, int)]
+
+
+def inertia(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch dof dof"]:
+    """Inertia in the coordinates z: motors and arm are coupled by springs only, so it is block diagonal."""
+    arm = arm_inertia(robot, z[..., robot.n_motors :])
+    motors = jnp.broadcast_to(jnp.diag(motor_inertia(robot)), (*arm.shape[:-2], robot.n_motors, robot.n_motors))
+    corner = jnp.zeros((*arm.shape[:-2], robot.n_motors, arm.shape[-1]))
+    return jnp.concatenate(
+        [
+            jnp.concatenate([motors, corner], axis=-1),
+            jnp.concatenate([jnp.swapaxes(corner, -1, -2), arm], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def deflections(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch spring"]:
+    """Deflection of every spring, arm side: q_m/n - q_a of flexible transmissions, then -q_e; linear in z.
+
+    The sign makes a positive spring torque drive the arm, tau_g = torque(q_m/n - q_a) and tau_e = torque(-q_e).
+    """
+    flexible = np.array(robot.flexible_axes, int)
+    motor, arm, elastic = jnp.split(z, [robot.n_motors, robot.n_motors + robot.n_axes], axis=-1)
+    return jnp.concatenate([motor / robot.drives.gear_ratio[flexible] - arm[..., flexible], -elastic], axis=-1)
+
+
+def spring_directions(robot: Robot) -> Float[Array, "dof spring"]:
+    """W with deflections(z) = W^T z; a spring torque tau acts on the coordinates as -W tau."""
+    return deflections(robot, jnp.eye(robot.dof))
+
+
+def motor_directions(robot: Robot) -> Float[Array, "dof axis"]:
+    """B with motor angles = B^T z (all axes, motor side); a motor torque u acts on the coordinates as B u."""
+    motors, axes = robot.n_motors, robot.n_axes
+    flexible = np.array(robot.flexible_axes, int)
+    direct = np.zeros((robot.dof, axes))
+    direct[np.arange(motors), flexible] = 1.0
+    geared = np.zeros((robot.dof, axes))
+    rigid = np.setdiff1d(np.arange(axes), flexible)
+    geared[motors + rigid, rigid] = 1.0
+    return direct + geared * robot.drives.gear_ratio
+
+
+def motor_values(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch axis"]:
+    """Motor angles of all axes from the coordinates z (or motor speeds from z'); motor side."""
+    return z @ motor_directions(robot)
+
+
+def drive_forces(
+    robot: Robot,
+    z: Float[Array, "*batch dof"],
+    rate: Float[Array, "*batch dof"],
+    torque: Float[Array, "*batch axis"],
+) -> Float[Array, "*batch dof"]:
+    """Forces of motors, friction and springs, B (u - tau_fm) - W tau_spring: the fast part of the dynamics; N m."""
+    spring = robot.springs.torque(deflections(robot, z), deflections(robot, rate))
+    friction = robot.drives.friction.torque(motor_values(robot, rate))
+    return (torque - friction) @ motor_directions(robot).T - spring @ spring_directions(robot).T
+
+
+def generalised_forces(
+    robot: Robot,
+    z: Float[Array, "*batch dof"],
+    rate: Float[Array, "*batch dof"],
+    torque: Float[Array, "*batch axis"],
+) -> Float[Array, "*batch dof"]:
+    """All forces that accelerate the coordinates: `drive_forces` less [0; c_ae + g_ae]; N m."""
+    motors = robot.n_motors
+    _, bias = arm_inertia_and_bias(robot, z[..., motors:], rate[..., motors:])
+    return drive_forces(robot, z, rate, torque) - jnp.concatenate([jnp.zeros_like(z[..., :motors]), bias], axis=-1)
+
+
+def forward_dynamics(
+    robot: Robot, state: Float[Array, "*batch state"], torque: Float[Array, "*batch axis"]
+) -> Float[Array, "*batch state"]:
+    """Time derivative of the state [z, z'] under a motor torque: the right-hand side of an ODE.
+
+    M(z) z'' = `generalised_forces`. A simulation that evaluates the slow part (`arm_inertia_and_bias`) less often than
+    the fast one (`drive_forces`) is several times cheaper.
+
+    **Arguments:** `state`: (*batch, 2 dof), rad and rad/s. `torque`: motor side, (*batch, axis), N m.
+    """
+    motors = robot.n_motors
+    z, rate = state[..., : robot.dof], state[..., robot.dof :]
+    matrix, bias = arm_inertia_and_bias(robot, z[..., motors:], rate[..., motors:])
+    forces = drive_forces(robot, z, rate, torque)
+    factor = jax.scipy.linalg.cho_factor(matrix, lower=True)
+    arm = jax.scipy.linalg.cho_solve(factor, (forces[..., motors:] - bias)[..., None])[..., 0]
+    return jnp.concatenate([rate, forces[..., :motors] / motor_inertia(robot), arm], axis=-1)
+
+
+def energy(robot: Robot, state: Float[Array, "*batch state"]) -> Float[Array, "*batch"]:
+    """Kinetic energy of rotors and links, springs and gravity; (*batch,), J. Kept without damping, friction and torque."""
+    z, rate = state[..., : robot.dof], state[..., robot.dof :]
+    kinetic = 0.5 * jnp.einsum("...i,...ij,...j->...", rate, inertia(robot, z), rate)
+    lifted = potential_energy(robot.chain, chain_angles(robot, z[..., robot.n_motors :]))
+    return kinetic + lifted + robot.springs.energy(deflections(robot, z))

@@ -1,0 +1,349 @@
+"""A robot as a table (TOML, or any nested dictionary): checked in, written out.
+
+Units are SI; quantities of the motor (inertia, friction, torque limit, velocity gain) on the motor side, `stiffness`
+and `damping` on the arm side. `jaxfrf/robot/r3x.toml` is the schema by example.
+"""
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError, input_error
+from .chain import Chain
+from .drive import Drives, Friction, Spring
+from .robot import Controller, EffectTable, Robot
+
+_KNEE = 2.9e-4  # rad, one minute of arc: the knee of a linear spring, where it has no effect
+
+_ROBOT_KEYS = ("name", "gravity", "sampling_frequency", "joint", "controller", "friction", "effect")
+_LINK_KEYS = ("name", "type", "axis", "offset", "mass", "com", "inertia")
+_SPRING_KEYS = ("stiffness", "stiffness_low", "stiffness_knee", "damping")
+_DRIVE_KEYS = (
+    "gear_ratio",
+    "motor_inertia",
+    "viscous_friction",
+    "coulomb_friction",
+    "torque_limit",
+    "velocity_gain",
+)
+_CONTROLLER_KEYS = ("position_gain", "integral_time", "velocity_gain", "feedforward")
+
+
+def robot_from_table(table: Mapping[str, Any], source: str = "robot") -> Robot:
+    """The robot that a table describes.
+
+    **Arguments:** `table`: what `tomllib.load` gives. `source`: its name in messages, as the file's name.
+
+    **Raises:** `jaxfrf.InputError` naming the key: unknown (with the nearest known one), missing, of the wrong type or
+    size, or with a value that is not physical.
+    """
+    top = _Table(table, source, _ROBOT_KEYS)
+    joints = top.tables("joint")
+    if not joints:
+        raise input_error(f"{source}: joint", "none", "at least one [[joint]] table", "Describe the joints, base to tip.")
+    joints = [_Table(joint, f"{source}: {_label(joint, i)}", _joint_keys(joint, i, source)) for i, joint in enumerate(joints)]
+    names = tuple(joint.text("name", default=f"joint{i + 1}") for i, joint in enumerate(joints))
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise input_error(f"{source}: joint", f"two joints named {twice!r}", "a name for each", "Rename one of them.")
+    driven = tuple(joint["type"] == "driven" for joint in joints)
+    stiffness = [joint.number("stiffness", positive=True, infinite=True) for joint in joints]
+    stiff = tuple(math.isinf(k) for k in stiffness)
+    drives = [joint for joint, is_driven in zip(joints, driven, strict=True) if is_driven]
+    if not drives:
+        raise input_error(f"{source}: joint", "no driven joint", "a motor somewhere", 'Set type = "driven".')
+    elastic = [joint for joint, is_driven in zip(joints, driven, strict=True) if not is_driven]
+    sprung = [joint for joint in (*drives, *elastic) if not math.isinf(joint["stiffness"])]
+    return Robot(
+        chain=_chain(top, joints),
+        drives=_drives(top, drives),
+        springs=_springs(sprung),
+        joint_names=names,
+        driven=driven,
+        stiff=stiff,
+        controller=_controller(top, drives),
+        effects=_effects(top, names),
+        name=top.text("name", default="robot"),
+        sampling_frequency=top.number("sampling_frequency", default=2000.0, positive=True),
+    )
+
+
+def table_from_robot(robot: Robot) -> dict[str, Any]:
+    """The table of a robot: `robot_from_table` of it gives the same robot."""
+    if not isinstance(robot.springs, Spring) or not isinstance(robot.drives.friction, Friction):
+        raise input_error(
+            f"{robot.name}: springs and friction",
+            f"{type(robot.springs).__name__} and {type(robot.drives.friction).__name__}",
+            "Spring and Friction, which a robot's file can state",
+            "Write the robot with those, and other laws as effects.",
+        )
+    table: dict[str, Any] = {
+        "name": robot.name,
+        "gravity": _plain(robot.chain.gravity),
+        "sampling_frequency": robot.sampling_frequency,
+        "joint": [_joint_table(robot, i) for i in range(robot.chain.n_joints)],
+    }
+    if robot.controller is not None:
+        table["controller"] = {
+            "position_gain": _plain(robot.controller.position_gain),
+            "integral_time": _plain(robot.controller.integral_time),
+            **({} if robot.controller.feedforward else {"feedforward": False}),
+        }
+    table["friction"] = {"smoothing": _plain(robot.drives.friction.smoothing)}
+    effects = [{"name": e.name, "joint": e.joint, **{k: _plain(v) for k, v in e.parameters}} for e in robot.effects]
+    return {**table, **({"effect": effects} if effects else {})}
+
+
+class _Table:
+    """A table with the name of its place, so that every message says where it looks."""
+
+    def __init__(self, table: Mapping[str, Any], where: str, known: Iterable[str] | None):
+        if not isinstance(table, Mapping):
+            raise input_error(where, _said(table), "a table", "Write it as a TOML table.")
+        self._table, self.where = table, where
+        for key in table if known is not None else ():
+            if key not in known:
+                raise _unknown_key(where, key, known)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._table
+
+    def __getitem__(self, key: str) -> Any:
+        return self._table[key]
+
+    def error(self, key: str, expected: str, do: str) -> InputError:
+        found = _said(self._table[key]) if key in self._table else "nothing"
+        return input_error(f"{self.where}: {key}", found, expected, do)
+
+    def _value(self, key: str, default: Any, expected: str) -> Any:
+        if key in self._table:
+            return self._table[key]
+        if default is None:
+            raise self.error(key, expected, f"Add {key} = ... there.")
+        return default
+
+    def number(
+        self,
+        key: str,
+        default: float | None = None,
+        *,
+        positive: bool = False,
+        nonnegative: bool = False,
+        infinite: bool = False,
+    ) -> float:
+        kind = "a positive number" if positive else "a number, 0 or more" if nonnegative else "a number"
+        value = self._value(key, default, kind)
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise self.error(key, kind, "Write a number, in SI units.")
+        if (math.isinf(value) and not infinite) or (positive and value <= 0) or (nonnegative and value < 0):
+            raise self.error(key, kind if infinite else f"{kind}, finite", "Correct the value or its unit.")
+        return float(value)
+
+    def flag(self, key: str, default: bool) -> bool:
+        value = self._value(key, default, "true or false")
+        if not isinstance(value, bool):
+            raise self.error(key, "true or false", "Write it without quotes.")
+        return value
+
+    def text(self, key: str, default: str | None = None) -> str:
+        value = self._value(key, default, "a text")
+        if not isinstance(value, str):
+            raise self.error(key, "a text", "Write it in quotes.")
+        return value
+
+    def vector(self, key: str, size: int, default: list[float] | None = None) -> list[float]:
+        value = self._value(key, default, f"{size} numbers")
+        plain = isinstance(value, list) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
+        if not plain or len(value) != size or not all(math.isfinite(x) for x in value):
+            raise self.error(key, f"a list of {size} finite numbers", "Write it as [x, y, z, ...], in SI units.")
+        return [float(x) for x in value]
+
+    def table(self, key: str, known: Iterable[str]) -> "_Table | None":
+        if key not in self._table:
+            return None
+        return _Table(self._table[key], f"{self.where}: [{key}]", known)
+
+    def tables(self, key: str) -> list[Mapping[str, Any]]:
+        value = self._table.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(x, Mapping) for x in value):
+            raise self.error(key, f"[[{key}]] tables", f"Head each with [[{key}]], two brackets.")
+        return value
+
+
+def _label(joint: Mapping[str, Any], i: int) -> str:
+    name = joint.get("name")
+    return f"joint {name!r}" if isinstance(name, str) else f"joint {i + 1}"
+
+
+def _joint_keys(joint: Mapping[str, Any], i: int, source: str) -> tuple[str, ...]:
+    where = _Table(joint, f"{source}: {_label(joint, i)}", None)
+    kind = where.text("type", default=None)
+    if kind not in ("driven", "elastic"):
+        raise where.error("type", '"driven" or "elastic"', "An elastic joint has a spring and no motor.")
+    return (*_LINK_KEYS, *_SPRING_KEYS, *(_DRIVE_KEYS if kind == "driven" else ()))
+
+
+def _chain(top: _Table, joints: list[_Table]) -> Chain:
+    return Chain(
+        axis=jnp.array([_unit_axis(joint) for joint in joints]),
+        offset=jnp.array([joint.vector("offset", 3) for joint in joints]),
+        mass=jnp.array([joint.number("mass", nonnegative=True) for joint in joints]),
+        com=jnp.array([joint.vector("com", 3) for joint in joints]),
+        inertia=jnp.array([_physical_inertia(joint) for joint in joints]),
+        gravity=jnp.array(top.vector("gravity", 3)),
+    )
+
+
+def _unit_axis(joint: _Table) -> list[float]:
+    axis = joint.vector("axis", 3)
+    if abs(math.hypot(*axis) - 1.0) > 1e-6:
+        raise joint.error("axis", "a vector of length 1", "Divide it by its length.")
+    return [x / math.hypot(*axis) for x in axis]
+
+
+def _physical_inertia(joint: _Table) -> list[float]:
+    elements = joint.vector("inertia", 6)
+    xx, yy, zz, xy, xz, yz = elements
+    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if moments[0] < -1e-9 * abs(moments[2]) - 1e-15:
+        raise joint.error(
+            "inertia",
+            "[Ixx, Iyy, Izz, Ixy, Ixz, Iyz] of a positive tensor",
+            "Check order and signs: products are tensor elements, Ixy = -integral(x y dm).",
+        )
+    return elements
+
+
+def _springs(joints: list[_Table]) -> Spring:
+    ratios, knees = zip(*map(_softness, joints), strict=True) if joints else ((), ())
+    return Spring(
+        stiffness=jnp.array([joint.number("stiffness", positive=True) for joint in joints], float),
+        damping=jnp.array([joint.number("damping", nonnegative=True) for joint in joints], float),
+        stiffness_ratio=jnp.array(ratios, float),
+        stiffness_knee=jnp.array(knees, float),
+    )
+
+
+def _softness(joint: _Table) -> tuple[float, float]:
+    """stiffness_low/stiffness and the knee; a linear spring states neither."""
+    if "stiffness_low" not in joint and "stiffness_knee" not in joint:
+        return 1.0, _KNEE
+    low = joint.number("stiffness_low", positive=True)
+    return low / joint.number("stiffness", positive=True), joint.number("stiffness_knee", positive=True)
+
+
+def _drives(top: _Table, joints: list[_Table]) -> Drives:
+    table = top.table("friction", ("smoothing",))
+    smoothing = 0.2 if table is None else table.number("smoothing", positive=True)
+    for joint in joints:
+        if joint.number("gear_ratio") == 0.0:
+            raise joint.error("gear_ratio", "motor turns per joint turn, not 0", "1 is a direct drive.")
+
+    def column(key, default=None, **limits):
+        return jnp.array([joint.number(key, default, **limits) for joint in joints])
+
+    return Drives(
+        motor_inertia=column("motor_inertia", positive=True),
+        gear_ratio=column("gear_ratio"),
+        torque_limit=column("torque_limit", math.inf, positive=True, infinite=True),
+        friction=Friction(
+            viscous=column("viscous_friction", 0.0, nonnegative=True),
+            coulomb=column("coulomb_friction", 0.0, nonnegative=True),
+            smoothing=jnp.asarray(smoothing),
+        ),
+    )
+
+
+def _controller(top: _Table, joints: list[_Table]) -> Controller | None:
+    table = top.table("controller", _CONTROLLER_KEYS)
+    if table is None:
+        return None
+    if "velocity_gain" in table:
+        gains = table.vector("velocity_gain", len(joints))
+    else:
+        gains = [joint.number("velocity_gain", nonnegative=True) for joint in joints]
+    return Controller(
+        position_gain=jnp.asarray(table.number("position_gain", nonnegative=True)),
+        integral_time=jnp.asarray(table.number("integral_time", math.inf, positive=True, infinite=True)),
+        velocity_gain=jnp.array(gains),
+        feedforward=table.flag("feedforward", True),
+    )
+
+
+def _effects(top: _Table, names: tuple[str, ...]) -> tuple[EffectTable, ...]:
+    return tuple(
+        _effect(_Table(table, f"{top.where}: effect {i + 1}", None), table, names)
+        for i, table in enumerate(top.tables("effect"))
+    )
+
+
+def _effect(checked: _Table, table: Mapping[str, Any], names: tuple[str, ...]) -> EffectTable:
+    joint = checked.text("joint", default="")
+    if joint and joint not in names:
+        raise checked.error("joint", f"one of {', '.join(names)}", f"Did you mean {_nearest(joint, names)!r}?")
+    values = {key: value for key, value in table.items() if key not in ("name", "joint")}
+    parameters = tuple(
+        (key, tuple(checked.vector(key, len(value))) if isinstance(value, list) else checked.number(key))
+        for key, value in values.items()
+    )
+    return EffectTable(name=checked.text("name"), joint=joint, parameters=parameters)
+
+
+def _joint_table(robot: Robot, i: int) -> dict[str, Any]:
+    chain, name = robot.chain, robot.joint_names[i]
+    table = {
+        "name": name,
+        "type": "driven" if robot.driven[i] else "elastic",
+        **{key: _plain(getattr(chain, key)[i]) for key in ("axis", "offset", "mass", "com", "inertia")},
+    }
+    if robot.driven[i]:
+        table |= _drive_table(robot, robot.axis_names.index(name))
+    if robot.stiff[i]:
+        return {**table, "stiffness": math.inf}
+    return {**table, **_spring_table(robot.springs, robot.spring_names.index(name))}
+
+
+def _drive_table(robot: Robot, axis: int) -> dict[str, Any]:
+    drives = robot.drives
+    table = {
+        "gear_ratio": _plain(drives.gear_ratio[axis]),
+        "motor_inertia": _plain(drives.motor_inertia[axis]),
+        "viscous_friction": _plain(drives.friction.viscous[axis]),
+        "coulomb_friction": _plain(drives.friction.coulomb[axis]),
+        "torque_limit": _plain(drives.torque_limit[axis]),
+    }
+    if robot.controller is not None:
+        table["velocity_gain"] = _plain(robot.controller.velocity_gain[axis])
+    return table
+
+
+def _spring_table(springs: Spring, i: int) -> dict[str, Any]:
+    table = {"stiffness": _plain(springs.stiffness[i]), "damping": _plain(springs.damping[i])}
+    ratio = _plain(springs.stiffness_ratio[i])
+    if ratio == 1.0:
+        return table
+    return {**table, "stiffness_low": ratio * table["stiffness"], "stiffness_knee": _plain(springs.stiffness_knee[i])}
+
+
+def _plain(value: Any) -> float | list[float]:
+    return np.asarray(value, float).tolist()
+
+
+def _said(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    return difflib.get_close_matches(name, list(known), n=1, cutoff=0.0)[0]
+
+
+def _unknown_key(where: str, key: str, known: Iterable[str]) -> InputError:
+    known = tuple(known)
+    return input_error(
+        where, f"the unknown key {key!r}", f"keys among {', '.join(known)}", f"Did you mean {_nearest(key, known)!r}?"
+    )
