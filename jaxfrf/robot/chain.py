@@ -1,8 +1,9 @@
 """Rigid-body dynamics of a serial chain of revolute joints.
 
-Everything is written in world axes about the world origin, so that sums along the chain are cumulative sums and only
-the orientations need a recursion. Inside, arrays are component first and batch last, (joint, 3, ..., batch): one
-instruction then works on many configurations. Nothing is unrolled into scalars, which XLA would take minutes to compile.
+Everything is written in world axes about the world origin, so that sums along the chain are cumulative sums
+and only the orientations need a recursion. Inside, arrays are component first and batch last, (joint, 3, ...,
+batch): one instruction then works on many configurations. Nothing is unrolled into scalars, which XLA would
+take minutes to compile.
 """
 
 import equinox as eqx
@@ -19,8 +20,8 @@ Angles = Float[Array, "*batch joint"]
 class Chain(eqx.Module):
     """A serial chain of revolute joints, base to tip; massless links are allowed.
 
-    With all joints at zero every frame is parallel to the base frame. That loses no generality: constant rotations
-    between joints only turn the constants below.
+    With all joints at zero every frame is parallel to the base frame. That loses no generality: constant
+    rotations between joints only turn the constants below.
 
     **Arguments:**
 
@@ -41,7 +42,14 @@ class Chain(eqx.Module):
 
     def __check_init__(self):
         n = np.shape(self.axis)[0]
-        shapes = {"axis": (n, 3), "offset": (n, 3), "mass": (n,), "com": (n, 3), "inertia": (n, 6), "gravity": (3,)}
+        shapes = {
+            "axis": (n, 3),
+            "offset": (n, 3),
+            "mass": (n,),
+            "com": (n, 3),
+            "inertia": (n, 6),
+            "gravity": (3,),
+        }
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise ValueError(f"{name} has shape {np.shape(getattr(self, name))}; expected {shape}.")
@@ -52,14 +60,17 @@ class Chain(eqx.Module):
 
 
 class Frames(eqx.Module):
-    """Frames of the links in the world: `rotation` (*batch, joint, 3, 3) and `position` (*batch, joint, 3), m."""
+    """Frames of the links in the world: `rotation` (*batch, joint, 3, 3) and `position` (*batch, joint, 3),
+    m."""
 
     rotation: Float[Array, "*batch joint 3 3"]
     position: Float[Array, "*batch joint 3"]
 
 
+@eqx.filter_jit
 def forward_kinematics(chain: Chain, q: Angles) -> Frames:
-    """Orientation and origin of every joint's frame: R_i = R_{i-1} exp(q_i [axis_i]x), p_i = p_{i-1} + R_{i-1} offset_i.
+    """Orientation and origin of every joint's frame: R_i = R_{i-1} exp(q_i [axis_i]x), p_i = p_{i-1} +
+    R_{i-1} offset_i.
 
     **Arguments:** `q`: joint angles, (*batch, joint), rad.
     """
@@ -71,8 +82,10 @@ def forward_kinematics(chain: Chain, q: Angles) -> Frames:
     )
 
 
+@eqx.filter_jit
 def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
-    """Joint-space inertia by composite bodies (CRBA): M_ij = s_i . I_c(max(i, j)) s_j; (*batch, joint, joint), kg m^2.
+    """Joint-space inertia by composite bodies (CRBA): M_ij = s_i . I_c(max(i, j)) s_j; (*batch, joint,
+    joint), kg m^2.
 
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 6.2, here in world axes.
     """
@@ -81,8 +94,10 @@ def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
     return jnp.moveaxis(matrix, -1, 0).reshape(*batch, chain.n_joints, chain.n_joints)
 
 
+@eqx.filter_jit
 def inverse_dynamics(chain: Chain, q: Angles, rate: Angles, acceleration: Angles) -> Angles:
-    """Joint torque of a motion, tau = M(q) q'' + c(q, q') + g(q), by recursive Newton-Euler (RNEA); (*batch, joint), N m.
+    """Joint torque of a motion, tau = M(q) q'' + c(q, q') + g(q), by recursive Newton-Euler (RNEA); (*batch,
+    joint), N m.
 
     Source: Featherstone (2008), section 5.3, here in world axes.
     """
@@ -90,18 +105,21 @@ def inverse_dynamics(chain: Chain, q: Angles, rate: Angles, acceleration: Angles
     return _rows(_newton_euler(chain, _bodies(chain, angles), rates, accelerations), batch)
 
 
+@eqx.filter_jit
 def bias_forces(chain: Chain, q: Angles, rate: Angles) -> Angles:
     """Torque at zero acceleration, c(q, q') + g(q); (*batch, joint), N m."""
     (angles, rates), batch = _columns(chain, q, rate)
     return _rows(_newton_euler(chain, _bodies(chain, angles), rates, jnp.zeros_like(angles)), batch)
 
 
+@eqx.filter_jit
 def gravity_forces(chain: Chain, q: Angles) -> Angles:
     """Torque that holds the chain at rest, g(q) = d potential_energy / dq; (*batch, joint), N m."""
     (angles,), batch = _columns(chain, q)
     return _rows(_gravity(chain, _bodies(chain, angles)), batch)
 
 
+@eqx.filter_jit
 def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "*batch joint joint"], Angles]:
     """`mass_matrix` and `bias_forces` from one pass over the kinematics: what a time step needs."""
     (angles, rates), batch = _columns(chain, q, rate)
@@ -110,6 +128,7 @@ def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "
     return matrix, _rows(_newton_euler(chain, bodies, rates, jnp.zeros_like(angles)), batch)
 
 
+@eqx.filter_jit
 def potential_energy(chain: Chain, q: Angles) -> Float[Array, "*batch"]:
     """Energy of the links in gravity, -sum_i m_i gravity . c_i(q); (*batch,), J."""
     frames = forward_kinematics(chain, q)
@@ -120,8 +139,8 @@ def potential_energy(chain: Chain, q: Angles) -> Float[Array, "*batch"]:
 class _Bodies(eqx.Module):
     """Joint axes and links in world axes about the world origin, batch last.
 
-    A joint moves the world by the twist (`axis`, `moment` = position x axis); a link's momentum follows from its
-    `mass`, first moment `first` = m c and second moment `second` (3 x 3).
+    A joint moves the world by the twist (`axis`, `moment` = position x axis); a link's momentum follows from
+    its `mass`, first moment `first` = m c and second moment `second` (3 x 3).
     """
 
     axis: jax.Array
@@ -183,7 +202,10 @@ def _bodies(chain: Chain, q) -> _Bodies:
     tensor = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
     turned = jnp.sum(rotation[:, :, :, None] * tensor[:, None, :, :, None], axis=2)
     about_centre = jnp.sum(turned[:, :, None] * rotation[:, None], axis=3)
-    spread = jnp.sum(centre * centre, axis=1)[:, None, None] * jnp.eye(3)[..., None] - centre[:, :, None] * centre[:, None]
+    spread = (
+        jnp.sum(centre * centre, axis=1)[:, None, None] * jnp.eye(3)[..., None]
+        - centre[:, :, None] * centre[:, None]
+    )
     mass = jnp.asarray(chain.mass)
     return _Bodies(
         axis=axis,
@@ -207,7 +229,9 @@ def _momentum(bodies: _Bodies, angular, linear):
 
 def _project(bodies: _Bodies, moment, force):
     """Torque about each joint of the wrenches on it and on all that it carries: (joint, batch)."""
-    return jnp.sum(bodies.axis * _from_tip(moment), axis=1) + jnp.sum(bodies.moment * _from_tip(force), axis=1)
+    return jnp.sum(bodies.axis * _from_tip(moment), axis=1) + jnp.sum(
+        bodies.moment * _from_tip(force), axis=1
+    )
 
 
 def _mass_matrix(bodies: _Bodies):
@@ -215,7 +239,9 @@ def _mass_matrix(bodies: _Bodies):
         bodies.axis, bodies.moment, _from_tip(bodies.mass), _from_tip(bodies.first), _from_tip(bodies.second)
     )
     angular, linear = _momentum(composite, bodies.axis, bodies.moment)
-    full = jnp.sum(bodies.axis[:, None] * angular[None], axis=2) + jnp.sum(bodies.moment[:, None] * linear[None], axis=2)
+    full = jnp.sum(bodies.axis[:, None] * angular[None], axis=2) + jnp.sum(
+        bodies.moment[:, None] * linear[None], axis=2
+    )
     # s_i . I_c(j) s_j is the element where joint i carries composite body j, that is for i <= j.
     upper = np.triu(np.ones(full.shape[:2], bool))[..., None]
     return jnp.where(upper, full, jnp.swapaxes(full, 0, 1))
@@ -227,7 +253,9 @@ def _newton_euler(chain: Chain, bodies: _Bodies, rate, acceleration):
     angular, linear = jnp.cumsum(turn, axis=0), jnp.cumsum(shift, axis=0)
     # A joint's twist is fixed in its link, so its rate of change is (link twist) x (joint twist).
     angular_rate = jnp.cumsum(bodies.axis * acceleration + _cross(angular, turn), axis=0)
-    linear_rate = jnp.cumsum(bodies.moment * acceleration + _cross(angular, shift) + _cross(linear, turn), axis=0)
+    linear_rate = jnp.cumsum(
+        bodies.moment * acceleration + _cross(angular, shift) + _cross(linear, turn), axis=0
+    )
     linear_rate = linear_rate - jnp.asarray(chain.gravity)[:, None]
     about_origin, momentum = _momentum(bodies, angular, linear)
     moment, force = _momentum(bodies, angular_rate, linear_rate)

@@ -1,6 +1,7 @@
 """Drive trains: motors behind gears, the springs of transmissions and bearings, motor friction.
 
-A spring or a friction law is a small module that acts on all its joints at once. Another law is another subclass.
+A spring or a friction law is a small module that acts on all its joints at once. Another law is another
+subclass.
 """
 
 import abc
@@ -103,8 +104,8 @@ class ViscousFriction(AbstractFriction):
 def effective_friction(friction: Friction, amplitude: Float[Array, "axis"] | float) -> Float[Array, "axis"]:
     """Gain of the friction for small motion on top of a slow sine of this speed: f + 2 c/(pi A), N m s/rad.
 
-    The mean slope of c sgn(v) over v = A sin(phi) is 2 c/(pi A). It fails where the speed does not reverse cleanly
-    (A not large against the smoothing, or the excitation not small against A).
+    The mean slope of c sgn(v) over v = A sin(phi) is 2 c/(pi A). It fails where the speed does not reverse
+    cleanly (A not large against the smoothing, or the excitation not small against A).
 
     **Arguments:** `amplitude`: A, motor side, (axis,) or a number, rad/s.
     """

@@ -12,7 +12,7 @@ from .drive import ViscousFriction
 from .robot import (
     Robot,
     chain_angles,
-    generalised_forces,
+    drive_forces,
     inertia,
     motor_directions,
     spring_directions,
@@ -20,13 +20,15 @@ from .robot import (
 
 _NEWTON_STEPS = 50
 _TOLERANCE = 1e-13  # of a Newton step, rad; a deflection is 1e-5 to 1e-2 rad
+_CONVERGED = 1e-9
 
 
 class OperatingPoint(eqx.Module):
     """The robot at rest with its arm at given angles.
 
-    **Fields:** `z`: coordinates [q_m, q_a, q_e], (*batch, dof), rad. `torque`: motor torque that holds it, (*batch, axis),
-    N m, without friction. `deflection`: of the springs, arm side, (*batch, spring), rad. `converged`: (*batch,).
+    **Fields:** `z`: coordinates [q_m, q_a, q_e], (*batch, dof), rad. `torque`: motor torque that holds it,
+    (*batch, axis), N m, without friction. `deflection`: of the springs, arm side, (*batch, spring), rad.
+    `converged`: (*batch,).
     """
 
     z: Float[Array, "*batch dof"]
@@ -38,7 +40,8 @@ class OperatingPoint(eqx.Module):
 class LinearRobot(eqx.Module):
     """Small motions about an operating point, M dz'' + D dz' + K dz = B du, motor angles B^T dz.
 
-    **Fields:** `mass`, `damping`, `stiffness`: (*batch, dof, dof). `motor`: B, (dof, axis), the same everywhere.
+    **Fields:** `mass`, `damping`, `stiffness`: (*batch, dof, dof). `motor`: B, (dof, axis), the same
+    everywhere.
     """
 
     mass: Float[Array, "*batch dof dof"]
@@ -47,50 +50,56 @@ class LinearRobot(eqx.Module):
     motor: Float[Array, "dof axis"]
 
 
+@eqx.filter_jit
 def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> OperatingPoint:
     """The equilibrium with the driven joints at these angles (arm side): spring torque = gravity torque.
 
-    Newton's method on the deflections of all springs; derivatives by the implicit function theorem, not through the
-    iterations. Check `converged`: it fails where gravity overcomes a spring (no equilibrium) or at angles that are NaN.
+    Newton's method on the deflections of all springs; derivatives by the implicit function theorem, not
+    through the iterations. Check `converged`: it is false where Newton's method did not come to an end (a
+    spring far too soft for its load) and at angles that are NaN.
 
     **Arguments:** `arm_angles`: q_a, (*batch, axis), rad.
     """
     arm_angles = jnp.asarray(arm_angles)
     if arm_angles.shape[-1:] != (robot.n_axes,):
         raise ValueError(f"arm_angles have shape {arm_angles.shape}; expected (*batch, {robot.n_axes}).")
-    flat = arm_angles.reshape(-1, robot.n_axes)
-    point = jax.vmap(lambda q: _equilibrium(robot, q))(flat)
-    return jax.tree.map(lambda x: x.reshape(*arm_angles.shape[:-1], *x.shape[1:]), point)
+    n_gears, flexible = robot.n_motors, np.array(robot.flexible_axes, int)
 
-
-def _equilibrium(robot: Robot, arm_angles) -> OperatingPoint:
-    n_flexible = robot.n_motors
-    flexible = jnp.array(robot.flexible_axes, int)
-
-    def gravity(deflection):
-        arm = jnp.concatenate([arm_angles, -deflection[n_flexible:]])
-        return gravity_forces(robot.chain, chain_angles(robot, arm))[np.array(robot.arm_joints)]
-
-    def carried(deflection):
-        """Gravity torque that each spring has to carry."""
-        load = gravity(deflection)
-        return jnp.concatenate([load[flexible], load[robot.n_axes :]])
+    def load(deflection):
+        """Gravity torque on [q_a, q_e]."""
+        return _gravity(robot, jnp.concatenate([arm_angles, -deflection[..., n_gears:]], axis=-1))
 
     def residual(deflection):
-        return robot.springs.torque(deflection, jnp.zeros_like(deflection)) - carried(deflection)
+        torque = load(deflection)
+        carried = jnp.concatenate([torque[..., flexible], torque[..., robot.n_axes :]], axis=-1)
+        return robot.springs.torque(deflection, jnp.zeros_like(deflection)) - carried
 
-    start = jnp.zeros(len(robot.spring_names), arm_angles.dtype)
-    deflection = jax.lax.custom_root(residual, start, _newton, _solve_tangent) if start.size else start
-    load = gravity(deflection)
-    gear = robot.drives.gear_ratio
-    motor = gear[flexible] * (arm_angles[flexible] + deflection[:n_flexible])
-    step = jnp.linalg.solve(jax.jacfwd(residual)(deflection), residual(deflection)) if start.size else start
+    start = jnp.zeros((*arm_angles.shape[:-1], len(robot.spring_names)), jnp.result_type(arm_angles, float))
+    deflection = jax.lax.custom_root(residual, start, _newton, _solve_tangent)
+    torque, gear = load(deflection), robot.drives.gear_ratio
+    motor = gear[flexible] * (arm_angles[..., flexible] + deflection[..., :n_gears])
+    step = _newton_step(residual, jax.lax.stop_gradient(deflection))
     return OperatingPoint(
-        z=jnp.concatenate([motor, arm_angles, -deflection[n_flexible:]]),
-        torque=load[: robot.n_axes] / gear,
+        z=jnp.concatenate([motor, arm_angles, -deflection[..., n_gears:]], axis=-1),
+        torque=torque[..., : robot.n_axes] / gear,
         deflection=deflection,
-        converged=jnp.all(jnp.abs(step) <= 1e-9) & jnp.all(jnp.isfinite(load)),
+        converged=jnp.all(jnp.abs(step) <= _CONVERGED, axis=-1) & jnp.all(jnp.isfinite(torque), axis=-1),
     )
+
+
+def _gravity(robot: Robot, arm):
+    return gravity_forces(robot.chain, chain_angles(robot, arm))[..., np.array(robot.arm_joints)]
+
+
+def _jacobian(function, x):
+    """d function / d x, (*batch, out, in), of a function that treats every row of x (*batch, in) on its
+    own."""
+    along = lambda e: jax.jvp(function, (x,), (jnp.broadcast_to(e, x.shape),))[1]
+    return jax.vmap(along, out_axes=-1)(jnp.eye(x.shape[-1], dtype=x.dtype))
+
+
+def _newton_step(residual, x):
+    return jnp.linalg.solve(_jacobian(residual, x), residual(x)[..., None])[..., 0]
 
 
 def _newton(residual, start):
@@ -100,55 +109,54 @@ def _newton(residual, start):
 
     def advance(carry):
         x, _, count = carry
-        step = jnp.linalg.solve(jax.jacfwd(residual)(x), residual(x))
+        step = _newton_step(residual, x)
         return x - step, step, count + 1
 
     return jax.lax.while_loop(proceed, advance, (start, jnp.full_like(start, jnp.inf), 0))[0]
 
 
 def _solve_tangent(linear, y):
-    return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(y)), y)
+    return jnp.linalg.solve(_jacobian(linear, jnp.zeros_like(y)), y[..., None])[..., 0]
 
 
+@eqx.filter_jit
 def linearise(
     robot: Robot,
     point: OperatingPoint,
     friction: Float[Array, "axis"] | None = None,
     swing: Float[Array, "sample spring"] | None = None,
 ) -> LinearRobot:
-    """Small motions about a point of rest, by automatic differentiation of the generalised forces.
+    """Small motions about a point of rest, by automatic differentiation of the forces.
 
-    K includes the change of gravity with position and the local stiffness of nonlinear springs. Friction enters as a
-    viscous coefficient: its slope at rest would describe speeds below the smoothing only.
+    K includes the change of gravity with position and the local stiffness of nonlinear springs; centrifugal
+    and Coriolis forces are of second order at rest. Friction enters as a viscous coefficient: its slope at
+    rest would describe speeds below the smoothing only.
 
     **Arguments:**
 
-    - `friction`: f_eff of every axis, motor side, (axis,), N m s/rad, as `effective_friction` gives it; the robot's
-      viscous friction where it is `None`.
-    - `swing`: deflections about the point of rest over which the local stiffness is averaged, (sample, spring), rad: an
-      experiment that moves far over a nonlinear spring sees its mean stiffness. `None`: the stiffness at rest.
+    - `friction`: f_eff of every axis, motor side, (axis,), N m s/rad, as `effective_friction` gives it; the
+      robot's viscous friction where it is `None`.
+    - `swing`: deflections about the point of rest over which the local stiffness is averaged, (sample,
+      spring), rad: an experiment that moves far over a nonlinear spring sees its mean stiffness. `None`: the
+      stiffness at rest.
     """
     viscous = ViscousFriction(robot.drives.friction.viscous if friction is None else jnp.asarray(friction))
     smooth = eqx.tree_at(lambda r: r.drives.friction, robot, viscous)
-
-    def at(z, torque):
-        rest = jnp.zeros_like(z)
-        stiffness, damping = jax.jacfwd(generalised_forces, argnums=(1, 2))(smooth, z, rest, torque)
-        return -stiffness, -damping
-
-    dof, batch = robot.dof, point.z.shape[:-1]
-    stiffness, damping = jax.vmap(at)(point.z.reshape(-1, dof), point.torque.reshape(-1, robot.n_axes))
-    stiffness = stiffness.reshape(*batch, dof, dof)
+    z, rest, motors = point.z, jnp.zeros_like(point.z), robot.n_motors
+    stiffness = -_jacobian(lambda x: drive_forces(smooth, x, rest, point.torque), z)
+    damping = -_jacobian(lambda x: drive_forces(smooth, z, x, point.torque), rest)
+    stiffness = stiffness.at[..., motors:, motors:].add(gravity_stiffness(robot, z[..., motors:]))
     if swing is not None:
         more = local_stiffness(robot, point, swing) - local_stiffness(robot, point)
         springs = spring_directions(robot)
         stiffness = stiffness + jnp.einsum("is,...s,js->...ij", springs, more, springs)
-    return LinearRobot(
-        mass=inertia(robot, point.z),
-        damping=damping.reshape(*batch, dof, dof),
-        stiffness=stiffness,
-        motor=motor_directions(robot),
-    )
+    return LinearRobot(inertia(robot, z), damping, stiffness, motor_directions(robot))
+
+
+def gravity_stiffness(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:
+    """Change of the gravity torque with the arm's angles, dg_ae/d[q_a, q_e]; `arm` = [q_a, q_e], rad; N
+    m/rad."""
+    return _jacobian(lambda x: _gravity(robot, x), arm)
 
 
 def local_stiffness(

@@ -8,11 +8,12 @@ from .schema import robot_from_table
 
 
 def r3x() -> Robot:
-    """R3X: a Manutec r3 with six flexible drives, a tilting bearing, a twisting upper arm and a 10 kg payload.
+    """R3X: a Manutec r3 with six flexible drives, a tilting bearing, a twisting upper arm and a 10 kg
+    payload.
 
-    Links, motors, gears, friction and the stiffness of axes 1-3 are published measurements (Otter & Tuerk, The DFVLR
-    models 1 and 2 of the Manutec r3 robot, 1988; Modelica library, RobotR3); stiffness of axes 4-6, elasticity across the
-    transmissions, damping, spring shape and payload are proposed values.
+    Links, motors, gears, friction and the stiffness of axes 1-3 are published measurements (Otter & Tuerk,
+    The DFVLR models 1 and 2 of the Manutec r3 robot, 1988; Modelica library, RobotR3); stiffness of axes 4-6,
+    elasticity across the transmissions, damping, spring shape and payload are proposed values.
     """
     text = importlib.resources.files(__package__).joinpath("r3x.toml").read_text(encoding="utf-8")
     return robot_from_table(tomllib.loads(text), "r3x.toml")

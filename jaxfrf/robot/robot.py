@@ -3,7 +3,8 @@
     M_m q_m'' = u - tau_fm(q_m') - tau_g / n
     M_ae(q_a, q_e) [q_a''; q_e''] = [tau_g; tau_e] - c_ae - g_ae
 
-(the extended flexible joint model: Moberg, Wernholt, Hanssen & Brogardh, J. Dyn. Sys. Meas. Control 136, 2014).
+(the extended flexible joint model: Moberg, Wernholt, Hanssen & Brogardh, J. Dyn. Sys. Meas. Control 136,
+2014).
 """
 
 import equinox as eqx
@@ -20,10 +21,11 @@ from .drive import AbstractSpring, Drives
 class Controller(eqx.Module):
     """Settings of the sampled joint controller, as the robot's file states them; the simulation acts on them.
 
-    Velocity error e = position_gain (q_ref - q_m) + v_ref - v_m; torque u = velocity_gain (e + integral(e)/integral_time).
+    Velocity error e = position_gain (q_ref - q_m) + v_ref - v_m; torque
+    u = velocity_gain (e + integral(e)/integral_time).
 
-    **Arguments:** `position_gain`: 1/s. `integral_time`: s; `inf` = no integral part. `velocity_gain`: (axis,),
-    N m s/rad, motor side. `feedforward`: whether the speed reference v_ref is added.
+    **Arguments:** `position_gain`: 1/s. `integral_time`: s; `inf` = no integral part. `velocity_gain`:
+    (axis,), N m s/rad, motor side. `feedforward`: whether the speed reference v_ref is added.
     """
 
     position_gain: Float[Array, ""]
@@ -33,7 +35,8 @@ class Controller(eqx.Module):
 
 
 class EffectTable(eqx.Module):
-    """An `[[effect]]` table of a robot's file: the effect's name, the joint it acts on ("" = none) and its parameters."""
+    """An `[[effect]]` table of a robot's file: the effect's name, the joint it acts on ("" = none) and its
+    parameters."""
 
     name: str = eqx.field(static=True)
     joint: str = eqx.field(static=True, default="")
@@ -43,9 +46,10 @@ class EffectTable(eqx.Module):
 class Robot(eqx.Module):
     """Chain, drive trains and springs; immutable, differentiable in every array.
 
-    Coordinates are z = [q_m, q_a, q_e]: angles of the motors behind flexible transmissions (motor side), of all driven
-    joints (arm side), of the compliant elastic joints. A rigid transmission (`stiffness = inf`) has no coordinate of its
-    own, its motor turns with the arm; a stiff elastic joint stays at zero. The state is [z, z'], (*batch, 2 dof).
+    Coordinates are z = [q_m, q_a, q_e]: angles of the motors behind flexible transmissions (motor side), of
+    all driven joints (arm side), of the compliant elastic joints. A rigid transmission (`stiffness = inf`)
+    has no coordinate of its own, its motor turns with the arm; a stiff elastic joint stays at zero. The state
+    is [z, z'], (*batch, 2 dof).
 
     **Arguments:**
 
@@ -71,7 +75,9 @@ class Robot(eqx.Module):
         n = self.chain.n_joints
         for field in ("joint_names", "driven", "stiff"):
             if len(getattr(self, field)) != n:
-                raise ValueError(f"{field} has {len(getattr(self, field))} entries; expected one for each of {n} joints.")
+                raise ValueError(
+                    f"{field} has {len(getattr(self, field))} entries; expected one for each of {n} joints."
+                )
         if np.shape(self.drives.motor_inertia) != (self.n_axes,):
             raise ValueError(
                 f"motor_inertia has shape {np.shape(self.drives.motor_inertia)}; expected ({self.n_axes},)."
@@ -104,7 +110,9 @@ class Robot(eqx.Module):
     def elastic_joints(self) -> tuple[int, ...]:
         """Place in the chain of every compliant elastic joint."""
         return tuple(
-            i for i, (driven, stiff) in enumerate(zip(self.driven, self.stiff, strict=True)) if not (driven or stiff)
+            i
+            for i, (driven, stiff) in enumerate(zip(self.driven, self.stiff, strict=True))
+            if not (driven or stiff)
         )
 
     @property
@@ -146,11 +154,13 @@ def _arm_matrix(robot: Robot, matrix):
     return matrix[..., order[:, None], order] + jnp.diag(rotor)
 
 
+@eqx.filter_jit
 def arm_inertia(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:
     """M_ae(q_a, q_e), with the rotors of rigid transmissions; `arm` = [q_a, q_e], rad; kg m^2."""
     return _arm_matrix(robot, mass_matrix(robot.chain, chain_angles(robot, arm)))
 
 
+@eqx.filter_jit
 def arm_inertia_and_bias(robot: Robot, arm: Float[Array, "*batch arm"], rate: Float[Array, "*batch arm"]):
     """M_ae and c_ae + g_ae from one pass over the kinematics: what changes slowly within a control sample."""
     matrix, bias = mass_and_bias(robot.chain, chain_angles(robot, arm), chain_angles(robot, rate))
@@ -162,10 +172,13 @@ def motor_inertia(robot: Robot) -> Float[Array, "motor"]:
     return robot.drives.motor_inertia[np.array(robot.flexible_axes, int)]
 
 
+@eqx.filter_jit
 def inertia(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch dof dof"]:
     """Inertia in the coordinates z: motors and arm are coupled by springs only, so it is block diagonal."""
     arm = arm_inertia(robot, z[..., robot.n_motors :])
-    motors = jnp.broadcast_to(jnp.diag(motor_inertia(robot)), (*arm.shape[:-2], robot.n_motors, robot.n_motors))
+    motors = jnp.broadcast_to(
+        jnp.diag(motor_inertia(robot)), (*arm.shape[:-2], robot.n_motors, robot.n_motors)
+    )
     corner = jnp.zeros((*arm.shape[:-2], robot.n_motors, arm.shape[-1]))
     return jnp.concatenate(
         [
@@ -179,11 +192,14 @@ def inertia(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch
 def deflections(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch spring"]:
     """Deflection of every spring, arm side: q_m/n - q_a of flexible transmissions, then -q_e; linear in z.
 
-    The sign makes a positive spring torque drive the arm, tau_g = torque(q_m/n - q_a) and tau_e = torque(-q_e).
+    The sign makes a positive spring torque drive the arm, tau_g = torque(q_m/n - q_a) and tau_e =
+    torque(-q_e).
     """
     flexible = np.array(robot.flexible_axes, int)
     motor, arm, elastic = jnp.split(z, [robot.n_motors, robot.n_motors + robot.n_axes], axis=-1)
-    return jnp.concatenate([motor / robot.drives.gear_ratio[flexible] - arm[..., flexible], -elastic], axis=-1)
+    return jnp.concatenate(
+        [motor / robot.drives.gear_ratio[flexible] - arm[..., flexible], -elastic], axis=-1
+    )
 
 
 def spring_directions(robot: Robot) -> Float[Array, "dof spring"]:
@@ -214,12 +230,14 @@ def drive_forces(
     rate: Float[Array, "*batch dof"],
     torque: Float[Array, "*batch axis"],
 ) -> Float[Array, "*batch dof"]:
-    """Forces of motors, friction and springs, B (u - tau_fm) - W tau_spring: the fast part of the dynamics; N m."""
+    """Forces of motors, friction and springs, B (u - tau_fm) - W tau_spring: the fast part of the dynamics; N
+    m."""
     spring = robot.springs.torque(deflections(robot, z), deflections(robot, rate))
     friction = robot.drives.friction.torque(motor_values(robot, rate))
     return (torque - friction) @ motor_directions(robot).T - spring @ spring_directions(robot).T
 
 
+@eqx.filter_jit
 def generalised_forces(
     robot: Robot,
     z: Float[Array, "*batch dof"],
@@ -229,16 +247,19 @@ def generalised_forces(
     """All forces that accelerate the coordinates: `drive_forces` less [0; c_ae + g_ae]; N m."""
     motors = robot.n_motors
     _, bias = arm_inertia_and_bias(robot, z[..., motors:], rate[..., motors:])
-    return drive_forces(robot, z, rate, torque) - jnp.concatenate([jnp.zeros_like(z[..., :motors]), bias], axis=-1)
+    return drive_forces(robot, z, rate, torque) - jnp.concatenate(
+        [jnp.zeros_like(z[..., :motors]), bias], axis=-1
+    )
 
 
+@eqx.filter_jit
 def forward_dynamics(
     robot: Robot, state: Float[Array, "*batch state"], torque: Float[Array, "*batch axis"]
 ) -> Float[Array, "*batch state"]:
     """Time derivative of the state [z, z'] under a motor torque: the right-hand side of an ODE.
 
-    M(z) z'' = `generalised_forces`. A simulation that evaluates the slow part (`arm_inertia_and_bias`) less often than
-    the fast one (`drive_forces`) is several times cheaper.
+    M(z) z'' = `generalised_forces`. A simulation that evaluates the slow part (`arm_inertia_and_bias`) less
+    often than the fast one (`drive_forces`) is several times cheaper.
 
     **Arguments:** `state`: (*batch, 2 dof), rad and rad/s. `torque`: motor side, (*batch, axis), N m.
     """
@@ -251,8 +272,10 @@ def forward_dynamics(
     return jnp.concatenate([rate, forces[..., :motors] / motor_inertia(robot), arm], axis=-1)
 
 
+@eqx.filter_jit
 def energy(robot: Robot, state: Float[Array, "*batch state"]) -> Float[Array, "*batch"]:
-    """Kinetic energy of rotors and links, springs and gravity; (*batch,), J. Kept without damping, friction and torque."""
+    """Kinetic energy of rotors and links, springs and gravity; (*batch,), J. Kept without damping, friction
+    and torque."""
     z, rate = state[..., : robot.dof], state[..., robot.dof :]
     kinetic = 0.5 * jnp.einsum("...i,...ij,...j->...", rate, inertia(robot, z), rate)
     lifted = potential_energy(robot.chain, chain_angles(robot, z[..., robot.n_motors :]))

@@ -1,7 +1,7 @@
 """A robot as a table (TOML, or any nested dictionary): checked in, written out.
 
-Units are SI; quantities of the motor (inertia, friction, torque limit, velocity gain) on the motor side, `stiffness`
-and `damping` on the arm side. `jaxfrf/robot/r3x.toml` is the schema by example.
+Units are SI; quantities of the motor (inertia, friction, torque limit, velocity gain) on the motor side,
+`stiffness` and `damping` on the arm side. `jaxfrf/robot/r3x.toml` is the schema by example.
 """
 
 import difflib
@@ -38,18 +38,25 @@ def robot_from_table(table: Mapping[str, Any], source: str = "robot") -> Robot:
 
     **Arguments:** `table`: what `tomllib.load` gives. `source`: its name in messages, as the file's name.
 
-    **Raises:** `jaxfrf.InputError` naming the key: unknown (with the nearest known one), missing, of the wrong type or
-    size, or with a value that is not physical.
+    **Raises:** `jaxfrf.InputError` naming the key: unknown (with the nearest known one), missing, of the
+    wrong type or size, or with a value that is not physical.
     """
     top = _Table(table, source, _ROBOT_KEYS)
     joints = top.tables("joint")
     if not joints:
-        raise input_error(f"{source}: joint", "none", "at least one [[joint]] table", "Describe the joints, base to tip.")
-    joints = [_Table(joint, f"{source}: {_label(joint, i)}", _joint_keys(joint, i, source)) for i, joint in enumerate(joints)]
+        raise input_error(
+            f"{source}: joint", "none", "at least one [[joint]] table", "Describe the joints, base to tip."
+        )
+    joints = [
+        _Table(joint, f"{source}: {_label(joint, i)}", _joint_keys(joint, i, source))
+        for i, joint in enumerate(joints)
+    ]
     names = tuple(joint.text("name", default=f"joint{i + 1}") for i, joint in enumerate(joints))
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise input_error(f"{source}: joint", f"two joints named {twice!r}", "a name for each", "Rename one of them.")
+        raise input_error(
+            f"{source}: joint", f"two joints named {twice!r}", "a name for each", "Rename one of them."
+        )
     driven = tuple(joint["type"] == "driven" for joint in joints)
     stiffness = [joint.number("stiffness", positive=True, infinite=True) for joint in joints]
     stiff = tuple(math.isinf(k) for k in stiffness)
@@ -94,7 +101,9 @@ def table_from_robot(robot: Robot) -> dict[str, Any]:
             **({} if robot.controller.feedforward else {"feedforward": False}),
         }
     table["friction"] = {"smoothing": _plain(robot.drives.friction.smoothing)}
-    effects = [{"name": e.name, "joint": e.joint, **{k: _plain(v) for k, v in e.parameters}} for e in robot.effects]
+    effects = [
+        {"name": e.name, "joint": e.joint, **{k: _plain(v) for k, v in e.parameters}} for e in robot.effects
+    ]
     return {**table, **({"effect": effects} if effects else {})}
 
 
@@ -157,9 +166,13 @@ class _Table:
 
     def vector(self, key: str, size: int, default: list[float] | None = None) -> list[float]:
         value = self._value(key, default, f"{size} numbers")
-        plain = isinstance(value, list) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
+        plain = isinstance(value, list) and all(
+            isinstance(x, int | float) and not isinstance(x, bool) for x in value
+        )
         if not plain or len(value) != size or not all(math.isfinite(x) for x in value):
-            raise self.error(key, f"a list of {size} finite numbers", "Write it as [x, y, z, ...], in SI units.")
+            raise self.error(
+                key, f"a list of {size} finite numbers", "Write it as [x, y, z, ...], in SI units."
+            )
         return [float(x) for x in value]
 
     def table(self, key: str, known: Iterable[str]) -> "_Table | None":
@@ -284,7 +297,9 @@ def _effects(top: _Table, names: tuple[str, ...]) -> tuple[EffectTable, ...]:
 def _effect(checked: _Table, table: Mapping[str, Any], names: tuple[str, ...]) -> EffectTable:
     joint = checked.text("joint", default="")
     if joint and joint not in names:
-        raise checked.error("joint", f"one of {', '.join(names)}", f"Did you mean {_nearest(joint, names)!r}?")
+        raise checked.error(
+            "joint", f"one of {', '.join(names)}", f"Did you mean {_nearest(joint, names)!r}?"
+        )
     values = {key: value for key, value in table.items() if key not in ("name", "joint")}
     parameters = tuple(
         (key, tuple(checked.vector(key, len(value))) if isinstance(value, list) else checked.number(key))
@@ -326,7 +341,11 @@ def _spring_table(springs: Spring, i: int) -> dict[str, Any]:
     ratio = _plain(springs.stiffness_ratio[i])
     if ratio == 1.0:
         return table
-    return {**table, "stiffness_low": ratio * table["stiffness"], "stiffness_knee": _plain(springs.stiffness_knee[i])}
+    return {
+        **table,
+        "stiffness_low": ratio * table["stiffness"],
+        "stiffness_knee": _plain(springs.stiffness_knee[i]),
+    }
 
 
 def _plain(value: Any) -> float | list[float]:
@@ -345,5 +364,8 @@ def _nearest(name: str, known: Iterable[str]) -> str:
 def _unknown_key(where: str, key: str, known: Iterable[str]) -> InputError:
     known = tuple(known)
     return input_error(
-        where, f"the unknown key {key!r}", f"keys among {', '.join(known)}", f"Did you mean {_nearest(key, known)!r}?"
+        where,
+        f"the unknown key {key!r}",
+        f"keys among {', '.join(known)}",
+        f"Did you mean {_nearest(key, known)!r}?",
     )

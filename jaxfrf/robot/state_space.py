@@ -15,7 +15,8 @@ from .linearise import LinearRobot
 class StateSpace(eqx.Module):
     """x' = A x + B u, y = C x + D u (`sample_time` 0), or x(k+1) = A x(k) + B u(k) (`sample_time` in s).
 
-    **Fields:** `A`: (*batch, state, state). `B`: (*batch, state, in). `C`: (*batch, out, state). `D`: (*batch, out, in).
+    **Fields:** `A`: (*batch, state, state). `B`: (*batch, state, in). `C`: (*batch, out, state). `D`:
+    (*batch, out, in).
     """
 
     A: Float[Array, "*batch state state"]
@@ -25,10 +26,13 @@ class StateSpace(eqx.Module):
     sample_time: float = eqx.field(static=True, default=0.0)
 
 
+@eqx.filter_jit
 def state_space(model: LinearRobot, quantity: str = "velocity") -> StateSpace:
     """State space from motor torque to motor position, velocity or acceleration; the state is [dz, dz']."""
     if quantity not in QUANTITIES:
-        raise input_error("quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them.")
+        raise input_error(
+            "quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them."
+        )
     dof, axes = model.motor.shape
     batch = model.mass.shape[:-2]
     motor = jnp.broadcast_to(model.motor, (*batch, dof, axes))
@@ -48,10 +52,14 @@ def state_space(model: LinearRobot, quantity: str = "velocity") -> StateSpace:
     return StateSpace(A, B, C, D)
 
 
+@eqx.filter_jit
 def discretise(system: StateSpace, sampling_frequency: float) -> StateSpace:
-    """The same system between samples with its input held (zero-order hold), by one matrix exponential; exact."""
+    """The same system between samples with its input held (zero-order hold), by one matrix exponential;
+    exact."""
     if system.sample_time:
-        raise input_error("system", f"sample_time {system.sample_time:g} s", "a continuous system", "Discretise once.")
+        raise input_error(
+            "system", f"sample_time {system.sample_time:g} s", "a continuous system", "Discretise once."
+        )
     n, m = system.B.shape[-2:]
     top = jnp.concatenate([system.A, system.B], axis=-1) / sampling_frequency
     flat = jnp.concatenate([top, jnp.zeros((*top.shape[:-2], m, n + m))], axis=-2).reshape(-1, n + m, n + m)
@@ -59,14 +67,21 @@ def discretise(system: StateSpace, sampling_frequency: float) -> StateSpace:
     return StateSpace(step[..., :n, :n], step[..., :n, n:], system.C, system.D, 1.0 / sampling_frequency)
 
 
-def state_space_frf(system: StateSpace, frequency: Float[Array, "freq"]) -> Complex[Array, "*batch freq out in"]:
-    """FRF C (s - A)^{-1} B + D at s = j w, or at z = e^{j w T} for a sampled system; (*batch, freq, out, in)."""
+@eqx.filter_jit
+def state_space_frf(
+    system: StateSpace, frequency: Float[Array, "freq"]
+) -> Complex[Array, "*batch freq out in"]:
+    """FRF C (s - A)^{-1} B + D at s = j w, or at z = e^{j w T} for a sampled system; (*batch, freq, out,
+    in)."""
     omega = 2.0 * jnp.pi * jnp.asarray(frequency)
     point = jnp.exp(1j * omega * system.sample_time) if system.sample_time else 1j * omega
     n = system.A.shape[-1]
     resolvent = point[:, None, None] * jnp.eye(n) - system.A[..., None, :, :]
     right = jnp.broadcast_to(system.B[..., None, :, :], (*resolvent.shape[:-1], system.B.shape[-1]))
-    return system.C[..., None, :, :] @ jnp.linalg.solve(resolvent, right.astype(resolvent.dtype)) + system.D[..., None, :, :]
+    return (
+        system.C[..., None, :, :] @ jnp.linalg.solve(resolvent, right.astype(resolvent.dtype))
+        + system.D[..., None, :, :]
+    )
 
 
 def to_control(system: StateSpace):
@@ -80,7 +95,10 @@ def to_control(system: StateSpace):
         raise ImportError("python-control is not installed: pip install 'jaxfrf[control]'") from error
     if system.A.ndim != 2:
         raise input_error(
-            "system", f"{system.A.shape[:-2]} operating points", "one", "Take one: jax.tree.map(lambda x: x[0], system)."
+            "system",
+            f"{system.A.shape[:-2]} operating points",
+            "one",
+            "Take one: jax.tree.map(lambda x: x[0], system).",
         )
     matrices = (np.asarray(x) for x in (system.A, system.B, system.C, system.D))
     return control.ss(*matrices, system.sample_time) if system.sample_time else control.ss(*matrices)

@@ -1,0 +1,75 @@
+"""Robots from and to TOML files; `jaxfrf/robot/r3x.toml` is the schema by example."""
+
+import json
+import os
+import pathlib
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from typing import Any
+
+from .._errors import input_error
+from ..robot.robot import Robot
+from ..robot.schema import robot_from_table, table_from_robot
+
+
+def read_robot(path: str | os.PathLike) -> Robot:
+    """The robot that a TOML file describes.
+
+    **Raises:** `jaxfrf.InputError` naming file and key: not TOML, a key that is unknown (with the nearest
+    known one), missing, or of the wrong type. `OSError` if the file cannot be opened.
+    """
+    path = pathlib.Path(path)
+    return robot_from_table(read_toml(path), path.name)
+
+
+def write_robot(robot: Robot, path: str | os.PathLike) -> None:
+    """Write a robot as a TOML file that `read_robot` reads back to the same robot. Nothing half written is
+    left."""
+    write_whole(path, toml_text(table_from_robot(robot)))
+
+
+def read_toml(path: pathlib.Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise input_error(
+            f"{path.name}", f"{error}", "a TOML file", "Correct it there (see r3x.toml)."
+        ) from error
+
+
+def toml_text(table: Mapping[str, Any]) -> str:
+    """A table of numbers, texts, lists, tables and lists of tables as TOML."""
+    lines, tables = [], []
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            tables += ["", f"[{key}]", *(f"{k} = {_value(v)}" for k, v in value.items())]
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            for row in value:
+                tables += ["", f"[[{key}]]", *(f"{k} = {_value(v)}" for k, v in row.items())]
+        else:
+            lines.append(f"{key} = {_value(value)}")
+    return "\n".join([*lines, *tables, ""])
+
+
+def write_whole(path: str | os.PathLike, text: str) -> None:
+    """Write a text to a temporary file beside `path` and rename it: never half a file."""
+    path = pathlib.Path(path)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(temporary, path)
+    except BaseException:
+        pathlib.Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_value(x) for x in value)}]"
+    return repr(value)  # a float keeps every digit; inf is TOML's inf

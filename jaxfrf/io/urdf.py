@@ -1,0 +1,238 @@
+"""Links of a robot from a URDF, its drive trains from a TOML file."""
+
+import os
+import pathlib
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .._errors import input_error
+from ..robot.robot import Robot
+from ..robot.schema import robot_from_table
+from .robots import read_toml
+
+_MOVING = ("revolute", "continuous")
+
+
+def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike) -> Robot:
+    """A robot with the links of a URDF (a serial chain of revolute joints) and the drive trains of a TOML
+    file.
+
+    The TOML file has the schema of a robot's file without the links: a `[[joint]]` table for every moving
+    joint of the URDF, under its name there, with gear, motor, spring and friction; `type` is `driven` where
+    it is left out, `gravity` [0, 0, -9.81]. Fixed joints join their links. Limits, meshes and transmissions
+    of the URDF are not read.
+
+    **Raises:** `jaxfrf.InputError` for a tree that is not a serial chain, joints that slide, links without
+    the numbers that the dynamics need, and joints that only one of the two files has.
+    """
+    urdf, drives = pathlib.Path(urdf), pathlib.Path(drives)
+    try:
+        root = ET.parse(urdf).getroot()
+    except ET.ParseError as error:
+        raise input_error(
+            urdf.name, f"{error}", "an XML file", "Export the URDF again (xacro files first)."
+        ) from error
+    table = {"name": root.get("name", urdf.stem), "gravity": [0.0, 0.0, -9.81], **read_toml(drives)}
+    trains = _drive_trains(table, drives.name)
+    links = _links(root, urdf.name)
+    names = [link["name"] for link in links]
+    for name in trains:
+        if name not in names:
+            raise input_error(
+                f"{drives.name}: joint {name!r}",
+                "a joint that the URDF does not move",
+                f"one of {', '.join(names)}",
+                "Take the joint's name from the URDF.",
+            )
+    for name in names:
+        if name not in trains:
+            raise input_error(
+                f"{drives.name}",
+                f"no [[joint]] named {name!r}",
+                "one for every moving joint of the URDF",
+                "Add it.",
+            )
+    table["joint"] = [{"type": "driven", **link, **trains[link["name"]]} for link in links]
+    return robot_from_table(table, drives.name)
+
+
+def _drive_trains(table: Mapping[str, Any], source: str) -> dict[str, Mapping[str, Any]]:
+    trains = {}
+    for i, joint in enumerate(table.get("joint", [])):
+        if not isinstance(joint.get("name"), str):
+            raise input_error(
+                f"{source}: joint {i + 1}", "no name", "the joint's name in the URDF", "Add name = ..."
+            )
+        for key in ("axis", "offset", "mass", "com", "inertia"):
+            if key in joint:
+                raise input_error(
+                    f"{source}: joint {joint['name']!r}",
+                    f"{key}, which the URDF states",
+                    "only what belongs to the drive train",
+                    "State it in one of the two files.",
+                )
+        trains[joint["name"]] = joint
+    return trains
+
+
+def _links(root: ET.Element, source: str) -> list[dict[str, Any]]:
+    """The moving links, base to tip, all frames parallel to the base with the joints at zero."""
+    tree = _Tree(root, source)
+    rows: list[dict[str, Any]] = []
+    link, rotation, place = tree.base(), np.eye(3), np.zeros(3)
+    while True:
+        bodies, ahead = tree.rigid_group(link, rotation, place)
+        if rows:
+            rows[-1] |= _joined(bodies)
+        if len(ahead) > 1:
+            names = ", ".join(str(joint.get("name")) for joint, _, _ in ahead)
+            raise input_error(
+                f"{source}: link {link!r}",
+                f"{len(ahead)} joints that move ({names})",
+                "a serial chain",
+                "Fix all but one.",
+            )
+        if not ahead:
+            break
+        joint, rotation, offset = ahead[0]
+        rows.append(
+            {"name": joint.get("name"), "axis": tree.axis(joint, rotation), "offset": offset.tolist()}
+        )
+        link, place = tree.link(joint, "child"), np.zeros(3)
+    if not rows:
+        raise input_error(
+            source, "no joint that moves", "at least one revolute joint", "Check the joint types."
+        )
+    return rows
+
+
+class _Tree:
+    """Links and joints of a URDF by name, with the file's name for messages."""
+
+    def __init__(self, root: ET.Element, source: str):
+        self.source = source
+        self.links = {link.get("name"): link for link in root.findall("link")}
+        self.joints: dict[str, list[ET.Element]] = {}
+        for joint in root.findall("joint"):
+            self.joints.setdefault(self.link(joint, "parent"), []).append(joint)
+
+    def base(self) -> str:
+        children = {self.link(joint, "child") for joints in self.joints.values() for joint in joints}
+        bases = [name for name in self.links if name not in children]
+        if len(bases) != 1:
+            raise input_error(
+                self.source,
+                f"{len(bases)} links without a parent",
+                "one base",
+                "Leave one robot in the file.",
+            )
+        return bases[0]
+
+    def link(self, joint: ET.Element, end: str) -> str:
+        element = joint.find(end)
+        name = None if element is None else element.get("link")
+        if name not in self.links:
+            raise input_error(
+                f"{self.source}: joint {joint.get('name')!r}",
+                f"the {end} link {name!r}",
+                "the name of a link in the file",
+                "Correct the name.",
+            )
+        return name
+
+    def axis(self, joint: ET.Element, rotation) -> list[float]:
+        element = joint.find("axis")
+        axis = self._numbers(joint, "axis", "1 0 0" if element is None else element.get("xyz"))
+        return (rotation @ (axis / np.linalg.norm(axis))).tolist()
+
+    def rigid_group(self, link: str, rotation, place):
+        """Inertials of a link and of all links fixed to it, as (mass, com, tensor), and the moving joints on
+        them, each with its rotation and place."""
+        bodies, ahead = [self._inertial(self.links[link], rotation, place)], []
+        for joint in self.joints.get(link, []):
+            shift, turn = self._origin(joint)
+            behind = rotation @ turn, place + rotation @ shift
+            if joint.get("type") in _MOVING:
+                ahead.append((joint, *behind))
+            elif joint.get("type") == "fixed":
+                more, further = self.rigid_group(self.link(joint, "child"), *behind)
+                bodies, ahead = bodies + more, ahead + further
+            else:
+                raise input_error(
+                    f"{self.source}: joint {joint.get('name')!r}",
+                    f"type {joint.get('type')!r}",
+                    "revolute, continuous or fixed",
+                    "Only revolute joints are supported: fix this one.",
+                )
+        return bodies, ahead
+
+    def _inertial(self, link: ET.Element, rotation, place):
+        inertial = link.find("inertial")
+        if inertial is None:
+            return 0.0, np.zeros(3), np.zeros((3, 3))
+        mass, tensor = inertial.find("mass"), inertial.find("inertia")
+        if mass is None or tensor is None:
+            raise input_error(
+                f"{self.source}: link {link.get('name')!r}",
+                "an <inertial> without <mass> or <inertia>",
+                "both",
+                "State them, or leave <inertial> out for a massless link.",
+            )
+        xx, yy, zz, xy, xz, yz = (
+            float(self._numbers(link, name, tensor.get(name, "0"), 1)[0])
+            for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        )
+        shift, turn = self._origin(inertial)
+        turn = rotation @ turn
+        about_centre = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
+        return (
+            float(self._numbers(link, "mass", mass.get("value"), 1)[0]),
+            place + rotation @ shift,
+            about_centre,
+        )
+
+    def _origin(self, element: ET.Element):
+        origin = element.find("origin")
+        if origin is None:
+            return np.zeros(3), np.eye(3)
+        roll, pitch, yaw = self._numbers(element, "rpy", origin.get("rpy", "0 0 0"))
+        return self._numbers(element, "xyz", origin.get("xyz", "0 0 0")), _turn(yaw, 2) @ _turn(
+            pitch, 1
+        ) @ _turn(roll, 0)
+
+    def _numbers(self, element: ET.Element, key: str, text: str | None, size: int = 3) -> np.ndarray:
+        try:
+            values = np.array([float(x) for x in (text or "").split()])
+        except ValueError:
+            values = np.zeros(0)
+        if values.shape != (size,) or not np.isfinite(values).all():
+            raise input_error(
+                f"{self.source}: {element.tag} {element.get('name', '')!r}: {key}",
+                repr(text),
+                f"{size} finite number{'s' if size > 1 else ''}",
+                "Correct it there.",
+            )
+        return values
+
+
+def _turn(angle: float, about: int) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    i, j = (about + 1) % 3, (about + 2) % 3
+    turn = np.eye(3)
+    turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
+    return turn
+
+
+def _joined(bodies) -> dict[str, Any]:
+    """Several bodies as one: mass, com and inertia of a link's table (parallel axes)."""
+    mass = sum(m for m, _, _ in bodies)
+    com = sum((m * c for m, c, _ in bodies), np.zeros(3)) / mass if mass else np.zeros(3)
+    tensor = np.zeros((3, 3))
+    for m, c, about_centre in bodies:
+        d = c - com
+        tensor += about_centre + m * (d @ d * np.eye(3) - np.outer(d, d))
+    elements = [tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[0, 2], tensor[1, 2]]
+    return {"mass": mass, "com": com.tolist(), "inertia": [float(x) for x in elements]}
