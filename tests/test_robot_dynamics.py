@@ -172,7 +172,7 @@ class TestCalculus:
 
         gradient = jax.grad(value)(nominal)
         for name in names:
-            h = 1e-5 * float(nominal[name])
+            h = 1e-6 * float(nominal[name])
             expected = (
                 value(nominal | {name: nominal[name] + h}) - value(nominal | {name: nominal[name] - h})
             ) / (2 * h)

@@ -40,14 +40,16 @@ class OperatingPoint(eqx.Module):
 class LinearRobot(eqx.Module):
     """Small motions about an operating point, M dz'' + D dz' + K dz = B du, motor angles B^T dz.
 
-    **Fields:** `mass`, `damping`, `stiffness`: (*batch, dof, dof). `motor`: B, (dof, axis), the same
-    everywhere.
+    **Fields:** `mass`, `damping`, `stiffness`: (*batch, dof, dof). `motor`: B, (dof, axis).
+    `partners`: of each of the leading coordinates that are tied to one other coordinate only (a motor to its
+    joint), that coordinate; the FRF eliminates them first. Empty where nothing is known.
     """
 
     mass: Float[Array, "*batch dof dof"]
     damping: Float[Array, "*batch dof dof"]
     stiffness: Float[Array, "*batch dof dof"]
     motor: Float[Array, "dof axis"]
+    partners: tuple[int, ...] = eqx.field(static=True, default=())
 
 
 @eqx.filter_jit
@@ -150,7 +152,8 @@ def linearise(
         more = local_stiffness(robot, point, swing) - local_stiffness(robot, point)
         springs = spring_directions(robot)
         stiffness = stiffness + jnp.einsum("is,...s,js->...ij", springs, more, springs)
-    return LinearRobot(inertia(robot, z), damping, stiffness, motor_directions(robot))
+    partners = tuple(motors + axis for axis in robot.flexible_axes)
+    return LinearRobot(inertia(robot, z), damping, stiffness, motor_directions(robot), partners)
 
 
 def gravity_stiffness(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:

@@ -5,13 +5,14 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Complex, Float
 
 from .._errors import input_error
 from .._types import Array
-from ..experiment import QUANTITIES
 from .linearise import LinearRobot, gravity_stiffness, linearise, local_stiffness, operating_point
-from .robot import Robot, inertia, motor_directions, spring_directions
+from .quantity import derivatives
+from .robot import Robot, arm_inertia, spring_directions
 
 
 class ZeroOrderHold(eqx.Module):
@@ -119,11 +120,13 @@ def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quan
     factor, corrections = _sampling(omega, quantity, hold, delay)
 
     flat = arm_angles.reshape(-1, arm_angles.shape[-1])
-    motor = motor_directions(robot)
+
+    model, slopes = _with_slopes(robot, flat, friction, swing)
+    motor, partners = model.motor, model.partners
 
     def at(position):
         (mass, damping, stiffness), slope = position
-        model = LinearRobot(mass, damping, stiffness, motor)
+        model = LinearRobot(mass, damping, stiffness, motor, partners)
         X = _motion(model, omega)
         G = (motor.T @ X) * factor + _aliases(model, hold, corrections)
         derivative = _rank_one(robot, model, slope, X, omega, factor)
@@ -131,7 +134,6 @@ def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quan
             derivative = derivative + _alias_slopes(robot, model, slope, hold, corrections)
         return G, derivative
 
-    model, slopes = _with_slopes(robot, flat, friction, swing)
     # One position after the other: what a position needs then stays in the cache.
     G, jacobian = jax.lax.map(at, ((model.mass, model.damping, model.stiffness), slopes))
     batch = arm_angles.shape[:-1]
@@ -172,27 +174,39 @@ def _motion(model: LinearRobot, omega):
     w = omega[:, None, None]
     mass, damping, stiffness = (x[..., None, :, :] for x in (model.mass, model.damping, model.stiffness))
     dynamic = stiffness - jnp.square(w) * mass + 1j * w * damping
-    return jnp.linalg.solve(
-        dynamic, jnp.broadcast_to(model.motor, (*dynamic.shape[:-1], model.motor.shape[1]))
-    )
+    return _solve(dynamic, model.motor, model.partners)
+
+
+def _solve(dynamic, motor, partners: tuple[int, ...]):
+    """S^{-1} B of a symmetric S, first eliminating the leading coordinates, each tied to its partner alone:
+    what is left is half the size, and its matrix differs from that block of S on the diagonal only."""
+    n = len(partners)
+    right = jnp.broadcast_to(motor, (*dynamic.shape[:-1], motor.shape[1])).astype(dynamic.dtype)
+    if not n:
+        return jnp.linalg.solve(dynamic, right)
+    leading, partner = np.arange(n), np.array(partners)
+    tie = dynamic[..., leading, partner]
+    own = dynamic[..., leading, leading]
+    ratio = tie / own
+    kept = dynamic[..., n:, n:].at[..., partner - n, partner - n].add(-tie * ratio)
+    rest = right[..., n:, :].at[..., partner - n, :].add(-ratio[..., None] * right[..., :n, :])
+    rest = jnp.linalg.solve(kept, rest)
+    first = (right[..., :n, :] - tie[..., None] * rest[..., partner - n, :]) / own[..., None]
+    return jnp.concatenate([first, rest], axis=-2)
 
 
 def _sampling(omega, quantity: str, hold: ZeroOrderHold | None, delay):
     """What multiplies the position FRF, (freq, 1, axis), and the coefficients of the terms in 1/s, (term,
     freq, 1, axis)."""
-    if quantity not in QUANTITIES:
-        raise input_error(
-            "quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them."
-        )
     s = 1j * omega[:, None, None]
     late = jnp.exp(-s * delay)
     if hold is None:
-        return s ** QUANTITIES[quantity] * late, None
-    differentiate = s ** (QUANTITIES[quantity] - QUANTITIES[hold.measured])
-    measured = s ** QUANTITIES[hold.measured]
+        return s ** derivatives(quantity) * late, None
+    differentiate = s ** (derivatives(quantity) - derivatives(hold.measured))
+    measured = s ** derivatives(hold.measured)
     T = 1.0 / hold.sampling_frequency
     held = -jnp.expm1(-s * T) / (s * T) * late
-    first = 2 - QUANTITIES[hold.measured]  # the position falls with s^-2, the velocity with s^-1
+    first = 2 - derivatives(hold.measured)  # the position falls with s^-2, the velocity with s^-1
     chain = _held_integrators(s, T, delay, first + hold.order - 1)[first - 1 :]
     corrections = [held_power - held * s**-p for p, held_power in enumerate(chain, first)]
     return held * measured * differentiate, jnp.stack(corrections) * differentiate
@@ -239,36 +253,37 @@ def _aliases(model: LinearRobot, hold: ZeroOrderHold | None, corrections):
 
 class _Slopes(eqx.Module):
     """Derivatives in the springs' stiffness k: `local` of each local stiffness in its own k, (*batch,
-    spring); `mass` and `stiffness` of the whole matrices in the elastic joints' k, which move the
-    equilibrium, (*batch, dof, dof, elastic)."""
+    spring).
+
+    The stiffness of elastic joints moves the equilibrium: `others`, of all local stiffnesses, (*batch,
+    spring, elastic); `mass` and `gravity`, of the inertia of the arm and of its gravity stiffness, (*batch,
+    arm, arm, elastic).
+    """
 
     local: jax.Array
+    others: jax.Array
     mass: jax.Array
-    stiffness: jax.Array
+    gravity: jax.Array
 
 
 def _with_slopes(robot: Robot, arm_angles, friction, swing) -> tuple[LinearRobot, _Slopes]:
-    motors, axes, springs = robot.n_motors, robot.n_axes, spring_directions(robot)
+    motors, first = robot.n_motors, robot.n_motors + robot.n_axes
 
     def rest(k):
         changed = eqx.tree_at(lambda r: r.springs.stiffness, robot, k)
         point = operating_point(changed, arm_angles)
-        return local_stiffness(changed, point, swing), point.z[..., motors + axes :]
+        return local_stiffness(changed, point, swing), point.z[..., first:]
 
     def carried(elastic):
         arm = jnp.concatenate([arm_angles, elastic], axis=-1)
-        return inertia(robot, jnp.pad(arm, ((0, 0), (motors, 0)))), gravity_stiffness(robot, arm)
+        return arm_inertia(robot, arm), gravity_stiffness(robot, arm)
 
     point = operating_point(robot, arm_angles)
     local, elastic = jax.jacfwd(rest)(robot.springs.stiffness)
-    moved = jax.vmap(
-        lambda e: jax.jvp(carried, (point.z[..., motors + axes :],), (e,))[1], in_axes=-1, out_axes=-1
-    )(elastic[..., motors:])
-    mass, gravity = moved
-    stiffness = jnp.einsum("is,pse,js->pije", springs, local[..., motors:], springs)
-    stiffness = stiffness.at[:, motors:, motors:].add(gravity)
-    model = linearise(robot, point, friction, swing)
-    return model, _Slopes(jnp.diagonal(local, axis1=-2, axis2=-1), mass, stiffness)
+    along = lambda tangent: jax.jvp(carried, (point.z[..., first:],), (tangent,))[1]
+    mass, gravity = jax.vmap(along, in_axes=-1, out_axes=-1)(elastic[..., motors:])
+    own = jnp.diagonal(local, axis1=-2, axis2=-1)
+    return linearise(robot, point, friction, swing), _Slopes(own, local[..., motors:], mass, gravity)
 
 
 def _rank_one(robot: Robot, model: LinearRobot, slope: _Slopes, X, omega, factor):
@@ -276,35 +291,49 @@ def _rank_one(robot: Robot, model: LinearRobot, slope: _Slopes, X, omega, factor
     springs, n_gears, n_springs = spring_directions(robot), robot.n_motors, robot.n_motors + robot.n_elastic
     directions = jnp.concatenate([springs, springs, model.motor], axis=1)
     across = jnp.einsum("fia,ip->fap", X, directions.astype(X.dtype))
-    static = jnp.broadcast_to(slope.local, (omega.size, n_springs))
+    gears = jnp.arange(n_springs) < n_gears
+    static = jnp.broadcast_to(jnp.where(gears, slope.local, 0.0), (omega.size, n_springs))
     moving = jnp.broadcast_to(1j * omega[:, None], (omega.size, n_springs + robot.n_axes))
-    scaled = -across * jnp.concatenate([static, moving], axis=1)[:, None]
-    late = across * jnp.swapaxes(jnp.broadcast_to(factor, (omega.size, 1, robot.n_axes)), 1, 2)
-    columns = scaled[:, :, None] * late[:, None]
-    moved = jnp.einsum("ije,fja->fiae", slope.stiffness.astype(X.dtype), X)
-    moved -= jnp.square(omega)[:, None, None, None] * jnp.einsum(
-        "ije,fja->fiae", slope.mass.astype(X.dtype), X
-    )
-    elastic = -jnp.sum(X[:, :, :, None, None] * moved[:, :, None], axis=1) * factor[..., None]
-    return columns.at[..., n_gears:n_springs].set(elastic)
+    left = -across * jnp.concatenate([static, moving], axis=1)[:, None]
+    late = jnp.swapaxes(jnp.broadcast_to(factor, (omega.size, 1, robot.n_axes)), 1, 2)
+    columns = left[:, :, None] * (across * late)[:, None]
+    if not robot.n_elastic:
+        return columns
+    elastic = _moved_equilibrium(slope, X[:, n_gears:], across[..., :n_springs], omega) * late[:, None]
+    return columns + jnp.pad(elastic, ((0, 0), (0, 0), (0, 0), (n_gears, n_springs + robot.n_axes)))
+
+
+def _moved_equilibrium(slope: _Slopes, X, across, omega):
+    """Derivative of the position FRF in the elastic joints' stiffness, -X^T (dK - w^2 dM) X: (freq, out, in,
+    elastic)."""
+    parts = jnp.stack([X.real, X.imag])  # a real product each: half the work of a complex one
+    matrices = jnp.concatenate([slope.gravity, slope.mass], axis=-1)
+    products = jnp.einsum("cfja,ije->cfiae", parts, matrices)
+    n = slope.mass.shape[-1]
+    products = products[..., :n] - jnp.square(omega)[:, None, None, None] * products[..., n:]
+    moved = jax.lax.complex(products[0], products[1])
+    arm = jnp.sum(X[:, :, :, None, None] * moved[:, :, None], axis=1)
+    tight = jnp.einsum("fos,fas,se->foae", across, across, slope.others.astype(across.dtype))
+    return -(arm + tight)
 
 
 def _alias_slopes(robot: Robot, model: LinearRobot, slope: _Slopes, hold: ZeroOrderHold, corrections):
     """Derivative of `_aliases`: (freq, axis, axis, parameter)."""
-    springs, n_gears, n_elastic = spring_directions(robot), robot.n_motors, robot.n_elastic
-    n_springs, dof = n_gears + n_elastic, robot.dof
+    springs, n_gears, n_elastic, dof = spring_directions(robot), robot.n_motors, robot.n_elastic, robot.dof
     squares = jnp.einsum("is,js->sij", springs, springs)
     turns = jnp.einsum("ia,ja->aij", model.motor, model.motor)
-    none = jnp.zeros((n_springs + robot.n_axes, dof, dof))
+    none = lambda count: jnp.zeros((count, dof, dof))
+    arm = lambda x: jnp.pad(jnp.moveaxis(x, -1, 0), ((0, 0), (n_gears, 0), (n_gears, 0)))
     gears = squares[:n_gears] * slope.local[:n_gears, None, None]
-    mass = jnp.concatenate([jnp.zeros((n_gears, dof, dof)), jnp.moveaxis(slope.mass, -1, 0), none])
-    stiffness = jnp.concatenate([gears, jnp.moveaxis(slope.stiffness, -1, 0), none])
-    damping = jnp.concatenate([jnp.zeros((n_springs, dof, dof)), squares, turns])
+    elastic = jnp.einsum("sij,se->eij", squares, slope.others) + arm(slope.gravity)
+    after = none(n_gears + n_elastic + robot.n_axes)
+    mass = jnp.concatenate([none(n_gears), arm(slope.mass), after])
+    stiffness = jnp.concatenate([gears, elastic, after])
+    damping = jnp.concatenate([none(n_gears + n_elastic), squares, turns])
 
     def along(dm, dd, dk):
-        tangent = LinearRobot(dm, dd, dk, jnp.zeros_like(model.motor))
+        tangent = LinearRobot(dm, dd, dk, jnp.zeros_like(model.motor), model.partners)
         return jnp.stack(jax.jvp(lambda m: tuple(_high_frequency(m, hold.order)), (model,), (tangent,))[1])
 
-    terms = jax.vmap(along)(mass, damping, stiffness)  # (parameter, term, axis, axis)
-    terms = jnp.moveaxis(terms, 0, -1)
+    terms = jnp.moveaxis(jax.vmap(along)(mass, damping, stiffness), 0, -1)  # (term, axis, axis, parameter)
     return sum(c[..., None] * term for c, term in zip(corrections, terms, strict=True))

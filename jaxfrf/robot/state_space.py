@@ -8,8 +8,8 @@ from jaxtyping import Complex, Float
 
 from .._errors import input_error
 from .._types import Array
-from ..experiment import QUANTITIES
 from .linearise import LinearRobot
+from .quantity import derivatives
 
 
 class StateSpace(eqx.Module):
@@ -29,10 +29,6 @@ class StateSpace(eqx.Module):
 @eqx.filter_jit
 def state_space(model: LinearRobot, quantity: str = "velocity") -> StateSpace:
     """State space from motor torque to motor position, velocity or acceleration; the state is [dz, dz']."""
-    if quantity not in QUANTITIES:
-        raise input_error(
-            "quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them."
-        )
     dof, axes = model.motor.shape
     batch = model.mass.shape[:-2]
     motor = jnp.broadcast_to(model.motor, (*batch, dof, axes))
@@ -47,7 +43,7 @@ def state_space(model: LinearRobot, quantity: str = "velocity") -> StateSpace:
     rows = jnp.swapaxes(motor, -1, -2)
     C = jnp.concatenate([rows, jnp.zeros_like(rows)], axis=-1)
     D = jnp.zeros((*batch, axes, axes))
-    for _ in range(QUANTITIES[quantity]):
+    for _ in range(derivatives(quantity)):
         C, D = C @ A, C @ B
     return StateSpace(A, B, C, D)
 
