@@ -32,6 +32,11 @@ def linear_model(robot, arm_angles, friction=None):
     return jr.linearise(robot, jr.operating_point(robot, arm_angles), friction)
 
 
+def one(model):
+    """The first operating point alone."""
+    return dataclasses.replace(model, **{k: getattr(model, k)[0] for k in ("mass", "damping", "stiffness")})
+
+
 @pytest.fixture(scope="module")
 def robot():
     return linear_r3x()
@@ -93,8 +98,8 @@ class TestOperatingPoint:
         )
         nominal = {name: jr.parameters(robot, [name.split(".")[1]])[name] for name in names}
         at = lambda values: jr.operating_point(jr.with_parameters(robot, values), FEW)
-        forward = jax.jacfwd(lambda v: at(v).z)(nominal)
-        backward = jax.jacrev(lambda v: at(v).torque)(nominal)
+        forward = jax.jit(jax.jacfwd(lambda v: at(v).z))(nominal)
+        backward = jax.jit(jax.jacrev(lambda v: at(v).torque))(nominal)
         for name in names:
             h = 1e-3 * nominal[name]
             high, low = at(nominal | {name: nominal[name] + h}), at(nominal | {name: nominal[name] - h})
@@ -123,10 +128,10 @@ class TestLinearisation:
         point = jr.operating_point(robot, FEW)
         system = jr.state_space(jr.linearise(robot, point))
         state = jnp.concatenate([point.z, 0 * point.z], axis=1)
-        for i in range(len(FEW)):
-            A, B = jax.jacfwd(jr.forward_dynamics, argnums=(1, 2))(robot, state[i], point.torque[i])
-            np.testing.assert_allclose(system.A[i], A, rtol=1e-8, atol=1e-8 * np.abs(A).max())
-            np.testing.assert_allclose(system.B[i], B, rtol=1e-10, atol=1e-10)
+        slopes = jax.jacfwd(lambda x, u: jr.forward_dynamics(robot, x, u), argnums=(0, 1))
+        A, B = jax.jit(jax.vmap(slopes))(state, point.torque)
+        np.testing.assert_allclose(system.A, A, rtol=1e-8, atol=1e-8 * np.abs(A).max())
+        np.testing.assert_allclose(system.B, B, rtol=1e-10, atol=1e-10)
 
     def test_mujoco(self, robot, friction):
         """G against matrices that MuJoCo's inverse dynamics give by finite differences: 1e-6."""
@@ -227,7 +232,7 @@ class TestResponse:
         """Undamped, G_ii vanishes where the robot with motor i locked resonates and grows where the free one
         does."""
         values = {name: 0.0 for name in jr.parameters(robot, ["damping"])}
-        model = linear_model(jr.with_parameters(robot, values), FEW[0], jnp.zeros(6))
+        model = one(linear_model(jr.with_parameters(robot, values), FEW, jnp.zeros(6)))
         mass, stiffness = np.asarray(model.mass), np.asarray(model.stiffness)
 
         def modes(keep):
@@ -331,7 +336,7 @@ class TestSampling:
     def test_hold_and_delay_in_time(self, friction, measured, samples):
         """Simulate the held, delayed torque exactly (matrix exponentials over the parts of a sample) and
         compare the response to a complex exponential sequence."""
-        model = linear_model(linear_r3x(), FEW[0], friction)
+        model = one(linear_model(linear_r3x(), FEW, friction))
         fs, frequency = 2000.0, np.array([7.0, 33.0, 79.0])
         system = jr.state_space(model, measured)
         A, B, C = (np.asarray(x) for x in (system.A, system.B, system.C))
@@ -358,7 +363,7 @@ class TestSampling:
 
     def test_sum_over_aliases(self, friction):
         """The definition: the continuous FRF at every alias, behind the hold; a thousand of them."""
-        model = linear_model(linear_r3x(), FEW[0], friction)
+        model = one(linear_model(linear_r3x(), FEW, friction))
         fs, frequency = 2000.0, np.array([4.1, 30.0, 79.0])
         ours = np.asarray(jr.frf(model, frequency, "position", jr.ZeroOrderHold(fs, "position")))
         for f, G in zip(frequency, ours, strict=True):
@@ -374,7 +379,7 @@ class TestSampling:
     def test_remainder_tells_the_error(self, friction, fs):
         """The terms left out, against the exact discretisation by SciPy, from safe to useless sampling
         frequencies."""
-        model = linear_model(linear_r3x(), FEW[0], friction)
+        model = one(linear_model(linear_r3x(), FEW, friction))
         frequency, hold = np.array([30.0, 79.0]), jr.ZeroOrderHold(fs, order=3)
         system = jr.state_space(model)
         A, B = held_step(np.asarray(system.A), np.asarray(system.B), 1 / fs)
@@ -408,9 +413,7 @@ class TestStateSpace:
             assert relative(ours, jr.frf(model, LINES[::30], quantity)[:2]).max() < 1e-8
 
     def test_discretise(self, model):
-        system = jr.state_space(
-            dataclasses.replace(model, **{k: getattr(model, k)[0] for k in ("mass", "damping", "stiffness")})
-        )
+        system = jr.state_space(one(model))
         sampled = jr.discretise(system, 2000.0)
         A, B, *_ = scipy.signal.cont2discrete(
             tuple(np.asarray(x) for x in (system.A, system.B, system.C, system.D)), 5e-4
@@ -420,20 +423,18 @@ class TestStateSpace:
 
     def test_control(self, model):
         control = pytest.importorskip("control")
-        one = dataclasses.replace(
-            model, **{k: getattr(model, k)[0] for k in ("mass", "damping", "stiffness")}
-        )
-        system = jr.state_space(one)
+        first = one(model)
+        system = jr.state_space(first)
         response = control.frequency_response(jr.to_control(system), 2 * np.pi * LINES[::50])
         theirs = np.moveaxis(response.frdata, -1, 0)
-        assert relative(jr.frf(one, LINES[::50]), theirs).max() < 1e-8
+        assert relative(jr.frf(first, LINES[::50]), theirs).max() < 1e-8
         assert jr.to_control(jr.discretise(system, 2000.0)).dt == 1 / 2000.0
         with pytest.raises(ValueError, match="operating points"):
             jr.to_control(jr.state_space(model))
 
 
 class TestJacobian:
-    @pytest.mark.parametrize("hold", [None, jr.ZeroOrderHold(2000.0), jr.ZeroOrderHold(2000.0, "position")])
+    @pytest.mark.parametrize("hold", [None, jr.ZeroOrderHold(2000.0)])
     def test_jacfwd(self, friction, hold):
         """The outer products against forward differentiation through equilibrium, linearisation and solve."""
         robot, frequency = jr.r3x(), LINES[::60]
@@ -442,12 +443,12 @@ class TestJacobian:
         def response(theta):
             k, d, f = theta
             changed = eqx.tree_at(lambda r: (r.springs.stiffness, r.springs.damping), robot, (k, d))
-            model = jr.linearise(changed, jr.operating_point(changed, FEW[:2]), f, swing)
+            model = jr.linearise(changed, jr.operating_point(changed, FEW), f, swing)
             return jr.frf(model, frequency, "acceleration", hold, 3e-4)
 
         theta = robot.springs.stiffness, robot.springs.damping, friction
-        expected = np.concatenate(jax.jacfwd(response)(theta), axis=-1)
-        ours = jr.frf_and_jacobian(robot, FEW[:2], frequency, "acceleration", hold, 3e-4, friction, swing)
+        expected = np.concatenate(jax.jit(jax.jacfwd(response))(theta), axis=-1)
+        ours = jr.frf_and_jacobian(robot, FEW, frequency, "acceleration", hold, 3e-4, friction, swing)
         assert relative(ours.G, response(theta)).max() < 1e-12
         size = np.abs(expected).max(axis=(2, 3), keepdims=True)
         np.testing.assert_array_less(
@@ -470,6 +471,21 @@ class TestJacobian:
             ]
             expected = (G[0] - G[1]) / (2 * h)
             assert relative(ours.jacobian[..., p], expected).max() < 1e-5, name
+
+    def test_parameter_sets(self, friction):
+        """A batch of robots by vmap is each robot on its own: many starts of a fit at once."""
+        robot, frequency = jr.r3x(), LINES[::60]
+        sets = jnp.array([0.8, 1.0, 1.3])[:, None] * robot.springs.stiffness
+
+        def response(k):
+            changed = eqx.tree_at(lambda r: r.springs.stiffness, robot, k)
+            return jr.frf_and_jacobian(changed, FEW, frequency, friction=friction)
+
+        batch = jax.jit(jax.vmap(response))(sets)
+        for i in (0, 2):
+            single = response(sets[i])
+            assert relative(batch.G[i], single.G).max() < 1e-11
+            assert relative(batch.jacobian[i, ..., 0], single.jacobian[..., 0]).max() < 1e-10
 
     def test_rigid_robot_has_friction_only(self):
         robot = puma560()

@@ -20,7 +20,7 @@ from .robot import (
 
 _NEWTON_STEPS = 50
 _TOLERANCE = 1e-13  # of a Newton step, rad; a deflection is 1e-5 to 1e-2 rad
-_CONVERGED = 1e-9
+_CONVERGED = 1e-9  # rad
 
 
 class OperatingPoint(eqx.Module):
@@ -80,12 +80,12 @@ def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> Op
     deflection = jax.lax.custom_root(residual, start, _newton, _solve_tangent)
     torque, gear = load(deflection), robot.drives.gear_ratio
     motor = gear[flexible] * (arm_angles[..., flexible] + deflection[..., :n_gears])
-    step = _newton_step(residual, jax.lax.stop_gradient(deflection))
+    error = residual(deflection) / robot.springs.tangent(deflection)
     return OperatingPoint(
         z=jnp.concatenate([motor, arm_angles, -deflection[..., n_gears:]], axis=-1),
         torque=torque[..., : robot.n_axes] / gear,
         deflection=deflection,
-        converged=jnp.all(jnp.abs(step) <= _CONVERGED, axis=-1) & jnp.all(jnp.isfinite(torque), axis=-1),
+        converged=jnp.all(jnp.abs(error) <= _CONVERGED, axis=-1) & jnp.all(jnp.isfinite(torque), axis=-1),
     )
 
 

@@ -34,7 +34,7 @@ class ZeroOrderHold(eqx.Module):
 
     sampling_frequency: float
     measured: str = eqx.field(static=True, default="velocity")
-    order: int = eqx.field(static=True, default=5)
+    order: int = eqx.field(static=True, default=4)
 
     def __check_init__(self):
         if self.measured not in ("position", "velocity"):

@@ -266,7 +266,7 @@ def _drives(top: _Table, joints: list[_Table]) -> Drives:
         friction=Friction(
             viscous=column("viscous_friction", 0.0, nonnegative=True),
             coulomb=column("coulomb_friction", 0.0, nonnegative=True),
-            smoothing=jnp.asarray(smoothing),
+            smoothing=jnp.asarray(smoothing, float),
         ),
     )
 
@@ -280,8 +280,10 @@ def _controller(top: _Table, joints: list[_Table]) -> Controller | None:
     else:
         gains = [joint.number("velocity_gain", nonnegative=True) for joint in joints]
     return Controller(
-        position_gain=jnp.asarray(table.number("position_gain", nonnegative=True)),
-        integral_time=jnp.asarray(table.number("integral_time", math.inf, positive=True, infinite=True)),
+        position_gain=jnp.asarray(table.number("position_gain", nonnegative=True), float),
+        integral_time=jnp.asarray(
+            table.number("integral_time", math.inf, positive=True, infinite=True), float
+        ),
         velocity_gain=jnp.array(gains),
         feedforward=table.flag("feedforward", True),
     )
