@@ -56,9 +56,7 @@ def numpy_motion(mass, damping, stiffness, motor, omega):
     """X = S^{-1} B at every position and line."""
     w = omega[:, None, None]
     dynamic = stiffness[:, None] + 1j * w * damping[:, None] - w**2 * mass[:, None]
-    return np.linalg.solve(
-        dynamic, np.broadcast_to(motor.astype(complex), (*dynamic.shape[:2], *motor.shape))
-    )
+    return np.linalg.solve(dynamic, np.broadcast_to(motor.astype(complex), (*dynamic.shape[:2], *motor.shape)))
 
 
 def numpy_frf(matrices, motor, omega):
@@ -84,9 +82,7 @@ def numpy_differences(matrices, motor, springs, omega, theta):
     for p, (w, value) in enumerate(zip(directions.T, theta, strict=True)):
         h = 1e-6 * value
         step = h * np.outer(w, w)
-        changed = (
-            (mass, damping, stiffness + step) if p < springs.shape[1] else (mass, damping + step, stiffness)
-        )
+        changed = (mass, damping, stiffness + step) if p < springs.shape[1] else (mass, damping + step, stiffness)
         slopes[..., p] = (numpy_frf(changed, motor, omega) - G) / h
     return G, slopes
 
@@ -106,9 +102,7 @@ def main() -> None:
     hold = jr.ZeroOrderHold(2000.0)
     print(f"{len(q)} positions x {len(lines)} lines x 22 parameters, {options.cores} cores")
 
-    linear, compile_linear = compiled(
-        lambda r, x: jr.linearise(r, jr.operating_point(r, x), friction), robot, q
-    )
+    linear, compile_linear = compiled(lambda r, x: jr.linearise(r, jr.operating_point(r, x), friction), robot, q)
     model = linear()
     report("equilibrium and linearisation", best(linear), count, compile_linear)
     for name, kind in (("FRF", None), ("FRF, held and sampled", hold)):

@@ -56,12 +56,9 @@ class MuJoCoRobot:
         n = len(z)
         rest, eye = np.zeros(n), np.eye(n)
         stiffness = [
-            (self.inverse(z + step * e, rest, rest) - self.inverse(z - step * e, rest, rest)) / (2 * step)
-            for e in eye
+            (self.inverse(z + step * e, rest, rest) - self.inverse(z - step * e, rest, rest)) / (2 * step) for e in eye
         ]
-        damping = [
-            (self.inverse(z, step * e, rest) - self.inverse(z, -step * e, rest)) / (2 * step) for e in eye
-        ]
+        damping = [(self.inverse(z, step * e, rest) - self.inverse(z, -step * e, rest)) / (2 * step) for e in eye]
         return self.mass_matrix(z), np.array(damping).T, np.array(stiffness).T
 
 

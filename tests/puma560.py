@@ -52,9 +52,7 @@ def puma560(complete_first_link=False) -> Robot:
         tensors.append(after[:3, :3] @ inertia[i] @ after[:3, :3].T)
         before = after
     tensors = np.array(tensors)
-    elements = np.stack(
-        [tensors[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], axis=1
-    )
+    elements = np.stack([tensors[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], axis=1)
     none = jnp.zeros(0)
     return Robot(
         chain=Chain(*(jnp.array(x) for x in (axes, offsets, mass, coms, elements)), jnp.array([0, 0, -9.81])),

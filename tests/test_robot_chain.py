@@ -36,9 +36,7 @@ def random_chain(n, seed=0) -> jr.Chain:
     rng = np.random.default_rng(seed)
     axis = rng.normal(size=(n, 3))
     tensors = np.einsum("nij,nkj->nik", *[rng.normal(size=(n, 3, 3)) * 0.2] * 2) + 0.05 * np.eye(3)
-    inertia = np.stack(
-        [tensors[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], axis=1
-    )
+    inertia = np.stack([tensors[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], axis=1)
     return jr.Chain(
         axis=jnp.array(axis / np.linalg.norm(axis, axis=1, keepdims=True)),
         offset=jnp.array(rng.normal(size=(n, 3)) * 0.4),
@@ -77,9 +75,7 @@ class TestMuJoCo:
         robot, reference, z, rate, acceleration = case
         z = 1e-2 * z  # springs of 1e5 N m/rad: forces of the size that occur
         z[:, robot.n_motors :] *= 100.0
-        z[:, : robot.n_motors] += z[:, robot.n_motors :][:, : robot.n_motors] * np.asarray(
-            robot.drives.gear_ratio
-        )
+        z[:, : robot.n_motors] += z[:, robot.n_motors :][:, : robot.n_motors] * np.asarray(robot.drives.gear_ratio)
         expected = np.array([reference.inverse(*x) for x in zip(z, rate, acceleration, strict=True)])
         free = jr.with_parameters(
             robot, {f"{j}.{k}_friction": 0.0 for j in robot.axis_names for k in ("viscous", "coulomb")}
@@ -95,10 +91,7 @@ class TestMuJoCo:
         q, v, a = (x[:, arm][:, order] for x in (z, rate, acceleration))
         ours = np.asarray(jr.inverse_dynamics(robot.chain, q, v, a))
         moves = np.concatenate([np.zeros((N, motors)), acceleration[:, arm]], axis=1)
-        expected = [
-            reference.mass_matrix(x) @ w + reference.bias(x, y)
-            for x, y, w in zip(z, rate, moves, strict=True)
-        ]
+        expected = [reference.mass_matrix(x) @ w + reference.bias(x, y) for x, y, w in zip(z, rate, moves, strict=True)]
         np.testing.assert_allclose(ours, np.array(expected)[:, arm][:, order], **CLOSE)
 
 
@@ -114,9 +107,7 @@ class TestPuma:
         inertia[2, 4] = 0.0015
         inertia = np.triu(inertia) + np.triu(inertia, 1).T
         np.testing.assert_allclose(jr.arm_inertia(robot, q), inertia, atol=6e-5)
-        np.testing.assert_allclose(
-            jr.gravity_forces(robot.chain, q), [0, 31.6399, 6.0351, 0, 0.0283, 0], atol=6e-5
-        )
+        np.testing.assert_allclose(jr.gravity_forces(robot.chain, q), [0, 31.6399, 6.0351, 0, 0.0283, 0], atol=6e-5)
 
     def test_mujoco(self):
         robot = puma560(complete_first_link=True)
@@ -165,12 +156,7 @@ class TestClosedForms:
         h = -m2 * l1 * c2 * np.sin(q2)
         g2 = m2 * c2 * g * np.cos(q1 + q2)
         first = (
-            d11 * a[:, 0]
-            + d12 * a[:, 1]
-            + h * v2 * v1
-            + h * (v1 + v2) * v2
-            + (m1 * c1 + m2 * l1) * g * np.cos(q1)
-            + g2
+            d11 * a[:, 0] + d12 * a[:, 1] + h * v2 * v1 + h * (v1 + v2) * v2 + (m1 * c1 + m2 * l1) * g * np.cos(q1) + g2
         )
         second = d12 * a[:, 0] + (m2 * c2**2 + i2) * a[:, 1] - h * v1**2 + g2
         np.testing.assert_allclose(
@@ -196,9 +182,7 @@ class TestMechanics:
         chain, (q, v, a) = random_chain(n, seed=n), random_motion(n)
 
         def total(q, v):
-            return 0.5 * jnp.einsum("ni,nij,nj->n", v, jr.mass_matrix(chain, q), v) + jr.potential_energy(
-                chain, q
-            )
+            return 0.5 * jnp.einsum("ni,nij,nj->n", v, jr.mass_matrix(chain, q), v) + jr.potential_energy(chain, q)
 
         _, rate = jax.jvp(total, (q, v), (v, a))
         power = np.sum(v * jr.inverse_dynamics(chain, q, v, a), axis=1)
@@ -232,9 +216,7 @@ class TestMechanics:
         xx, yy, zz, xy, xz, yz = np.asarray(chain.inertia)[links].T
         own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1)
         shifts = com - centre
-        total = sum(
-            i + m * (c @ c * np.eye(3) - np.outer(c, c)) for i, m, c in zip(own, mass, shifts, strict=True)
-        )
+        total = sum(i + m * (c @ c * np.eye(3) - np.outer(c, c)) for i, m, c in zip(own, mass, shifts, strict=True))
         np.testing.assert_allclose(mass.sum(), 60.3)
         np.testing.assert_allclose(centre, [0.028, 0.202, 0.0], atol=5e-4)
         np.testing.assert_allclose(np.diag(total), [5.41, 0.39, 5.60], atol=1e-2)
@@ -259,9 +241,7 @@ class TestCalculus:
 
     def test_batches(self):
         chain, (q, v, a) = random_chain(3), random_motion(3)
-        whole = jr.inverse_dynamics(
-            chain, q.reshape(10, 100, 3), v.reshape(10, 100, 3), a.reshape(10, 100, 3)
-        )
+        whole = jr.inverse_dynamics(chain, q.reshape(10, 100, 3), v.reshape(10, 100, 3), a.reshape(10, 100, 3))
         np.testing.assert_allclose(
             whole[3, 7], jr.inverse_dynamics(chain, q[307], v[307], a[307]), rtol=1e-10, atol=1e-11
         )

@@ -44,9 +44,7 @@ def moving_state(robot):
     """At the equilibrium of POSITIONS, with the motors at speed."""
     point = jr.operating_point(robot, POSITIONS)
     speed = np.random.default_rng(0).normal(size=(len(POSITIONS), 6)) * 0.2
-    rate = np.concatenate(
-        [speed * np.asarray(robot.drives.gear_ratio), speed, np.zeros((len(POSITIONS), 2))], axis=1
-    )
+    rate = np.concatenate([speed * np.asarray(robot.drives.gear_ratio), speed, np.zeros((len(POSITIONS), 2))], axis=1)
     return jnp.concatenate([point.z, rate], axis=1), point
 
 
@@ -75,17 +73,13 @@ class TestEnergy:
         robot = jr.r3x()
         state, point = moving_state(robot)
         torque = point.torque + 0.3
-        _, rate = jax.jvp(
-            lambda x: jr.energy(robot, x), (state,), (jr.forward_dynamics(robot, state, torque),)
-        )
+        _, rate = jax.jvp(lambda x: jr.energy(robot, x), (state,), (jr.forward_dynamics(robot, state, torque),))
         v = np.asarray(state)[:, 14:]
         friction = 0.2
         lost = np.asarray([8.1e-4, 7.7e-4, 1.5e-3, 2e-4, 2e-4, 8e-5]) * v[:, :6] + np.array(
             [0.4, 0.5, 0.7, 0.06, 0.07, 0.025]
         ) * np.tanh(v[:, :6] / friction)
-        slip = np.concatenate(
-            [v[:, :6] / np.asarray(robot.drives.gear_ratio) - v[:, 6:12], v[:, 12:]], axis=1
-        )
+        slip = np.concatenate([v[:, :6] / np.asarray(robot.drives.gear_ratio) - v[:, 6:12], v[:, 12:]], axis=1)
         damping = np.array([120, 250, 100, 8, 7, 2.5, 200, 100])
         power = np.sum((torque - lost) * v[:, :6], axis=1) - np.sum(damping * slip**2, axis=1)
         np.testing.assert_allclose(rate, power, rtol=1e-9, atol=1e-9 * np.abs(power).max())
@@ -115,9 +109,7 @@ class TestMotion:
         state, point = moving_state(frictionless)
         ours = np.asarray(simulate(frictionless, state, point.torque, 1e-4, 10_000))[-1, 0]
         reference = MuJoCoRobot(frictionless)
-        reference.data.qpos[reference.order], reference.data.qvel[reference.order] = np.split(
-            np.asarray(state[0]), 2
-        )
+        reference.data.qpos[reference.order], reference.data.qvel[reference.order] = np.split(np.asarray(state[0]), 2)
         reference.data.ctrl[:] = np.asarray(point.torque[0])
         for _ in range(10_000):
             mujoco.mj_step(reference.model, reference.data)
@@ -129,10 +121,7 @@ class TestMotion:
         there)."""
         robot = jr.r3x()
         state, point = moving_state(robot)
-        end = [
-            np.asarray(simulate(robot, state, point.torque, h, round(0.02 / h)))[-1]
-            for h in (2e-4, 1e-4, 5e-5)
-        ]
+        end = [np.asarray(simulate(robot, state, point.torque, h, round(0.02 / h)))[-1] for h in (2e-4, 1e-4, 5e-5)]
         coarse, fine = (np.abs(end[i] - end[i + 1])[:, 14:].max(axis=0) for i in (0, 1))
         order = np.log2(np.linalg.norm(coarse) / np.linalg.norm(fine))
         assert order > 3.5
@@ -180,7 +169,7 @@ class TestCalculus:
         gradient = jax.grad(value)(nominal)
         for name in names:
             h = 1e-6 * float(nominal[name])
-            expected = (
-                value(nominal | {name: nominal[name] + h}) - value(nominal | {name: nominal[name] - h})
-            ) / (2 * h)
+            expected = (value(nominal | {name: nominal[name] + h}) - value(nominal | {name: nominal[name] - h})) / (
+                2 * h
+            )
             np.testing.assert_allclose(gradient[name], expected, rtol=1e-5, err_msg=name)

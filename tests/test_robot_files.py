@@ -37,9 +37,7 @@ class TestToml:
         assert robot.spring_names == (*robot.axis_names, "bearing2", "upper_arm_torsion")
         assert (robot.n_axes, robot.n_motors, robot.n_elastic, robot.dof) == (6, 6, 2, 14)
         np.testing.assert_array_equal(robot.drives.gear_ratio, [105, 210, 60, 99, 79.2, 99])
-        np.testing.assert_array_equal(
-            robot.springs.stiffness, [5e5, 3.7e5, 2.2e5, 3e4, 2.5e4, 1.2e4, 6e5, 4e5]
-        )
+        np.testing.assert_array_equal(robot.springs.stiffness, [5e5, 3.7e5, 2.2e5, 3e4, 2.5e4, 1.2e4, 6e5, 4e5])
         low = robot.springs.stiffness * robot.springs.stiffness_ratio
         np.testing.assert_allclose(low, [3e5, 2.22e5, 1.32e5, 3e4, 2.5e4, 1.2e4, 6e5, 4e5], rtol=1e-15)
         np.testing.assert_array_equal(robot.drives.friction.coulomb, [0.4, 0.5, 0.7, 0.06, 0.07, 0.025])
@@ -51,9 +49,7 @@ class TestToml:
         assert robot.chain.mass.sum() == 1 + 56.5 + 26.4 + 28.7 + 5.2 + 10
 
     def test_round_trip(self, tmp_path, table):
-        table["effect"] = [
-            {"name": "torque_ripple", "joint": "joint2", "amplitude": 0.03, "orders": [1.0, 2.0]}
-        ]
+        table["effect"] = [{"name": "torque_ripple", "joint": "joint2", "amplitude": 0.03, "orders": [1.0, 2.0]}]
         table["controller"] |= {"feedforward": False, "integral_time": np.inf}
         table["joint"][0]["stiffness"] = table["joint"][3]["stiffness"] = np.inf
         for key in ("stiffness_low", "stiffness_knee"):
@@ -163,11 +159,7 @@ class TestParameters:
         assert len(jr.parameters(robot)) == 16
         assert jr.parameters(robot, ["mass"])["joint6.mass"] == 10.0
         heavier = jr.with_parameters(robot, {"joint6.mass": 12.0, "bearing2.damping": 5.0})
-        assert (
-            heavier.chain.mass[7] == 12.0
-            and heavier.springs.damping[6] == 5.0
-            and robot.chain.mass[7] == 10.0
-        )
+        assert heavier.chain.mass[7] == 12.0 and heavier.springs.damping[6] == 5.0 and robot.chain.mass[7] == 10.0
 
     def test_unknown(self):
         with pytest.raises(InputError, match=r"'joint1.stifness'.*Did you mean 'joint1.stiffness'"):

@@ -105,26 +105,20 @@ class TestOperatingPoint:
             high, low = at(nominal | {name: nominal[name] + h}), at(nominal | {name: nominal[name] - h})
             for ours, theirs in ((forward, high.z - low.z), (backward, high.torque - low.torque)):
                 expected = np.asarray(theirs) / (2 * h)
-                np.testing.assert_allclose(
-                    ours[name], expected, rtol=0, atol=2e-6 * np.abs(expected).max() + 1e-14
-                )
+                np.testing.assert_allclose(ours[name], expected, rtol=0, atol=2e-6 * np.abs(expected).max() + 1e-14)
 
     def test_says_which_positions_failed(self):
         """Per position: one without a number leaves the others as they are."""
         angles = np.array([POSITIONS[0], np.full(6, np.nan), POSITIONS[1]])
         point = jr.operating_point(jr.r3x(), angles)
         np.testing.assert_array_equal(point.converged, [True, False, True])
-        np.testing.assert_allclose(
-            point.z[2], jr.operating_point(jr.r3x(), POSITIONS[1]).z, rtol=1e-12, atol=1e-14
-        )
+        np.testing.assert_allclose(point.z[2], jr.operating_point(jr.r3x(), POSITIONS[1]).z, rtol=1e-12, atol=1e-14)
 
 
 class TestLinearisation:
     def test_is_the_derivative_of_the_dynamics(self, robot):
         """Against plain forward differentiation of the whole nonlinear right-hand side."""
-        robot = eqx.tree_at(
-            lambda r: r.drives.friction, robot, jr.ViscousFriction(robot.drives.friction.viscous)
-        )
+        robot = eqx.tree_at(lambda r: r.drives.friction, robot, jr.ViscousFriction(robot.drives.friction.viscous))
         point = jr.operating_point(robot, FEW)
         system = jr.state_space(jr.linearise(robot, point))
         state = jnp.concatenate([point.z, 0 * point.z], axis=1)
@@ -175,9 +169,9 @@ class TestLinearisation:
             damping[:6, :6] += np.diag(friction)
             h = 1e-5
             for a in range(8):
-                stiffness[6:, 6 + a] += (
-                    gravity(arm[i] + h * np.eye(8)[a]) - gravity(arm[i] - h * np.eye(8)[a])
-                ) / (2 * h)
+                stiffness[6:, 6 + a] += (gravity(arm[i] + h * np.eye(8)[a]) - gravity(arm[i] - h * np.eye(8)[a])) / (
+                    2 * h
+                )
             expected = second_order_frf(mass, damping, stiffness, np.eye(14)[:, :6], LINES[::7])
             assert relative(jr.frf(model, LINES[::7])[i], expected).max() < 1e-6
 
@@ -236,9 +230,7 @@ class TestResponse:
         mass, stiffness = np.asarray(model.mass), np.asarray(model.stiffness)
 
         def modes(keep):
-            values = scipy.linalg.eigh(
-                stiffness[np.ix_(keep, keep)], mass[np.ix_(keep, keep)], eigvals_only=True
-            )
+            values = scipy.linalg.eigh(stiffness[np.ix_(keep, keep)], mass[np.ix_(keep, keep)], eigvals_only=True)
             frequency = np.sqrt(np.maximum(values, 0)) / (2 * np.pi)
             return frequency[(frequency > 5) & (frequency < 80)]
 
@@ -284,9 +276,7 @@ class TestResponse:
         """|G_ii| -> 1/(w J_m) (velocity): the motor alone."""
         G = np.asarray(jr.frf(model, np.array([1e5])))[:, 0]
         expected = 1 / (2 * np.pi * 1e5 * np.asarray(robot.drives.motor_inertia))
-        np.testing.assert_allclose(
-            np.abs(np.diagonal(G, axis1=1, axis2=2)), np.tile(expected, (49, 1)), rtol=1e-4
-        )
+        np.testing.assert_allclose(np.abs(np.diagonal(G, axis1=1, axis2=2)), np.tile(expected, (49, 1)), rtol=1e-4)
 
     def test_two_masses(self):
         """One joint is a two-mass system: motor speed over torque in closed form."""
@@ -357,9 +347,7 @@ class TestSampling:
         delay = np.array([0, 1e-4, 2e-4, 3e-4, 4e-4, 5e-4])
         plain = jr.frf(model, LINES[::50])
         late = jr.frf(model, LINES[::50], delay=delay)
-        np.testing.assert_allclose(
-            late, plain * np.exp(-2j * np.pi * LINES[::50, None, None] * delay), rtol=1e-12
-        )
+        np.testing.assert_allclose(late, plain * np.exp(-2j * np.pi * LINES[::50, None, None] * delay), rtol=1e-12)
 
     def test_sum_over_aliases(self, friction):
         """The definition: the continuous FRF at every alias, behind the hold; a thousand of them."""
@@ -370,8 +358,7 @@ class TestSampling:
             aliases = f + fs * np.arange(-500, 501)
             s = 2j * np.pi * aliases
             everywhere = (
-                np.asarray(jr.frf(model, aliases, "position"))
-                * ((1 - np.exp(-s / fs)) / (s / fs))[:, None, None]
+                np.asarray(jr.frf(model, aliases, "position")) * ((1 - np.exp(-s / fs)) / (s / fs))[:, None, None]
             )
             assert relative(G, everywhere.sum(axis=0)) < 1e-9
 
@@ -383,9 +370,7 @@ class TestSampling:
         frequency, hold = np.array([30.0, 79.0]), jr.ZeroOrderHold(fs, order=3)
         system = jr.state_space(model)
         A, B = held_step(np.asarray(system.A), np.asarray(system.B), 1 / fs)
-        exact = [
-            system.C @ np.linalg.solve(np.exp(2j * np.pi * f / fs) * np.eye(len(A)) - A, B) for f in frequency
-        ]
+        exact = [system.C @ np.linalg.solve(np.exp(2j * np.pi * f / fs) * np.eye(len(A)) - A, B) for f in frequency]
         error = relative(jr.frf(model, frequency, hold=hold), exact)
         remainder = np.asarray(jr.hold_remainder(model, frequency, hold))
         assert np.all(error < 2 * remainder + 2e-8)
@@ -451,9 +436,7 @@ class TestJacobian:
         ours = jr.frf_and_jacobian(robot, FEW, frequency, "acceleration", hold, 3e-4, friction, swing)
         assert relative(ours.G, response(theta)).max() < 1e-12
         size = np.abs(expected).max(axis=(2, 3), keepdims=True)
-        np.testing.assert_array_less(
-            np.abs(ours.jacobian - expected), np.broadcast_to(1e-8 * size, expected.shape)
-        )
+        np.testing.assert_array_less(np.abs(ours.jacobian - expected), np.broadcast_to(1e-8 * size, expected.shape))
         assert ours.names == jr.parameter_names(robot) and len(ours.names) == 22
 
     def test_finite_differences(self, friction):
@@ -491,9 +474,7 @@ class TestJacobian:
         robot = puma560()
         ours = jr.frf_and_jacobian(robot, np.zeros(6), LINES[::60], friction=jnp.full(6, 1e-3))
         assert ours.jacobian.shape[-1] == 6
-        expected = jax.jacfwd(lambda f: jr.frf(linear_model(robot, np.zeros(6), f), LINES[::60]))(
-            jnp.full(6, 1e-3)
-        )
+        expected = jax.jacfwd(lambda f: jr.frf(linear_model(robot, np.zeros(6), f), LINES[::60]))(jnp.full(6, 1e-3))
         np.testing.assert_allclose(ours.jacobian, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 

@@ -13,12 +13,12 @@ from .robots import write_whole
 
 
 def mjcf(robot: Robot, friction: bool = False, timestep: float = 1e-4) -> str:
-    """The flexible robot as MJCF text: rotors are bodies of their own, transmissions tendons with spring and
-    damper.
+    """The flexible robot as MJCF text.
 
-    A motor's joint is called `motor:` and the name of its axis, its actuator as the axis; the actuator's
-    control is the motor torque. A massless link shares a body with the next one. A rigid transmission becomes
-    armature and a geared actuator. The springs must be linear: MuJoCo's are.
+    Rotors are bodies of their own, transmissions tendons with spring and damper. A motor's joint is called
+    `motor:` and the name of its axis, its actuator as the axis; the actuator's control is the motor torque. A
+    massless link shares a body with the next one. A rigid transmission becomes armature and a geared
+    actuator. The springs must be linear: MuJoCo's are.
 
     **Arguments:** `friction`: include viscous friction as damping and Coulomb friction as frictionloss (which
     is not smoothed there). `timestep`: s.
@@ -106,9 +106,7 @@ def _check_inertia(robot: Robot, i: int) -> None:
 
 def _joint(body: ET.Element, robot: Robot, i: int, place, friction: bool) -> None:
     name = robot.joint_names[i]
-    joint = ET.SubElement(
-        body, "joint", name=name, type="hinge", pos=_text(place), axis=_text(robot.chain.axis[i])
-    )
+    joint = ET.SubElement(body, "joint", name=name, type="hinge", pos=_text(place), axis=_text(robot.chain.axis[i]))
     if not robot.driven[i]:
         spring = robot.spring_names.index(name)
         joint.set("stiffness", f"{float(robot.springs.stiffness[spring])!r}")
@@ -133,9 +131,7 @@ def _drive(world, tendons, actuators, robot: Robot, axis: int, name: str, fricti
     driven, ratio = f"motor:{name}", 1.0
     if axis in robot.flexible_axes:
         rotor = ET.SubElement(world, "body", name=driven)
-        _rub(
-            ET.SubElement(rotor, "joint", name=driven, type="hinge", axis="0 0 1"), robot, axis, 1.0, friction
-        )
+        _rub(ET.SubElement(rotor, "joint", name=driven, type="hinge", axis="0 0 1"), robot, axis, 1.0, friction)
         inertia = f"{float(drives.motor_inertia[axis])!r}"
         # The mass lies on the axis and has no effect; MuJoCo wants one.
         ET.SubElement(rotor, "inertial", pos="0 0 0", mass="1", diaginertia=" ".join([inertia] * 3))

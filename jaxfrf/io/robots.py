@@ -24,8 +24,7 @@ def read_robot(path: str | os.PathLike) -> Robot:
 
 
 def write_robot(robot: Robot, path: str | os.PathLike) -> None:
-    """Write a robot as a TOML file that `read_robot` reads back to the same robot. Nothing half written is
-    left."""
+    """Write a TOML file that `read_robot` reads back to the same robot. Nothing half written is left."""
     write_whole(path, toml_text(table_from_robot(robot)))
 
 
@@ -33,9 +32,7 @@ def read_toml(path: pathlib.Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise input_error(
-            f"{path.name}", f"{error}", "a TOML file", "Correct it there (see r3x.toml)."
-        ) from error
+        raise input_error(f"{path.name}", f"{error}", "a TOML file", "Correct it there (see r3x.toml).") from error
 
 
 def toml_text(table: Mapping[str, Any]) -> str:

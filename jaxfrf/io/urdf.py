@@ -17,8 +17,7 @@ _MOVING = ("revolute", "continuous")
 
 
 def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike) -> Robot:
-    """A robot with the links of a URDF (a serial chain of revolute joints) and the drive trains of a TOML
-    file.
+    """A robot with the links of a URDF (a serial chain) and the drive trains of a TOML file.
 
     The TOML file has the schema of a robot's file without the links: a `[[joint]]` table for every moving
     joint of the URDF, under its name there, with gear, motor, spring and friction; `type` is `driven` where
@@ -32,9 +31,7 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike) -> Robot:
     try:
         root = ET.parse(urdf).getroot()
     except ET.ParseError as error:
-        raise input_error(
-            urdf.name, f"{error}", "an XML file", "Export the URDF again (xacro files first)."
-        ) from error
+        raise input_error(urdf.name, f"{error}", "an XML file", "Export the URDF again (xacro files first).") from error
     table = {"name": root.get("name", urdf.stem), "gravity": [0.0, 0.0, -9.81], **read_toml(drives)}
     trains = _drive_trains(table, drives.name)
     links = _links(root, urdf.name)
@@ -63,9 +60,7 @@ def _drive_trains(table: Mapping[str, Any], source: str) -> dict[str, Mapping[st
     trains = {}
     for i, joint in enumerate(table.get("joint", [])):
         if not isinstance(joint.get("name"), str):
-            raise input_error(
-                f"{source}: joint {i + 1}", "no name", "the joint's name in the URDF", "Add name = ..."
-            )
+            raise input_error(f"{source}: joint {i + 1}", "no name", "the joint's name in the URDF", "Add name = ...")
         for key in ("axis", "offset", "mass", "com", "inertia"):
             if key in joint:
                 raise input_error(
@@ -98,14 +93,10 @@ def _links(root: ET.Element, source: str) -> list[dict[str, Any]]:
         if not ahead:
             break
         joint, rotation, offset = ahead[0]
-        rows.append(
-            {"name": joint.get("name"), "axis": tree.axis(joint, rotation), "offset": offset.tolist()}
-        )
+        rows.append({"name": joint.get("name"), "axis": tree.axis(joint, rotation), "offset": offset.tolist()})
         link, place = tree.link(joint, "child"), np.zeros(3)
     if not rows:
-        raise input_error(
-            source, "no joint that moves", "at least one revolute joint", "Check the joint types."
-        )
+        raise input_error(source, "no joint that moves", "at least one revolute joint", "Check the joint types.")
     return rows
 
 
@@ -149,7 +140,7 @@ class _Tree:
         return (rotation @ (axis / np.linalg.norm(axis))).tolist()
 
     def rigid_group(self, link: str, rotation, place):
-        """Inertials of a link and of all links fixed to it, as (mass, com, tensor), and the moving joints on
+        """Inertials (mass, com, tensor) of a link and of all links fixed to it, and the moving joints on
         them, each with its rotation and place."""
         bodies, ahead = [self._inertial(self.links[link], rotation, place)], []
         for joint in self.joints.get(link, []):
@@ -199,9 +190,9 @@ class _Tree:
         if origin is None:
             return np.zeros(3), np.eye(3)
         roll, pitch, yaw = self._numbers(element, "rpy", origin.get("rpy", "0 0 0"))
-        return self._numbers(element, "xyz", origin.get("xyz", "0 0 0")), _turn(yaw, 2) @ _turn(
-            pitch, 1
-        ) @ _turn(roll, 0)
+        return self._numbers(element, "xyz", origin.get("xyz", "0 0 0")), _turn(yaw, 2) @ _turn(pitch, 1) @ _turn(
+            roll, 0
+        )
 
     def _numbers(self, element: ET.Element, key: str, text: str | None, size: int = 3) -> np.ndarray:
         try:

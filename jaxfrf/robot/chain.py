@@ -60,8 +60,7 @@ class Chain(eqx.Module):
 
 
 class Frames(eqx.Module):
-    """Frames of the links in the world: `rotation` (*batch, joint, 3, 3) and `position` (*batch, joint, 3),
-    m."""
+    """Frames of the links in the world: `rotation` and `position` (m)."""
 
     rotation: Float[Array, "*batch joint 3 3"]
     position: Float[Array, "*batch joint 3"]
@@ -69,8 +68,9 @@ class Frames(eqx.Module):
 
 @eqx.filter_jit
 def forward_kinematics(chain: Chain, q: Angles) -> Frames:
-    """Orientation and origin of every joint's frame: R_i = R_{i-1} exp(q_i [axis_i]x), p_i = p_{i-1} +
-    R_{i-1} offset_i.
+    """Orientation and origin of every joint's frame in the world.
+
+    R_i = R_{i-1} exp(q_i [axis_i]x), p_i = p_{i-1} + R_{i-1} offset_i.
 
     **Arguments:** `q`: joint angles, (*batch, joint), rad.
     """
@@ -84,8 +84,7 @@ def forward_kinematics(chain: Chain, q: Angles) -> Frames:
 
 @eqx.filter_jit
 def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
-    """Joint-space inertia by composite bodies (CRBA): M_ij = s_i . I_c(max(i, j)) s_j; (*batch, joint,
-    joint), kg m^2.
+    """Joint-space inertia by composite bodies (CRBA), M_ij = s_i . I_c(max(i, j)) s_j; kg m^2.
 
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 6.2, here in world axes.
     """
@@ -96,8 +95,7 @@ def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
 
 @eqx.filter_jit
 def inverse_dynamics(chain: Chain, q: Angles, rate: Angles, acceleration: Angles) -> Angles:
-    """Joint torque of a motion, tau = M(q) q'' + c(q, q') + g(q), by recursive Newton-Euler (RNEA); (*batch,
-    joint), N m.
+    """Joint torque of a motion, tau = M(q) q'' + c(q, q') + g(q), by recursive Newton-Euler (RNEA); N m.
 
     Source: Featherstone (2008), section 5.3, here in world axes.
     """
@@ -203,8 +201,7 @@ def _bodies(chain: Chain, q) -> _Bodies:
     turned = jnp.sum(rotation[:, :, :, None] * tensor[:, None, :, :, None], axis=2)
     about_centre = jnp.sum(turned[:, :, None] * rotation[:, None], axis=3)
     spread = (
-        jnp.sum(centre * centre, axis=1)[:, None, None] * jnp.eye(3)[..., None]
-        - centre[:, :, None] * centre[:, None]
+        jnp.sum(centre * centre, axis=1)[:, None, None] * jnp.eye(3)[..., None] - centre[:, :, None] * centre[:, None]
     )
     mass = jnp.asarray(chain.mass)
     return _Bodies(
@@ -229,9 +226,7 @@ def _momentum(bodies: _Bodies, angular, linear):
 
 def _project(bodies: _Bodies, moment, force):
     """Torque about each joint of the wrenches on it and on all that it carries: (joint, batch)."""
-    return jnp.sum(bodies.axis * _from_tip(moment), axis=1) + jnp.sum(
-        bodies.moment * _from_tip(force), axis=1
-    )
+    return jnp.sum(bodies.axis * _from_tip(moment), axis=1) + jnp.sum(bodies.moment * _from_tip(force), axis=1)
 
 
 def _mass_matrix(bodies: _Bodies):
@@ -253,9 +248,7 @@ def _newton_euler(chain: Chain, bodies: _Bodies, rate, acceleration):
     angular, linear = jnp.cumsum(turn, axis=0), jnp.cumsum(shift, axis=0)
     # A joint's twist is fixed in its link, so its rate of change is (link twist) x (joint twist).
     angular_rate = jnp.cumsum(bodies.axis * acceleration + _cross(angular, turn), axis=0)
-    linear_rate = jnp.cumsum(
-        bodies.moment * acceleration + _cross(angular, shift) + _cross(linear, turn), axis=0
-    )
+    linear_rate = jnp.cumsum(bodies.moment * acceleration + _cross(angular, shift) + _cross(linear, turn), axis=0)
     linear_rate = linear_rate - jnp.asarray(chain.gravity)[:, None]
     about_origin, momentum = _momentum(bodies, angular, linear)
     moment, force = _momentum(bodies, angular_rate, linear_rate)

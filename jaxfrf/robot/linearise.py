@@ -157,8 +157,7 @@ def linearise(
 
 
 def gravity_stiffness(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:
-    """Change of the gravity torque with the arm's angles, dg_ae/d[q_a, q_e]; `arm` = [q_a, q_e], rad; N
-    m/rad."""
+    """Change of the gravity torque with the arm's angles, dg_ae/d arm; `arm` = [q_a, q_e], rad; N m/rad."""
     return _jacobian(lambda x: _gravity(robot, x), arm)
 
 

@@ -29,8 +29,7 @@ PARAMETER_UNITS: dict[str, str] = {
 
 
 def parameters(robot: Robot, kinds: Iterable[str] = ("stiffness", "damping")) -> dict[str, jax.Array]:
-    """The robot's parameters of these kinds as {"joint.kind": value}, kind by kind and in the order of the
-    joints.
+    """The robot's parameters of these kinds as {"joint.kind": value}, kind by kind, base to tip.
 
     A kind that a joint does not have (the stiffness of a rigid transmission) is left out. `com`, `inertia`
     and `offset` are vectors, everything else numbers.
@@ -65,8 +64,7 @@ def with_parameters(robot: Robot, values: Mapping[str, jax.Array | float]) -> Ro
 
 
 def _field(robot: Robot, kind: str) -> tuple[Callable[[Robot], jax.Array], tuple[str, ...]]:
-    """The array that holds this kind of parameter, and the joints of its rows (none where the robot has
-    none)."""
+    """The array that holds this kind of parameter, and the joints that its rows belong to."""
     springs = robot.spring_names if isinstance(robot.springs, Spring) else ()
     rubbing = robot.axis_names if isinstance(robot.drives.friction, Friction) else ()
     fields = {

@@ -11,7 +11,5 @@ def derivatives(quantity: str) -> int:
     **Raises:** `jaxfrf.InputError` for another name than position, velocity or acceleration.
     """
     if quantity not in _DERIVATIVES:
-        raise input_error(
-            "quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them."
-        )
+        raise input_error("quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them.")
     return _DERIVATIVES[quantity]

@@ -8,8 +8,7 @@ from .schema import robot_from_table
 
 
 def r3x() -> Robot:
-    """R3X: a Manutec r3 with six flexible drives, a tilting bearing, a twisting upper arm and a 10 kg
-    payload.
+    """R3X: a Manutec r3 with flexible drives, a tilting bearing, a twisting upper arm and 10 kg payload.
 
     Links, motors, gears, friction and the stiffness of axes 1-3 are published measurements (Otter & Tuerk,
     The DFVLR models 1 and 2 of the Manutec r3 robot, 1988; Modelica library, RobotR3); stiffness of axes 4-6,

@@ -35,8 +35,7 @@ class Controller(eqx.Module):
 
 
 class EffectTable(eqx.Module):
-    """An `[[effect]]` table of a robot's file: the effect's name, the joint it acts on ("" = none) and its
-    parameters."""
+    """An `[[effect]]` table of a robot's file; `joint` is "" where the effect has none."""
 
     name: str = eqx.field(static=True)
     joint: str = eqx.field(static=True, default="")
@@ -110,9 +109,7 @@ class Robot(eqx.Module):
     def elastic_joints(self) -> tuple[int, ...]:
         """Place in the chain of every compliant elastic joint."""
         return tuple(
-            i
-            for i, (driven, stiff) in enumerate(zip(self.driven, self.stiff, strict=True))
-            if not (driven or stiff)
+            i for i, (driven, stiff) in enumerate(zip(self.driven, self.stiff, strict=True)) if not (driven or stiff)
         )
 
     @property
@@ -176,9 +173,7 @@ def motor_inertia(robot: Robot) -> Float[Array, "motor"]:
 def inertia(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch dof dof"]:
     """Inertia in the coordinates z: motors and arm are coupled by springs only, so it is block diagonal."""
     arm = arm_inertia(robot, z[..., robot.n_motors :])
-    motors = jnp.broadcast_to(
-        jnp.diag(motor_inertia(robot)), (*arm.shape[:-2], robot.n_motors, robot.n_motors)
-    )
+    motors = jnp.broadcast_to(jnp.diag(motor_inertia(robot)), (*arm.shape[:-2], robot.n_motors, robot.n_motors))
     corner = jnp.zeros((*arm.shape[:-2], robot.n_motors, arm.shape[-1]))
     return jnp.concatenate(
         [
@@ -197,9 +192,7 @@ def deflections(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*b
     """
     flexible = np.array(robot.flexible_axes, int)
     motor, arm, elastic = jnp.split(z, [robot.n_motors, robot.n_motors + robot.n_axes], axis=-1)
-    return jnp.concatenate(
-        [motor / robot.drives.gear_ratio[flexible] - arm[..., flexible], -elastic], axis=-1
-    )
+    return jnp.concatenate([motor / robot.drives.gear_ratio[flexible] - arm[..., flexible], -elastic], axis=-1)
 
 
 def spring_directions(robot: Robot) -> Float[Array, "dof spring"]:
@@ -230,8 +223,7 @@ def drive_forces(
     rate: Float[Array, "*batch dof"],
     torque: Float[Array, "*batch axis"],
 ) -> Float[Array, "*batch dof"]:
-    """Forces of motors, friction and springs, B (u - tau_fm) - W tau_spring: the fast part of the dynamics; N
-    m."""
+    """The fast part of the dynamics: motors, friction and springs, B (u - tau_fm) - W tau_spring; N m."""
     spring = robot.springs.torque(deflections(robot, z), deflections(robot, rate))
     friction = robot.drives.friction.torque(motor_values(robot, rate))
     return (torque - friction) @ motor_directions(robot).T - spring @ spring_directions(robot).T
@@ -247,9 +239,7 @@ def generalised_forces(
     """All forces that accelerate the coordinates: `drive_forces` less [0; c_ae + g_ae]; N m."""
     motors = robot.n_motors
     _, bias = arm_inertia_and_bias(robot, z[..., motors:], rate[..., motors:])
-    return drive_forces(robot, z, rate, torque) - jnp.concatenate(
-        [jnp.zeros_like(z[..., :motors]), bias], axis=-1
-    )
+    return drive_forces(robot, z, rate, torque) - jnp.concatenate([jnp.zeros_like(z[..., :motors]), bias], axis=-1)
 
 
 @eqx.filter_jit
@@ -274,8 +264,10 @@ def forward_dynamics(
 
 @eqx.filter_jit
 def energy(robot: Robot, state: Float[Array, "*batch state"]) -> Float[Array, "*batch"]:
-    """Kinetic energy of rotors and links, springs and gravity; (*batch,), J. Kept without damping, friction
-    and torque."""
+    """Kinetic energy of rotors and links, springs and gravity; (*batch,), J.
+
+    Kept where there is no damping, friction or torque.
+    """
     z, rate = state[..., : robot.dof], state[..., robot.dof :]
     kinetic = 0.5 * jnp.einsum("...i,...ij,...j->...", rate, inertia(robot, z), rate)
     lifted = potential_energy(robot.chain, chain_angles(robot, z[..., robot.n_motors :]))

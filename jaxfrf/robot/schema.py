@@ -48,15 +48,12 @@ def robot_from_table(table: Mapping[str, Any], source: str = "robot") -> Robot:
             f"{source}: joint", "none", "at least one [[joint]] table", "Describe the joints, base to tip."
         )
     joints = [
-        _Table(joint, f"{source}: {_label(joint, i)}", _joint_keys(joint, i, source))
-        for i, joint in enumerate(joints)
+        _Table(joint, f"{source}: {_label(joint, i)}", _joint_keys(joint, i, source)) for i, joint in enumerate(joints)
     ]
     names = tuple(joint.text("name", default=f"joint{i + 1}") for i, joint in enumerate(joints))
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise input_error(
-            f"{source}: joint", f"two joints named {twice!r}", "a name for each", "Rename one of them."
-        )
+        raise input_error(f"{source}: joint", f"two joints named {twice!r}", "a name for each", "Rename one of them.")
     driven = tuple(joint["type"] == "driven" for joint in joints)
     stiffness = [joint.number("stiffness", positive=True, infinite=True) for joint in joints]
     stiff = tuple(math.isinf(k) for k in stiffness)
@@ -101,9 +98,7 @@ def table_from_robot(robot: Robot) -> dict[str, Any]:
             **({} if robot.controller.feedforward else {"feedforward": False}),
         }
     table["friction"] = {"smoothing": _plain(robot.drives.friction.smoothing)}
-    effects = [
-        {"name": e.name, "joint": e.joint, **{k: _plain(v) for k, v in e.parameters}} for e in robot.effects
-    ]
+    effects = [{"name": e.name, "joint": e.joint, **{k: _plain(v) for k, v in e.parameters}} for e in robot.effects]
     return {**table, **({"effect": effects} if effects else {})}
 
 
@@ -166,13 +161,9 @@ class _Table:
 
     def vector(self, key: str, size: int, default: list[float] | None = None) -> list[float]:
         value = self._value(key, default, f"{size} numbers")
-        plain = isinstance(value, list) and all(
-            isinstance(x, int | float) and not isinstance(x, bool) for x in value
-        )
+        plain = isinstance(value, list) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
         if not plain or len(value) != size or not all(math.isfinite(x) for x in value):
-            raise self.error(
-                key, f"a list of {size} finite numbers", "Write it as [x, y, z, ...], in SI units."
-            )
+            raise self.error(key, f"a list of {size} finite numbers", "Write it as [x, y, z, ...], in SI units.")
         return [float(x) for x in value]
 
     def table(self, key: str, known: Iterable[str]) -> "_Table | None":
@@ -281,9 +272,7 @@ def _controller(top: _Table, joints: list[_Table]) -> Controller | None:
         gains = [joint.number("velocity_gain", nonnegative=True) for joint in joints]
     return Controller(
         position_gain=jnp.asarray(table.number("position_gain", nonnegative=True), float),
-        integral_time=jnp.asarray(
-            table.number("integral_time", math.inf, positive=True, infinite=True), float
-        ),
+        integral_time=jnp.asarray(table.number("integral_time", math.inf, positive=True, infinite=True), float),
         velocity_gain=jnp.array(gains),
         feedforward=table.flag("feedforward", True),
     )
@@ -299,9 +288,7 @@ def _effects(top: _Table, names: tuple[str, ...]) -> tuple[EffectTable, ...]:
 def _effect(checked: _Table, table: Mapping[str, Any], names: tuple[str, ...]) -> EffectTable:
     joint = checked.text("joint", default="")
     if joint and joint not in names:
-        raise checked.error(
-            "joint", f"one of {', '.join(names)}", f"Did you mean {_nearest(joint, names)!r}?"
-        )
+        raise checked.error("joint", f"one of {', '.join(names)}", f"Did you mean {_nearest(joint, names)!r}?")
     values = {key: value for key, value in table.items() if key not in ("name", "joint")}
     parameters = tuple(
         (key, tuple(checked.vector(key, len(value))) if isinstance(value, list) else checked.number(key))

@@ -50,12 +50,9 @@ def state_space(model: LinearRobot, quantity: str = "velocity") -> StateSpace:
 
 @eqx.filter_jit
 def discretise(system: StateSpace, sampling_frequency: float) -> StateSpace:
-    """The same system between samples with its input held (zero-order hold), by one matrix exponential;
-    exact."""
+    """The same system between samples with its input held (zero-order hold), by a matrix exponential."""
     if system.sample_time:
-        raise input_error(
-            "system", f"sample_time {system.sample_time:g} s", "a continuous system", "Discretise once."
-        )
+        raise input_error("system", f"sample_time {system.sample_time:g} s", "a continuous system", "Discretise once.")
     n, m = system.B.shape[-2:]
     top = jnp.concatenate([system.A, system.B], axis=-1) / sampling_frequency
     flat = jnp.concatenate([top, jnp.zeros((*top.shape[:-2], m, n + m))], axis=-2).reshape(-1, n + m, n + m)
@@ -64,11 +61,8 @@ def discretise(system: StateSpace, sampling_frequency: float) -> StateSpace:
 
 
 @eqx.filter_jit
-def state_space_frf(
-    system: StateSpace, frequency: Float[Array, "freq"]
-) -> Complex[Array, "*batch freq out in"]:
-    """FRF C (s - A)^{-1} B + D at s = j w, or at z = e^{j w T} for a sampled system; (*batch, freq, out,
-    in)."""
+def state_space_frf(system: StateSpace, frequency: Float[Array, "freq"]) -> Complex[Array, "*batch freq out in"]:
+    """C (s - A)^{-1} B + D at s = j w, or at z = e^{j w T} of a sampled system; (*batch, freq, out, in)."""
     omega = 2.0 * jnp.pi * jnp.asarray(frequency)
     point = jnp.exp(1j * omega * system.sample_time) if system.sample_time else 1j * omega
     n = system.A.shape[-1]

@@ -1,0 +1,170 @@
+"""Frequency response of the robot with its derivative in springs, dampers and friction."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Complex, Float
+
+from .._types import Array
+from .linearise import LinearRobot, gravity_stiffness, linearise, local_stiffness, operating_point
+from .response import ZeroOrderHold, aliases, high_frequency, motion, sampling
+from .robot import Robot, arm_inertia, spring_directions
+
+
+class ParametricResponse(eqx.Module):
+    """An FRF and its derivative in the parameters of the linearised robot.
+
+    **Fields:** `G`: (*batch, freq, axis, axis). `jacobian`: dG/dtheta, (*batch, freq, axis, axis, parameter).
+    `names`: of the parameters, as `joint1.stiffness`, `bearing2.damping`, `joint1.effective_friction`.
+    """
+
+    G: Complex[Array, "*batch freq axis axis"]
+    jacobian: Complex[Array, "*batch freq axis axis parameter"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+
+def frf_and_jacobian(
+    robot: Robot,
+    arm_angles: Float[Array, "*batch axis"],
+    frequency: Float[Array, "freq"],
+    quantity: str = "velocity",
+    hold: ZeroOrderHold | None = None,
+    delay: Float[Array, "axis"] | float = 0.0,
+    friction: Float[Array, "axis"] | None = None,
+    swing: Float[Array, "sample spring"] | None = None,
+) -> ParametricResponse:
+    """FRF at operating points under gravity, with its derivative in stiffness, damping and friction.
+
+    A spring between coordinates along w adds k w w^T to the dynamic stiffness S, so with X = S^{-1} B, which
+    G needs anyway,
+
+        dG/dk = -(w^T X)^T (w^T X),   dG/dd = -j w (w^T X)^T (w^T X),
+
+    an outer product. The stiffness of an elastic joint also moves the equilibrium, and with it inertia,
+    gravity and the other springs' local stiffness; that part is included. Stiffness means k at high
+    deflection where a spring is nonlinear.
+
+    **Arguments:** `arm_angles`: (*batch, axis), rad. Others as in `frf` and `linearise`.
+    """
+    friction = robot.drives.friction.viscous if friction is None else friction
+    arrays = (jnp.asarray(x) for x in (arm_angles, frequency, delay, friction))
+    return _frf_and_jacobian(robot, *arrays, quantity, hold, swing)
+
+
+@eqx.filter_jit
+def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quantity, hold, swing):
+    omega = 2.0 * jnp.pi * frequency
+    factor, corrections = sampling(omega, quantity, hold, delay)
+    model, slopes = _with_slopes(robot, arm_angles.reshape(-1, arm_angles.shape[-1]), friction, swing)
+    motor, partners = model.motor, model.partners
+
+    def at(position):
+        (mass, damping, stiffness), slope = position
+        model = LinearRobot(mass, damping, stiffness, motor, partners)
+        X = motion(model, omega)
+        G = (motor.T @ X) * factor + aliases(model, hold, corrections)
+        derivative = _rank_one(robot, model, slope, X, omega, factor)
+        if hold is not None:
+            derivative = derivative + _alias_slopes(robot, model, slope, hold, corrections)
+        return G, derivative
+
+    # One position after the other: what a position needs then stays in the cache.
+    G, jacobian = jax.lax.map(at, ((model.mass, model.damping, model.stiffness), slopes))
+    batch = arm_angles.shape[:-1]
+    return ParametricResponse(
+        G.reshape(*batch, *G.shape[1:]), jacobian.reshape(*batch, *jacobian.shape[1:]), parameter_names(robot)
+    )
+
+
+def parameter_names(robot: Robot) -> tuple[str, ...]:
+    """Names of the parameters of `frf_and_jacobian`: stiffnesses, then dampings, then effective frictions."""
+    return (
+        *(f"{joint}.stiffness" for joint in robot.spring_names),
+        *(f"{joint}.damping" for joint in robot.spring_names),
+        *(f"{joint}.effective_friction" for joint in robot.axis_names),
+    )
+
+
+class _Slopes(eqx.Module):
+    """Derivatives in the springs' stiffness k.
+
+    `local`: of each local stiffness in its own k, (*batch, spring). The stiffness of elastic joints moves the
+    equilibrium: `others`, of all local stiffnesses, (*batch, spring, elastic); `mass` and `gravity`, of the
+    inertia of the arm and of its gravity stiffness, (*batch, arm, arm, elastic).
+    """
+
+    local: jax.Array
+    others: jax.Array
+    mass: jax.Array
+    gravity: jax.Array
+
+
+def _with_slopes(robot: Robot, arm_angles, friction, swing) -> tuple[LinearRobot, _Slopes]:
+    motors, first = robot.n_motors, robot.n_motors + robot.n_axes
+
+    def rest(k):
+        changed = eqx.tree_at(lambda r: r.springs.stiffness, robot, k)
+        point = operating_point(changed, arm_angles)
+        return (local_stiffness(changed, point, swing), point.z[..., first:]), point
+
+    def carried(elastic):
+        arm = jnp.concatenate([arm_angles, elastic], axis=-1)
+        return arm_inertia(robot, arm), gravity_stiffness(robot, arm)
+
+    (local, elastic), point = jax.jacfwd(rest, has_aux=True)(robot.springs.stiffness)
+    along = lambda tangent: jax.jvp(carried, (point.z[..., first:],), (tangent,))[1]
+    mass, gravity = jax.vmap(along, in_axes=-1, out_axes=-1)(elastic[..., motors:])
+    own = jnp.diagonal(local, axis1=-2, axis2=-1)
+    return linearise(robot, point, friction, swing), _Slopes(own, local[..., motors:], mass, gravity)
+
+
+def _rank_one(robot: Robot, model: LinearRobot, slope: _Slopes, X, omega, factor):
+    """Derivative of `factor` times the position FRF: (freq, axis, axis, parameter)."""
+    springs, n_gears, n_springs = spring_directions(robot), robot.n_motors, robot.n_motors + robot.n_elastic
+    directions = jnp.concatenate([springs, springs, model.motor], axis=1)
+    across = jnp.einsum("fia,ip->fap", X, directions.astype(X.dtype))
+    gears = jnp.arange(n_springs) < n_gears
+    static = jnp.broadcast_to(jnp.where(gears, slope.local, 0.0), (omega.size, n_springs))
+    moving = jnp.broadcast_to(1j * omega[:, None], (omega.size, n_springs + robot.n_axes))
+    left = -across * jnp.concatenate([static, moving], axis=1)[:, None]
+    late = jnp.swapaxes(jnp.broadcast_to(factor, (omega.size, 1, robot.n_axes)), 1, 2)
+    columns = left[:, :, None] * (across * late)[:, None]
+    if not robot.n_elastic:
+        return columns
+    elastic = _moved_equilibrium(slope, X[:, n_gears:], across[..., :n_springs], omega) * late[:, None]
+    return columns + jnp.pad(elastic, ((0, 0), (0, 0), (0, 0), (n_gears, n_springs + robot.n_axes)))
+
+
+def _moved_equilibrium(slope: _Slopes, X, across, omega):
+    """-X^T (dK - w^2 dM) X, the derivative in the elastic joints' stiffness: (freq, out, in, elastic)."""
+    parts = jnp.stack([X.real, X.imag])  # a real product each: half the work of a complex one
+    matrices = jnp.concatenate([slope.gravity, slope.mass], axis=-1)
+    products = jnp.einsum("cfja,ije->cfiae", parts, matrices)
+    n = slope.mass.shape[-1]
+    products = products[..., :n] - jnp.square(omega)[:, None, None, None] * products[..., n:]
+    moved = jax.lax.complex(products[0], products[1])
+    arm = jnp.sum(X[:, :, :, None, None] * moved[:, :, None], axis=1)
+    tight = jnp.einsum("fos,fas,se->foae", across, across, slope.others.astype(across.dtype))
+    return -(arm + tight)
+
+
+def _alias_slopes(robot: Robot, model: LinearRobot, slope: _Slopes, hold: ZeroOrderHold, corrections):
+    """Derivative of `aliases`: (freq, axis, axis, parameter)."""
+    springs, n_gears, n_elastic, dof = spring_directions(robot), robot.n_motors, robot.n_elastic, robot.dof
+    squares = jnp.einsum("is,js->sij", springs, springs)
+    turns = jnp.einsum("ia,ja->aij", model.motor, model.motor)
+    none = lambda count: jnp.zeros((count, dof, dof))
+    arm = lambda x: jnp.pad(jnp.moveaxis(x, -1, 0), ((0, 0), (n_gears, 0), (n_gears, 0)))
+    gears = squares[:n_gears] * slope.local[:n_gears, None, None]
+    elastic = jnp.einsum("sij,se->eij", squares, slope.others) + arm(slope.gravity)
+    after = none(n_gears + n_elastic + robot.n_axes)
+    mass = jnp.concatenate([none(n_gears), arm(slope.mass), after])
+    stiffness = jnp.concatenate([gears, elastic, after])
+    damping = jnp.concatenate([none(n_gears + n_elastic), squares, turns])
+
+    def along(dm, dd, dk):
+        tangent = LinearRobot(dm, dd, dk, jnp.zeros_like(model.motor), model.partners)
+        return jnp.stack(jax.jvp(lambda m: tuple(high_frequency(m, hold.order)), (model,), (tangent,))[1])
+
+    terms = jnp.moveaxis(jax.vmap(along)(mass, damping, stiffness), 0, -1)  # (term, axis, axis, parameter)
+    return sum(c[..., None] * term for c, term in zip(corrections, terms, strict=True))
