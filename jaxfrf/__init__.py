@@ -24,7 +24,19 @@ _PUBLIC = {
     "excited_lines": "spectra",
     "differentiate": "spectra",
     "with_output_quantity": "spectra",
+    "screen": "screening",
     "FRF": "frf",
+    "estimate": "frf",
+    "H1": "frf",
+    "H2": "frf",
+    "Hv": "frf",
+    "ArithmeticMean": "frf",
+    "LogMean": "frf",
+    "JointInputOutput": "frf",
+    "LPM": "frf",
+    "LRM": "frf",
+    "MisoLRM": "frf",
+    "CommonDenominatorLRM": "frf",
 }
 _NAMESPACES = ("excitation", "frf", "io", "plot")
 
