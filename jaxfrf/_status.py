@@ -15,7 +15,9 @@ class Status(enum.IntFlag):
     NO_COVARIANCE = 4  # no residual degree of freedom is left: `cov` is NaN
     RANK_DEFICIENT = 8  # the regressor has not full rank: the estimate is the minimum-norm one
     LOW_EXCITATION = 16  # an input (or reference) carries almost no power here
-    LOG_BRANCH = 32  # the matrix logarithm is not safe: an eigenvalue left the right half-plane, or V is ill conditioned
+    LOG_BRANCH = (
+        32  # the matrix logarithm is not safe: an eigenvalue left the right half-plane, or V is ill conditioned
+    )
     NOT_FINITE = 64  # the estimate is NaN or infinite
 
 

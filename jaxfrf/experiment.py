@@ -268,13 +268,9 @@ def _signal(name: str, value) -> np.ndarray:
     x = np.asarray(value)
     if not (np.issubdtype(x.dtype, np.floating) or np.issubdtype(x.dtype, np.integer) or x.dtype == bool):
         kind = "complex numbers" if np.issubdtype(x.dtype, np.complexfloating) else f"{x.dtype} data"
-        raise input_error(
-            name, kind, "real numbers", "Store the time record itself, not its spectrum or a text."
-        )
+        raise input_error(name, kind, "real numbers", "Store the time record itself, not its spectrum or a text.")
     if x.size == 0:
-        raise input_error(
-            name, f"no samples (shape {x.shape})", "a record", "Check the file and the names in --map."
-        )
+        raise input_error(name, f"no samples (shape {x.shape})", "a record", "Check the file and the names in --map.")
     if x.ndim == 1 or (x.ndim == 2 and len(x) == 1):
         x = x.reshape(-1, 1)  # a row vector is one channel too
     if not 2 <= x.ndim <= 4:
@@ -320,18 +316,14 @@ def _configurations(value) -> np.ndarray:
 def _line_numbers(value) -> np.ndarray:
     k = np.atleast_1d(np.asarray(value)).ravel()
     if k.size == 0 or k.dtype.kind not in "iuf" or np.any(k != np.round(k)):
-        raise input_error(
-            "lines", f"{k[:5]}", "whole DFT line numbers of one period", "Line k is k*fs/period Hz."
-        )
+        raise input_error("lines", f"{k[:5]}", "whole DFT line numbers of one period", "Line k is k*fs/period Hz.")
     return k.astype(np.int64)
 
 
 def _number(name: str, value) -> float:
     x = np.asarray(value)
     if x.size != 1 or x.dtype.kind not in "biuf":
-        raise input_error(
-            name, f"{x.dtype} of shape {x.shape}", "one real number", f"Set it, e.g. --set {name}=2000."
-        )
+        raise input_error(name, f"{x.dtype} of shape {x.shape}", "one real number", f"Set it, e.g. --set {name}=2000.")
     return float(x.item())
 
 
@@ -352,9 +344,7 @@ def _count(name: str, value) -> int:
 def _quantity(name: str, value) -> str:
     value = str(value)
     if value not in QUANTITIES:
-        raise input_error(
-            name, repr(value), "position, velocity or acceleration", f"Set it: --set {name}=velocity."
-        )
+        raise input_error(name, repr(value), "position, velocity or acceleration", f"Set it: --set {name}=velocity.")
     return value
 
 

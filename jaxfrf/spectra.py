@@ -268,6 +268,50 @@ def _where(data: Experiment, name: str) -> str:
     return f"{data.sources[0].name}: {name}" if data.sources else name
 
 
+def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
+    """The same spectra at the lines from `low` to `high` (Hz) only.
+
+    **Raises:** `jaxfrf.InputError` if no line is left.
+    """
+    inside = (spectra.frequency >= low) & (spectra.frequency <= high)
+    if not inside.any():
+        raise input_error(
+            "band",
+            f"no excited line between {low:g} and {high:g} Hz",
+            f"a part of {spectra.frequency[0]:.4g} to {spectra.frequency[-1]:.4g} Hz",
+            "Widen the band.",
+        )
+
+    def cut(x):
+        return None if x is None else x[:, :, inside]
+
+    return dataclasses.replace(
+        spectra,
+        U=cut(spectra.U),
+        Y=cut(spectra.Y),
+        R=cut(spectra.R),
+        noise=cut(spectra.noise),
+        lines=spectra.lines[inside],
+        frequency=spectra.frequency[inside],
+    )
+
+
+def select_positions(spectra: Spectra, positions) -> Spectra:
+    """The same spectra at some operating points only (a slice or a list of indices)."""
+
+    def cut(x):
+        return None if x is None else x[positions]
+
+    return dataclasses.replace(
+        spectra,
+        U=cut(spectra.U),
+        Y=cut(spectra.Y),
+        R=cut(spectra.R),
+        noise=cut(spectra.noise),
+        q=cut(spectra.q),
+    )
+
+
 def differentiate(X, omega, times: int):
     """Differentiate spectra (*batch, freq, channel) `times` times: multiply by (j omega)^times, omega in rad/s."""
     return X * ((1j * np.asarray(omega)) ** times)[:, None]

@@ -77,14 +77,17 @@ def h2(U, Y):
 
 
 def hv(U, Y):
-    """Total least squares output by output: [U; Y_i] has the least power along the equation error."""
+    """Total least squares output by output: [U; Y_i], each channel in units of its rms, has the least power
+    along the equation error. With one input and one output it is sqrt(H1 H2).
+    """
     _, n_freq, n_in = U.shape
     n_out = Y.shape[-1]
     G = np.empty((n_freq, n_out, n_in), complex)
     for k in range(n_freq):
         for i in range(n_out):
             data = np.column_stack([U[:, k], Y[:, k, i]])
-            v = np.linalg.svd(data, full_matrices=True)[2][-1].conj()
+            rms = np.sqrt(np.mean(np.abs(data) ** 2, axis=0))
+            v = np.linalg.svd(data / rms, full_matrices=True)[2][-1].conj() / rms
             G[k, i] = -v[:n_in] / v[n_in]
     return G
 
@@ -105,7 +108,10 @@ def arithmetic_mean(responses):
 
 
 def log_mean(responses):
-    """Eq. G_LOG with the matrix functions by eigendecomposition; the paper's uncertainty, 1/M^2 sum."""
+    """Eq. G_LOG with the matrix functions by eigendecomposition; the paper's uncertainty, 1/M^2 sum.
+
+    That sum of M deviations from their own mean is too small by (M - 1)/M: see `unbiased`.
+    """
     M, n_freq = len(responses), responses.shape[1]
     G = np.empty(responses.shape[1:], complex)
     for k in range(n_freq):
@@ -124,6 +130,12 @@ def log_mean_elementwise(responses):
         turn = np.exp(-1j * np.angle(responses[0][index]))
         G[index] = np.exp(sum(np.log(turn * responses[m][index]) for m in range(M)) / M) / turn
     return Estimate(G, scatter(responses, G, M**2), np.full(len(G), M - 1))
+
+
+def unbiased(estimate):
+    """The same with 1/(M (M - 1)) in place of 1/M^2 in the covariance, M - 1 its degrees of freedom."""
+    M = estimate.dof[0] + 1
+    return dataclasses.replace(estimate, cov=estimate.cov * M / (M - 1))
 
 
 def scatter(responses, G, divisor):
@@ -286,15 +298,14 @@ def through_jio(joint, n_out):
     return Estimate(np.array(G), np.array(cov), joint.dof)
 
 
-def common_denominator(X, Z, order, width, variable="index", frequency=None, weight=None):
+def common_denominator(X, Z, order, width, variable="index", frequency=None):
     """Z = N X / d with one scalar polynomial d shared by every channel of Z.
 
-    `weight` (freq, channel) multiplies the equations of each channel: the channels share unknowns, so that
-    their units matter. Covariance: independent lines, covariance C between the channels of one line.
+    The channels share unknowns, so that their units matter: each is divided by its rms over the window.
+    Covariance: independent lines, covariance C between the channels of one line.
     """
     n_exp, n_freq, n_in = X.shape
     n_z = Z.shape[-1]
-    weight = np.ones((n_freq, n_z)) if weight is None else weight
     p = (order + 1) * n_in
     G = np.empty((n_freq, n_z, n_in), complex)
     cov = np.empty((n_freq, n_z * n_in, n_z * n_in), complex)
@@ -304,7 +315,8 @@ def common_denominator(X, Z, order, width, variable="index", frequency=None, wei
         x = local_variable(k, lines, frequency, variable)
         N = regressor(X[:, lines], None, order, x)
         rows = len(N)
-        Zw = _rows(Z[:, lines]) * weight[k]
+        rms = np.sqrt(np.mean(np.abs(Z[:, lines]) ** 2, axis=(0, 1)))
+        Zw = _rows(Z[:, lines]) / rms
         xs = np.tile(x, n_exp)
         K = np.zeros((n_z * rows, n_z * p + order), complex)
         for i in range(n_z):
@@ -317,19 +329,25 @@ def common_denominator(X, Z, order, width, variable="index", frequency=None, wei
         q = fit.q / n_z
         C = e @ e.conj().T / q if q > 0 else np.full((n_z, n_z), np.nan)
         A = fit.pinv[centre]
-        unit = np.tile(1 / weight[k], n_in)
+        unit = np.tile(rms, n_in)
         G[k] = (theta[centre] * unit).reshape(n_in, n_z).T
         cov[k] = unit[:, None] * (A @ np.kron(C, np.eye(rows)) @ A.conj().T) * unit
         dof[k] = q
     return Estimate(G, cov, dof)
 
 
-def common_denominator_jio(U, Y, R, order, width, variable="index", frequency=None, weight=None):
+def common_denominator_jio(U, Y, R, order, width, variable="index", frequency=None):
     """[y; u] on r with one denominator; it cancels in the ratio N_y N_u^-1."""
-    joint = common_denominator(R, np.concatenate([Y, U], axis=-1), order, width, variable, frequency, weight)
+    joint = common_denominator(R, np.concatenate([Y, U], axis=-1), order, width, variable, frequency)
     return through_jio(joint, Y.shape[-1])
 
 
-def single_experiments(estimate, *spectra):
-    """The estimates of every experiment by itself: (exp, freq, out, in), to be averaged (Section II-C.4)."""
-    return np.array([estimate(*(X[e : e + 1] for X in spectra)).G for e in range(len(spectra[0]))])
+def average_experiments(mean, estimate, *spectra):
+    """A mean of the local estimates of every experiment by itself (Section II-C.4).
+
+    `mean` is `arithmetic_mean`, `log_mean` or `log_mean_elementwise`. The experiments are independent and each
+    knows its covariance from its residual, so that the mean has 1/M^2 sum Cov_m, and all residuals count.
+    """
+    each = [estimate(*(X[e : e + 1] for X in spectra)) for e in range(len(spectra[0]))]
+    G = mean(np.array([e.G for e in each])).G
+    return Estimate(G, sum(e.cov for e in each) / len(each) ** 2, sum(e.dof for e in each))

@@ -157,4 +157,3 @@ def _mean_covariance(cov, n_pos: int, n_block: int):
         return x.reshape(n_pos, x.shape[1], -1, *x.shape[4:])
 
     return KroneckerSum(left=terms(cov.left) / n_block**2, right=terms(cov.right))
-

@@ -11,6 +11,8 @@ from .local import AbstractLeastSquares, check_periodic
 from .method import AbstractMethod, Estimate, KroneckerSum
 from .window import Windows
 
+_DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
+
 
 class H1(AbstractLeastSquares):
     """G = Y U^H (U U^H)^-1 over all experiments: least squares with the noise in y.
@@ -42,6 +44,10 @@ class H1(AbstractLeastSquares):
     def block_size(self, spectra: Spectra) -> int:
         return spectra.n_in
 
+    def check(self, spectra: Spectra) -> None:
+        super().check(spectra)
+        check_independent("u", spectra.U)
+
     def estimate(self, spectra: Spectra) -> Estimate:
         return with_noise(super().estimate(spectra), spectra, spectra.U)
 
@@ -62,6 +68,7 @@ class H2(AbstractMethod):
     def check(self, spectra: Spectra) -> None:
         check_periodic(spectra, H1())
         check_experiments(spectra, spectra.n_in)
+        check_independent("u", spectra.U)
         if spectra.n_out != spectra.n_in:
             raise input_error(
                 "H2",
@@ -89,6 +96,7 @@ class Hv(AbstractMethod):
     def check(self, spectra: Spectra) -> None:
         check_periodic(spectra, H1())
         check_experiments(spectra, spectra.n_in)
+        check_independent("u", spectra.U)
 
     def estimate(self, spectra: Spectra) -> Estimate:
         U, Y = by_line(spectra.U), by_line(spectra.Y)
@@ -103,6 +111,22 @@ def check_experiments(spectra: Spectra, needed: int) -> None:
             f"{spectra.n_exp} at each operating point, with {spectra.n_in} inputs",
             f"at least {needed} for a classical estimate",
             "Add experiments, or use a local method (lpm, lrm-mimo, lrm-jio), which can do with one.",
+        )
+
+
+def check_independent(name: str, X) -> None:
+    """Raise if the experiments are linearly dependent at every line, as when one record is repeated."""
+    singular = np.linalg.svd(by_line(X), compute_uv=False)
+    rank = (singular > _DEPENDENT * singular[..., :1]).sum(axis=-1)
+    n = X.shape[-1]
+    worst = rank.max(axis=1)
+    if worst.min() < n:
+        pos = int(np.argmin(worst))
+        raise input_error(
+            name,
+            f"{X.shape[1]} experiments of rank {int(worst[pos])} at every line of position {pos}",
+            f"rank {n}: experiments with as many independent excitations as inputs",
+            "Use other phase realisations, or orthogonal multisines, in every experiment.",
         )
 
 

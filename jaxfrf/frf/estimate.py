@@ -8,7 +8,7 @@ from .. import __version__
 from .._errors import input_error
 from .._status import Status, describe
 from .._types import require_x64
-from ..spectra import Spectra
+from ..spectra import Spectra, select_positions
 from .method import AbstractMethod, Estimate, dense
 from .response import FRF
 
@@ -38,7 +38,7 @@ def estimate(spectra: Spectra, method: AbstractMethod, *, progress=None) -> FRF:
     groups = _groups(spectra)
     parts = []
     for group in groups:
-        parts.append(_plain(method.estimate(_at_positions(spectra, group))))
+        parts.append(_plain(method.estimate(select_positions(spectra, slice(group[0], group[-1] + 1)))))
         if progress is not None:
             progress(group[-1] + 1, spectra.n_pos)
     whole = _joined(parts)
@@ -76,17 +76,6 @@ def _groups(spectra: Spectra):
     bytes_each = 16 * len(spectra.lines) * (4 * vec**2 + spectra.n_exp * 8 * (spectra.n_in + spectra.n_out) ** 2)
     size = max(1, int(_BLOCK_BYTES / bytes_each))
     return [range(i, min(i + size, spectra.n_pos)) for i in range(0, spectra.n_pos, size)]
-
-
-def _at_positions(spectra: Spectra, group) -> Spectra:
-    part = slice(group[0], group[-1] + 1)
-
-    def cut(x):
-        return None if x is None else x[part]
-
-    return dataclasses.replace(
-        spectra, U=cut(spectra.U), Y=cut(spectra.Y), R=cut(spectra.R), noise=cut(spectra.noise), q=cut(spectra.q)
-    )
 
 
 def _plain(x: Estimate) -> Estimate:

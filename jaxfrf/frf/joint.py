@@ -1,5 +1,7 @@
 """The joint input-output approach: the FRFs from the reference to y and to u, and their ratio."""
 
+import dataclasses
+
 from .._errors import input_error
 from ..spectra import Spectra
 from .classical import H1
@@ -43,8 +45,7 @@ class JointInputOutput(AbstractMethod):
                 "as many references as inputs",
                 "Choose the channels of r that drive the inputs.",
             )
-        self.method.check(spectra)
+        self.method.check(dataclasses.replace(spectra, U=spectra.R))
 
     def estimate(self, spectra: Spectra) -> Estimate:
         return self.method.joint(spectra)
-

@@ -24,7 +24,7 @@ from ..spectra import Spectra
 from .combine import direct, through_ratio
 from .method import AbstractMethod, Estimate
 from .regression import PIVOT, RESIDUAL, Equation, equation_of_target, solve_gram, solve_rows
-from .window import Columns, Windows, gram
+from .window import Columns, Windows, gram, span_of
 
 
 class AbstractLeastSquares(AbstractMethod):
@@ -88,7 +88,9 @@ class AbstractLeastSquares(AbstractMethod):
             for group in self.fractions(n):
                 own = {first + i for i in group}
                 regressors = [
-                    i for i, (p, s) in enumerate(column) if (p > 0 and s in own) or s in constant or (p > 0 and s in top)
+                    i
+                    for i, (p, s) in enumerate(column)
+                    if (p > 0 and s in own) or s in constant or (p > 0 and s in top)
                 ]
                 equations.append(
                     Equation(
@@ -130,7 +132,9 @@ class AbstractLocal(AbstractLeastSquares):
             value = getattr(self, name)
             least = 1 if name == "width" else 0
             if value is not None and (value != int(value) or value < least):
-                raise input_error(name, repr(value), f"a whole number, {least} or more", f"Choose e.g. {name}={least + 2}.")
+                raise input_error(
+                    name, repr(value), f"a whole number, {least} or more", f"Choose e.g. {name}={least + 2}."
+                )
         if self.variable not in ("index", "frequency"):
             raise input_error("variable", repr(self.variable), "index or frequency", "Choose one of them.")
 
@@ -234,7 +238,10 @@ def regress(method: AbstractLeastSquares, spectra: Spectra, X, targets, combine)
     signals = _signals(X, targets, method.transient_order)
     dof = spectra.n_exp * windows.width - n_parameters
     of_target = tuple(equation_of_target(equations))
-    solved = _solve_all(jnp.asarray(signals), windows, columns, equations, combine, float(dof))
+    place = tuple(jnp.asarray(x) for x in (windows.coordinate, windows.start, windows.start + windows.width))
+    solved = _solve_all(
+        jnp.asarray(signals), place, span_of(windows), columns, equations, combine, jnp.asarray(float(dof))
+    )
     G, cov, pivot, residual = jax.device_get(solved)
     status = np.broadcast_to(np.where(windows.centred, 0, int(Status.EDGE_WINDOW)), G.shape[:2]).copy()
     dofs = np.full(G.shape[:2], float(dof))
@@ -247,7 +254,9 @@ def regress(method: AbstractLeastSquares, spectra: Spectra, X, targets, combine)
                 dofs[pos, lines] += missing
                 new = combine(solution, of_target, dofs[pos, lines])
                 jax.tree.map(lambda old, x, at=(pos, lines): old.__setitem__(at, x), (G, cov), new)
-                status[pos, lines] |= np.where(missing > 0, int(Status.REFINED | Status.RANK_DEFICIENT), int(Status.REFINED))
+                status[pos, lines] |= np.where(
+                    missing > 0, int(Status.REFINED | Status.RANK_DEFICIENT), int(Status.REFINED)
+                )
     return Estimate(
         G=G,
         cov=cov,
@@ -262,12 +271,12 @@ def _batches(lines, size: int = 64):
 
 
 @eqx.filter_jit
-def _solve_all(signals, windows: Windows, columns: Columns, equations, combine, dof):
+def _solve_all(signals, place, span: int, columns: Columns, equations, combine, dof):
     def finish(A):
         solution = solve_gram(A, equations)
         return *combine(solution, tuple(equation_of_target(equations)), dof), solution.pivot, solution.residual
 
-    return jax.lax.map(lambda s: gram(s, windows, columns, finish), signals)
+    return jax.lax.map(lambda s: gram(s, *place, span, columns, finish), signals)
 
 
 def _signals(X, targets, transient: int | None) -> np.ndarray:

@@ -72,6 +72,10 @@ def split_blocks(spectra: Spectra, size: int) -> Spectra:
         return x.reshape(-1, size, *x.shape[2:])
 
     return dataclasses.replace(
-        spectra, U=split(spectra.U), Y=split(spectra.Y), R=split(spectra.R), noise=split(spectra.noise), q=None
+        spectra,
+        U=split(spectra.U),
+        Y=split(spectra.Y),
+        R=split(spectra.R),
+        noise=split(spectra.noise),
+        q=None,
     )
-

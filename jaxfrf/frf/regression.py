@@ -126,9 +126,7 @@ def _index_arrays(equations, n_column: int):
     and for each target its slot in its equation."""
     n_regressor = max(len(eq.regressors) for eq in equations)
     n_target = max(len(eq.targets) for eq in equations)
-    regressors = [
-        [*range(n_column, n_column + n_regressor - len(eq.regressors)), *eq.regressors] for eq in equations
-    ]
+    regressors = [[*range(n_column, n_column + n_regressor - len(eq.regressors)), *eq.regressors] for eq in equations]
     targets = [[*eq.targets, *[eq.targets[0]] * (n_target - len(eq.targets))] for eq in equations]
     slots = np.concatenate([np.arange(len(eq.targets)) for eq in equations])
     return np.asarray(regressors), np.asarray(targets), slots

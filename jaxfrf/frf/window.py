@@ -60,31 +60,38 @@ class Columns(eqx.Module):
     signal: tuple[int, ...] = eqx.field(static=True)
 
 
-def gram(signals: Complex[Array, "exp freq sig"], windows: Windows, columns: Columns, finish):
+def span_of(windows: Windows) -> int:
+    """Lines that the windows of one tile touch, rounded up so that windows of similar width share compiled code."""
+    n_freq = len(windows.start)
+    return min(-(-(min(_TILE, n_freq) + windows.width) // _TILE) * _TILE, n_freq)
+
+
+def gram(signals: Complex[Array, "exp freq sig"], coordinate, start, stop, span: int, columns: Columns, finish):
     """`finish(A)` of every window, A the Gram matrix conj(column)^T column summed over experiments and lines.
 
-    Arguments: `signals` (exp, freq, sig); `finish` maps A (window, column, column) to a pytree of arrays with leading
-    axis window. It is applied tile by tile, so that only what it returns is kept. Returns leading axis freq.
+    **Arguments:** `signals`; `coordinate`, `start`, `stop` (freq,): local variable and first and last line (not
+    included) of every window; `span`: from `span_of`. `finish` maps A (window, column, column) to a pytree of arrays
+    with leading axis window; it is applied tile by tile, so that only what it returns is kept.
+
+    **Returns:** what `finish` returns, leading axis freq.
     """
     n_freq = signals.shape[1]
     tile = min(_TILE, n_freq)
-    span = min(tile + windows.width, n_freq)
     first = np.arange(0, n_freq, tile)
-    source = np.clip(first - windows.width // 2, 0, n_freq - span)
+    source = jnp.clip(start[first], 0, n_freq - span)
     upper = np.triu_indices(signals.shape[2])
     place, sign = _layout(columns.power, columns.signal, signals.shape[2])
     top_power = 2 * max(columns.power)
 
     a, b = signals[..., upper[0]], signals[..., upper[1]]
     products = jnp.sum(jnp.concatenate([_real_of_product(a, b), _imag_of_product(a, b)], -1), axis=0)
-    coordinate, start = jnp.asarray(windows.coordinate), jnp.asarray(windows.start)
 
     def one_tile(at):
         origin, left = at
         k = jnp.minimum(origin + jnp.arange(tile), n_freq - 1)
         lines = left + jnp.arange(span)
         x = coordinate[lines] - coordinate[k][:, None]
-        inside = (lines >= start[k][:, None]) & (lines < start[k][:, None] + windows.width)
+        inside = (lines >= start[k][:, None]) & (lines < stop[k][:, None])
         x = jnp.where(inside, x, 0.0)
         x = x / jnp.maximum(jnp.max(jnp.abs(x), axis=1, keepdims=True), 1e-300)
         weight = jnp.stack([jnp.where(inside, x**p, 0.0) for p in range(top_power + 1)])
@@ -93,7 +100,7 @@ def gram(signals: Complex[Array, "exp freq sig"], windows: Windows, columns: Col
         moments = jnp.transpose(moments, (1, 2, 0, 3)).reshape(tile, 2, -1)
         return finish(jax.lax.complex(moments[:, 0, place], moments[:, 1, place] * sign))
 
-    tiles = jax.lax.map(one_tile, (jnp.asarray(first), jnp.asarray(source)))
+    tiles = jax.lax.map(one_tile, (jnp.asarray(first), source))
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n_freq], tiles)
 
 
@@ -116,4 +123,3 @@ def _layout(power: tuple[int, ...], signal: tuple[int, ...], n_sig: int):
     p = np.asarray(power)
     place = (p[:, None] + p[None]) * len(upper[0]) + pair[s[:, None], s[None]]
     return place, np.sign(s[None] - s[:, None]).astype(float)
-
