@@ -171,7 +171,7 @@ def _estimate(given) -> dict:
     if given.plot:
         from . import plot
 
-        figure, _ = plot.bode([frf], title=", ".join(pathlib.Path(name).name for name in given.data))
+        figure, _ = plot.bode([frf], [given.method], title=", ".join(pathlib.Path(name).name for name in given.data))
         plot.save(figure, given.plot)
         written.append(given.plot)
     about = summary(spectra, frf)

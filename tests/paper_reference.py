@@ -253,9 +253,7 @@ def covariance(fits):
 
 def local(kind, X, Z, order, width, variable="index", frequency=None, transient=None):
     """LPM, LRM-MISO or LRM-MIMO at every line; all experiments given are stacked in one least squares."""
-    return _over_lines(
-        lambda Xw, Zw, x: FITS[kind](Xw, Zw, order, x, transient), X, Z, width, variable, frequency
-    )
+    return _over_lines(lambda Xw, Zw, x: FITS[kind](Xw, Zw, order, x, transient), X, Z, width, variable, frequency)
 
 
 def local_jio(kind, U, Y, R, order, width, variable="index", frequency=None, transient=None):
@@ -345,8 +343,8 @@ def common_denominator_jio(U, Y, R, order, width, variable="index", frequency=No
 def average_experiments(mean, estimate, *spectra):
     """A mean of the local estimates of every experiment by itself (Section II-C.4).
 
-    `mean` is `arithmetic_mean`, `log_mean` or `log_mean_elementwise`. The experiments are independent and each
-    knows its covariance from its residual, so that the mean has 1/M^2 sum Cov_m, and all residuals count.
+    `mean` is `arithmetic_mean`, `log_mean` or `log_mean_elementwise`. The experiments are independent and
+    each knows its covariance from its residual: the mean has 1/M^2 sum Cov_m, and all residuals count.
     """
     each = [estimate(*(X[e : e + 1] for X in spectra)) for e in range(len(spectra[0]))]
     G = mean(np.array([e.G for e in each])).G

@@ -100,9 +100,7 @@ def two_mass_loop(n, fs=500.0, seed=0, bandwidth=2.0):
     friction = 0.5 * motor
     inverse = np.linalg.inv(np.block([[np.diag(motor), np.zeros((n, n))], [np.zeros((n, n)), arm_inertia]]))
     spring = np.block([[np.diag(stiffness), -np.diag(stiffness)], [-np.diag(stiffness), np.diag(stiffness)]])
-    damper = np.block(
-        [[np.diag(damping + friction), -np.diag(damping)], [-np.diag(damping), np.diag(damping)]]
-    )
+    damper = np.block([[np.diag(damping + friction), -np.diag(damping)], [-np.diag(damping), np.diag(damping)]])
     # States: motor-arm deflection and the speeds, so that the free rotation of the whole is no integrator.
     deflection = np.hstack([np.eye(n), -np.eye(n)])
     push = np.vstack([-np.diag(stiffness), np.diag(stiffness)])
@@ -206,9 +204,7 @@ def spectra(U, Y, R=None, lines=None, fs=None, period=None, **fields):
     fs = 1000.0 if fs is None else fs
     period = 1000 if period is None else period
     frequency = lines * fs / period
-    return jf.Spectra(
-        U=U, Y=Y, R=R, lines=lines, frequency=frequency, noise=None, fs=fs, period=period, **fields
-    )
+    return jf.Spectra(U=U, Y=Y, R=R, lines=lines, frequency=frequency, noise=None, fs=fs, period=period, **fields)
 
 
 def log_odd_lines(low, high, n):

@@ -29,13 +29,9 @@ def assert_covers(found, G, lines=(0,)):
     variance = variance.reshape(n_pos, -1, n_in, n_out).swapaxes(-1, -2)  # the columns of G were stacked
     inside = error <= scipy.stats.f.ppf(LEVEL, 2, 2 * dof)[..., None, None] * variance
     tests = len(lines) * n_out * n_in
-    low, high = (
-        scipy.stats.binom.ppf([FALSE_ALARM / 2 / tests, 1 - FALSE_ALARM / 2 / tests], n_pos, LEVEL) / n_pos
-    )
+    low, high = scipy.stats.binom.ppf([FALSE_ALARM / 2 / tests, 1 - FALSE_ALARM / 2 / tests], n_pos, LEVEL) / n_pos
     share = inside[:, list(lines)].mean(axis=0)
-    assert np.all((low <= share) & (share <= high)), (
-        f"covers {share.min():.3f} to {share.max():.3f}, not {LEVEL}"
-    )
+    assert np.all((low <= share) & (share <= high)), f"covers {share.min():.3f} to {share.max():.3f}, not {LEVEL}"
 
 
 def open_loop(G, n_exp, noise, n_pos=1000, seed=0):
@@ -148,10 +144,7 @@ def test_common_denominator_of_small_noise():
     Ny, Nu = (plants.matrix_polynomial(rng, n, n, local_offset(), 2) + 3 * np.eye(n) for _ in range(2))
     R = plants.orthogonal_multisine(rng, 1, len(LINES), n)[:1]
     R = np.broadcast_to(R, (n_pos, *R.shape))
-    Y, U = (
-        plants.open_loop_spectra(N / d[:, None, None], R) + 1e-3 * plants.circular(rng, R.shape)
-        for N in (Ny, Nu)
-    )
+    Y, U = (plants.open_loop_spectra(N / d[:, None, None], R) + 1e-3 * plants.circular(rng, R.shape) for N in (Ny, Nu))
     method = jf.JointInputOutput(jf.CommonDenominatorLRM(order=2, width=14, variable="index"))
     found = estimate_at_centre(plants.spectra(U, Y, R, LINES, 500.0, 2000), method)
     assert_covers(found, (Ny @ np.linalg.inv(Nu))[CENTRE])
@@ -165,11 +158,9 @@ def test_means_over_single_experiments(mean, width):
     assert_covers(found, G, lines=(0, CENTRE, -1))
 
 
-@pytest.mark.xfail(
-    strict=True, reason="`dof` adds up the residuals of experiments of unequal weight: too many"
-)
+@pytest.mark.xfail(strict=True, reason="`dof` adds up the residuals of experiments of unequal weight: too many")
 def test_mean_over_experiments_with_hardly_any_residual():
-    """One residual each, and designs that leave very different variances: most of the mean's is one experiment's."""
+    """One residual each, and inputs of very different use: the variance is mostly one experiment's."""
     G = plants.matrix_polynomial(np.random.default_rng(5), 2, 2, local_offset(), 2)
     method = jf.ArithmeticMean(jf.LPM(order=2, width=7, variable="index"))
     assert_covers(jf.estimate(open_loop(G, 4, 1e-3, n_pos=3000), method), G, lines=(0, CENTRE, -1))

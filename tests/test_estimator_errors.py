@@ -61,9 +61,7 @@ def test_experiments_that_repeat_one_another(method):
 def test_reference_that_repeats():
     spectra = random_spectra(n_exp=2)
     repeated = dataclasses.replace(spectra, R=np.repeat(spectra.R[:, :1], 2, 1))
-    assert_says(
-        message(repeated, jf.JointInputOutput()), r"rank", r"reference|\br\b", r"excit|phase|realisation"
-    )
+    assert_says(message(repeated, jf.JointInputOutput()), r"rank", r"reference|\br\b", r"excit|phase|realisation")
 
 
 @pytest.mark.parametrize("method", [jf.LPM(order=2, width=12), jf.LRM(order=2, width=20)], ids=repr)
@@ -74,9 +72,7 @@ def test_input_channel_that_stands_still(method):
     assert_says(message(dataclasses.replace(spectra, U=U), method), r"rank|power|excit")
 
 
-@pytest.mark.parametrize(
-    "method", [jf.JointInputOutput(), jf.JointInputOutput(jf.LRM(order=2, width=20))], ids=repr
-)
+@pytest.mark.parametrize("method", [jf.JointInputOutput(), jf.JointInputOutput(jf.LRM(order=2, width=20))], ids=repr)
 def test_no_reference(method):
     text = message(random_spectra(with_reference=False), method)
     assert_says(text, r"reference|\br\b", r"h1|lrm|log|record")
@@ -104,9 +100,7 @@ def test_window_narrower_than_its_unknowns(method, n_exp, fewest):
 
 @pytest.mark.parametrize("method", [jf.LPM(order=2, width=31), jf.LRM(order=2, width=31)], ids=repr)
 def test_window_wider_than_the_band(method):
-    assert_says(
-        message(random_spectra(n_exp=1), method), r"\b31\b", r"\b30\b", r"line", r"narrow|lower|reduce|width"
-    )
+    assert_says(message(random_spectra(n_exp=1), method), r"\b31\b", r"\b30\b", r"line", r"narrow|lower|reduce|width")
 
 
 @pytest.mark.parametrize("method", [jf.LogMean(), jf.LogMean(jf.LRM(order=2, width=20))], ids=repr)
@@ -130,9 +124,7 @@ def test_a_local_method_with_a_transient_takes_what_is_not_periodic():
     assert np.all(np.isfinite(np.asarray(found.G)))
 
 
-@pytest.mark.parametrize(
-    "method", [jf.LPM(order=2), jf.MisoLRM(order=2), jf.LRM(order=2), jf.LPM(order=2, width=8)]
-)
+@pytest.mark.parametrize("method", [jf.LPM(order=2), jf.MisoLRM(order=2), jf.LRM(order=2), jf.LPM(order=2, width=8)])
 def test_one_frequency_only(method):
     assert_says(message(random_spectra(n_exp=1, n_freq=1), method), r"\b1\b.*line", r"excite|line|h1")
 
@@ -146,7 +138,7 @@ def test_impossible_options(method, options, word):
         method(**options)
 
 
-@pytest.mark.parametrize("method, touched", [(jf.H1(), [7]), (jf.LPM(order=2, width=9), range(3, 12))], ids=repr)
+@pytest.mark.parametrize("method, touched", [(jf.H1(), [7]), (jf.LPM(order=2, width=9), range(12))], ids=repr)
 def test_not_a_number_at_one_line(method, touched):
     """No exception inside a batch: the lines whose window holds it say so, the others are as they were."""
     spectra = random_spectra()

@@ -57,16 +57,12 @@ def relative(A, B):
 def assert_same(found, expected, covariance=True, tolerance=1e-8):
     """`found` a jaxfrf.FRF, `expected` one `Estimate` for each position."""
     error = relative(found.G, np.stack([e.G for e in expected]))
-    assert error.max() < tolerance, (
-        f"G: median {np.median(error):.1e}, max {error.max():.1e} at {error.argmax()}"
-    )
+    assert error.max() < tolerance, f"G: median {np.median(error):.1e}, max {error.max():.1e} at {error.argmax()}"
     if covariance:
         dof = np.stack([e.dof for e in expected])
         np.testing.assert_allclose(np.broadcast_to(found.dof, dof.shape), dof)
         error = relative(found.cov, np.stack([e.cov for e in expected]))
-        assert error.max() < 1e-6, (
-            f"cov: median {np.median(error):.1e}, max {error.max():.1e} at {error.argmax()}"
-        )
+        assert error.max() < 1e-6, f"cov: median {np.median(error):.1e}, max {error.max():.1e} at {error.argmax()}"
 
 
 # --- the loops themselves: exact where they must be ---
@@ -196,9 +192,7 @@ CASES = [
 def check_local(kind, n, n_exp, order, width, grid, variable):
     data = closed_loop(n, max(2, -(-n_exp // n)), grid)
     given, U, Y, _ = first_experiments(data, n_exp)
-    expected = [
-        ref.local(kind, u, y, order, width, variable, data.frequency) for u, y in zip(U, Y, strict=True)
-    ]
+    expected = [ref.local(kind, u, y, order, width, variable, data.frequency) for u, y in zip(U, Y, strict=True)]
     found = jf.estimate(given, METHODS[kind](order=order, width=width, variable=variable))
     assert_same(found, expected)
 
@@ -244,9 +238,7 @@ def test_joint_input_output_of_local_methods(kind, n, n_exp, width):
 def test_joint_input_output_on_log_spaced_lines(n, n_exp, width, variable):
     data = closed_loop(n, 2, "log")
     given, U, Y, R = first_experiments(data, n_exp)
-    expected = [
-        ref.local_jio("lrm-mimo", *X, 2, width, variable, data.frequency) for X in zip(U, Y, R, strict=True)
-    ]
+    expected = [ref.local_jio("lrm-mimo", *X, 2, width, variable, data.frequency) for X in zip(U, Y, R, strict=True)]
     method = jf.LRM(order=2, width=width, variable=variable)
     assert_same(jf.estimate(given, jf.JointInputOutput(method)), expected)
 
@@ -258,9 +250,7 @@ def test_joint_input_output_lrm_of_six_axes():
     assert_same(jf.estimate(given, jf.JointInputOutput(method)), expected)
 
 
-@pytest.mark.parametrize(
-    "kind, n, n_exp, width", [("lpm", 1, 3, 8), ("lrm-miso", 2, 2, 11), ("lrm-mimo", 3, 3, 18)]
-)
+@pytest.mark.parametrize("kind, n, n_exp, width", [("lpm", 1, 3, 8), ("lrm-miso", 2, 2, 11), ("lrm-mimo", 3, 3, 18)])
 def test_log_mean_over_single_experiments(kind, n, n_exp, width):
     data = closed_loop(n, n_exp if n == 1 else 1)
     given, U, Y, _ = first_experiments(data, n_exp)

@@ -71,9 +71,7 @@ def test_lpm_and_lrm_of_order_zero_are_one():
 
 
 @pytest.mark.parametrize("variable", ["index", "frequency"])
-@pytest.mark.parametrize(
-    "n_out, n_in, n_exp, order, width", [(1, 1, 1, 2, 6), (3, 2, 1, 3, 12), (2, 2, 3, 2, 5)]
-)
+@pytest.mark.parametrize("n_out, n_in, n_exp, order, width", [(1, 1, 1, 2, 6), (3, 2, 1, 3, 12), (2, 2, 3, 2, 5)])
 def test_lpm_is_exact_on_polynomials(n_out, n_in, n_exp, order, width, variable):
     rng = np.random.default_rng(order)
     G = plants.matrix_polynomial(rng, n_out, n_in, LINES - LINES.mean(), order)
@@ -210,9 +208,7 @@ def test_from_time_records_to_the_frf():
     lines = np.arange(11, 121, 2)
     R = plants.orthogonal_multisine(np.random.default_rng(9), 1, len(lines), n)
     run_in, steady = 6, 2
-    reference = np.stack(
-        [np.tile(plants.multisine_record(r, lines, period), (run_in + steady, 1)) for r in R]
-    )
+    reference = np.stack([np.tile(plants.multisine_record(r, lines, period), (run_in + steady, 1)) for r in R])
     records = [plants.simulate(loop, r) for r in reference]
     data = jf.Experiment(
         u=np.stack([u for u, _ in records]),

@@ -210,10 +210,12 @@ class MisoLRM(AbstractLocal):
 
 
 def default_width(n_parameters: int, n_exp: int, n_lines: int) -> int:
-    """A window a little wider than needed: for one experiment 4 lines more than unknowns (the paper: "slightly larger
-    than w_min"); for stacked experiments not below 24 lines or the number of unknowns, because the noise of
-    a narrow window outweighs the bias of a wider one there."""
-    return min(max(math.ceil(n_parameters / n_exp) + 4, min(n_parameters, 24)), n_lines)
+    """A window a little wider than needed: for one experiment an eighth more lines than unknowns, at least two (the
+    paper: "slightly larger than w_min"); for stacked experiments not below 24 lines or the number of unknowns, because
+    the noise of a narrow window outweighs the bias of a wider one there."""
+    least = math.ceil(n_parameters / n_exp)
+    width = least + max(2, math.ceil(least / 8))
+    return min(width if n_exp == 1 else max(width, min(n_parameters, 24)), n_lines)
 
 
 def check_periodic(spectra: Spectra, method: AbstractLeastSquares) -> None:
