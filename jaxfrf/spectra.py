@@ -143,7 +143,23 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
                 f"a band that holds lines between {data.fs / n:.4g} and {data.fs / 2:g} Hz",
                 "Widen the band.",
             )
-    return dataclasses.replace(_at_lines(whole, k), periodic=False, noise=None)
+    spectra = _at_lines(whole, k)
+    return dataclasses.replace(
+        spectra, periodic=False, noise=None, warnings=(*spectra.warnings, _what_it_can_give(data, spectra))
+    )
+
+
+def _what_it_can_give(data: Experiment, spectra: Spectra) -> str:
+    """One sentence on where the excitation of an aperiodic record has its power."""
+    name, X = ("u", spectra.U) if spectra.R is None else ("r", spectra.R)
+    power = np.sum(np.abs(X) ** 2, axis=(0, 1))
+    share = np.cumsum(power, axis=0) / np.sum(power, axis=0)
+    limit = spectra.frequency[np.argmax(share >= 0.99, axis=0)]
+    return (
+        f"{_where(data, name)}: not periodic, taken whole with a transient term; 99 % of the power lies below "
+        f"{limit.min():.3g} to {limit.max():.3g} Hz (by channel). Above that, and between lines that carry little, "
+        "look at the standard deviation before the FRF; no noise level can be told apart from distortion."
+    )
 
 
 def _rebuild_whole(data: Experiment) -> Experiment:

@@ -8,8 +8,7 @@ import functools
 import numpy as np
 import plants
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 import jaxfrf as jf
 
@@ -50,6 +49,7 @@ def data(seed):
         np.arange(91, 91 + 2 * N_FREQ, 2),
         2000,
         N_EXP // N,
+        n_pos=2,
         process_noise=0.02,
         measurement_noise=0.005,
         seed=seed,
@@ -160,13 +160,13 @@ def test_order_of_stacked_experiments(method, seed, order):
 @few
 @given(seed=seeds)
 def test_positions_do_not_mix(method, seed):
-    """Three positions at once are three estimates."""
-    records = [data(seed + i) for i in range(3)]
-    U, Y, R = (np.concatenate([getattr(d, name) for d in records]) for name in "UYR")
-    together = estimate(U, Y, R, method)
-    for i, d in enumerate(records):
-        alone = estimate(d.U, d.Y, d.R, method)
-        assert close(together.G[i : i + 1], alone.G) and close(together.cov[i : i + 1], alone.cov, 1e-5)
+    """Another record at the first position changes nothing at the second, and is estimated as it is elsewhere."""
+    d, other = data(seed), data(seed + 1)
+    before, elsewhere = estimate(d.U, d.Y, d.R, method), estimate(other.U, other.Y, other.R, method)
+    mixed = (np.stack([getattr(other, name)[1], getattr(d, name)[1]]) for name in "UYR")
+    found = estimate(*mixed, method)
+    assert close(found.G[1], before.G[1]) and close(found.cov[1], before.cov[1], 1e-5)
+    assert close(found.G[0], elsewhere.G[1]) and close(found.cov[0], elsewhere.cov[1], 1e-5)
 
 
 @each(CLASSICAL, LOCAL, BY_CHANNEL, COMMON, LOGARITHMIC, ELEMENTWISE)

@@ -53,7 +53,7 @@ class AbstractAverage(AbstractMethod):
         return Estimate(
             G=G,
             cov=_mean_covariance(each.cov, spectra.n_pos, n_block) if own else scatter,
-            dof=dof.sum(axis=1) if own else np.full(G.shape[:2], n_block - 1.0),
+            dof=_joint_dof(each.cov, dof) if own else np.full(G.shape[:2], n_block - 1.0),
             status=status,
             window=blocks(each.window).mean(axis=1),
             cov_noise=None if each.cov_noise is None else blocks(each.cov_noise).sum(axis=1) / n_block**2,
@@ -144,6 +144,14 @@ def _scatter(blocks, mean):
     deviation = np.moveaxis(deviation, 1, -1)
     factor = 1 / (n_block * (n_block - 1)) if n_block > 1 else np.nan
     return (deviation @ deviation.conj().swapaxes(-1, -2)) * factor
+
+
+def _joint_dof(cov, dof):
+    """Degrees of freedom of a mean of variances of unequal size (Welch-Satterthwaite): (pos, freq)."""
+    n_pos, n_block = dof.shape[:2]
+    size = cov.trace() if isinstance(cov, KroneckerSum) else np.trace(dense(cov), axis1=-2, axis2=-1).real
+    size = size.reshape(n_pos, n_block, -1)
+    return size.sum(axis=1) ** 2 / np.maximum((size**2 / dof).sum(axis=1), 1e-300)
 
 
 def _mean_covariance(cov, n_pos: int, n_block: int):

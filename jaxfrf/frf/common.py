@@ -18,7 +18,8 @@ class CommonDenominatorLRM(AbstractLocal):
     (6 axes, R = 2: 19 instead of 30). Biased where more poles than R matter within one window.
     Fields: see `AbstractLocal`.
 
-    The numerators are eliminated first; the d_s then solve the normal equations of what is left over all outputs. Cov
+    The numerators are eliminated first; the d_s then solve the normal equations of what is left over all outputs, each
+    divided by its rms in the window. Cov
     (vec G) has the part of `LRM` at fixed denominator and, uncorrelated with it, the part of the d_s.
     """
 
@@ -61,11 +62,13 @@ class _SharedDenominator(eqx.Module):
         batch = solution.G.shape[:-2]
         G = solution.G.reshape(*batch, terms, n_target, -1)
         E = solution.E.reshape(*batch, terms, n_target, terms, n_target)
-        d = _denominator(E, xp)
+        weight = 1 / solution.power[..., :n_target]
+        d = _denominator(E, weight, xp)
         whole = Solution(
             G=xp.sum(d[..., :, None, None] * G, axis=-3),
             S=solution.S,
             E=xp.sum(d[..., :, None, None, None] * d.conj()[..., None, None, :, None] * E, axis=(-4, -2)),
+            power=solution.power[..., :n_target],
             pivot=solution.pivot,
             residual=solution.residual,
         )
@@ -73,13 +76,14 @@ class _SharedDenominator(eqx.Module):
         result, cov = self.combine(whole, of_target[:n_target], dof)
         if self.order == 0:
             return result, cov
-        return result, dense(cov) + self._from_denominator(whole, G, E, dof, xp)
+        return result, dense(cov) + self._from_denominator(whole, G, E, weight, dof, xp)
 
-    def _from_denominator(self, whole: Solution, G, E, dof, xp):
+    def _from_denominator(self, whole: Solution, G, E, weight, dof, xp):
         """The part of Cov(vec G) that comes from the uncertain denominator."""
         C = whole.E / xp.where(dof > 0, dof, xp.nan)[..., None, None]
-        normal = _normal(E, xp)[..., 1:, 1:]
-        noise = xp.einsum("...tjsi,...ij->...st", E, C)[..., 1:, 1:]
+        weighted = C * weight[..., :, None] * weight[..., None, :]
+        normal = _normal(E, weight, xp)[..., 1:, 1:]
+        noise = xp.einsum("...tjsi,...ij->...st", E, weighted)[..., 1:, 1:]
         inverse = xp.linalg.inv(normal)
         cov_d = inverse @ noise @ inverse.conj().mT
         effect = self._effect(whole, G[..., 1:, :, :], xp)
@@ -97,14 +101,14 @@ class _SharedDenominator(eqx.Module):
         return through @ inverse[..., None, :, :]
 
 
-def _normal(E, xp):
-    """sum_i e_(s,i)^H e_(t,i): (*batch, s, t), from E = sum_rows e conj(e)^T."""
-    return xp.einsum("...tisi->...st", E)
+def _normal(E, weight, xp):
+    """sum_i e_(s,i)^H e_(t,i) / power_i: (*batch, s, t), from E = sum_rows e conj(e)^T."""
+    return xp.einsum("...tisi,...i->...st", E, weight)
 
 
-def _denominator(E, xp):
+def _denominator(E, weight, xp):
     """(1, d_1, ..., d_R) that leave the least: (*batch, R+1)."""
-    normal = _normal(E, xp)
+    normal = _normal(E, weight, xp)
     one = xp.ones((*normal.shape[:-2], 1), dtype=normal.dtype)
     if normal.shape[-1] == 1:
         return one

@@ -33,6 +33,10 @@ def estimate(spectra: Spectra, method: AbstractMethod, *, progress=None) -> FRF:
     reference, a window that is too narrow, ...); `ValueError` if JAX is set to 32 bit.
     """
     require_x64("estimate")
+    if not isinstance(method, AbstractMethod):
+        raise input_error(
+            "method", repr(method), "a method, e.g. jaxfrf.LRM(order=2)", "Names are for the command line (--method)."
+        )
     method.check(spectra)
     _check_rank(spectra, method)
     groups = _groups(spectra)

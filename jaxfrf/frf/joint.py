@@ -1,10 +1,8 @@
 """The joint input-output approach: the FRFs from the reference to y and to u, and their ratio."""
 
-import dataclasses
-
 from .._errors import input_error
 from ..spectra import Spectra
-from .classical import H1
+from .classical import H1, check_independent
 from .local import AbstractLeastSquares
 from .method import AbstractMethod, Estimate
 
@@ -45,7 +43,9 @@ class JointInputOutput(AbstractMethod):
                 "as many references as inputs",
                 "Choose the channels of r that drive the inputs.",
             )
-        self.method.check(dataclasses.replace(spectra, U=spectra.R))
+        if self.block_size(spectra) > 1 and spectra.n_exp >= spectra.n_in:
+            check_independent("r", spectra.R)
+        self.method.check(spectra)
 
     def estimate(self, spectra: Spectra) -> Estimate:
         return self.method.joint(spectra)

@@ -27,6 +27,11 @@ class KroneckerSum(eqx.Module):
         flat = self.left.reshape(*batch, -1, n * n).mT @ self.right.reshape(*batch, -1, m * m)
         return xp.moveaxis(flat.reshape(*batch, n, n, m, m), -2, -3).reshape(*batch, n * m, n * m)
 
+    def trace(self) -> Float[Array, "*batch"]:
+        """Sum of the variances of all elements."""
+        terms = [np.trace(x, axis1=-2, axis2=-1) for x in (np.asarray(self.left), np.asarray(self.right))]
+        return np.sum(terms[0] * terms[1], axis=-1).real
+
 
 class Estimate(eqx.Module):
     """What a method returns; the fields mean the same as those of `jaxfrf.FRF`."""

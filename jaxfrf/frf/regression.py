@@ -23,8 +23,8 @@ PIVOT = 1e-7
 """Smallest accepted pivot, relative to its column. A Gram matrix squares the condition number: the relative error of
 G was found to be at most 1e-16/pivot (6 axes, one and six experiments, signal-to-noise ratios of 20 to 120 dB)."""
 
-RESIDUAL = 1e-11
-"""Smallest accepted residual power, relative to the target's: below this the residual covariance is rounding."""
+RESIDUAL = 1e-9
+"""Smallest accepted residual power, relative to the target's: C has a relative error of about 1e-16/residual."""
 
 
 class Equation(eqx.Module):
@@ -40,12 +40,14 @@ class Solution(eqx.Module):
 
     - `G`: responses of all targets, in the order of the equations. `S`: of every pair of equations.
     - `E`: dof times C, of all targets.
+    - `power`: of every target, summed over the rows.
     - `pivot`: smallest relative pivot (0: singular, NaN: not factorised). `residual`: smallest relative residual power.
     """
 
     G: Complex[Array, "*batch target top"]
     S: Complex[Array, "*batch eq eq top top"]
     E: Complex[Array, "*batch target target"]
+    power: Float[Array, "*batch target"]
     pivot: Float[Array, "*batch"]
     residual: Float[Array, "*batch"]
 
@@ -82,6 +84,7 @@ def _solve_one(A, equation: Equation) -> Solution:
         G=(block[..., top:, :top] @ V).conj(),
         S=(V.conj().mT @ V)[..., None, None, :, :],
         E=E,
+        power=power[..., -target:],
         pivot=jnp.min(pivot[..., : len(equation.regressors)], axis=-1),
         residual=jnp.min(residual, axis=-1),
     )
@@ -116,6 +119,7 @@ def _solve_several(A, equations) -> Solution:
         G=-error[..., list(equations[0].regressors[-n_top:]), :].mT,
         S=jnp.swapaxes(S, -3, -2),
         E=E,
+        power=power,
         pivot=jnp.min(pivot, axis=(-2, -1)),
         residual=jnp.min(jnp.diagonal(E, axis1=-2, axis2=-1).real / power, axis=-1),
     )
@@ -168,6 +172,7 @@ def solve_rows(
         G=np.concatenate([G for G, _, _, _ in solved], axis=-2),
         S=influence[..., :, None, :, :] @ _h(influence)[..., None, :, :, :],
         E=residual.swapaxes(-1, -2) @ residual.conj(),
+        power=np.sum(np.abs(rows[..., np.concatenate([eq.targets for eq in equations]).astype(int)]) ** 2, axis=-2),
         pivot=np.ones(len(lines)),
         residual=np.ones(len(lines)),
     )
