@@ -99,8 +99,8 @@ def _excite(given) -> dict:
     about = levels(made)
     frequency = made.lines * made.fs / made.period
     text = [
-        f"{made.n_exp} experiments of {made.n_in} input(s), {made.n_time / made.fs:g} s each; {len(made.lines)} lines from "
-        f"{frequency[0]:.4g} to {frequency[-1]:.4g} Hz",
+        f"{made.n_exp} experiments of {made.n_in} input(s), {made.n_time / made.fs:g} s each; "
+        f"{len(made.lines)} lines from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz",
         *(
             f"  input {i + 1}: rms {about.rms[:, i].max():.3g}, peak speed {about.velocity[:, i].max():.3g} rad/s, "
             f"crest factor {about.crest[:, i].max():.3g}"

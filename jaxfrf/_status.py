@@ -25,7 +25,7 @@ ADVICE: dict[Status, str] = {
     Status.EDGE_WINDOW: "window not centred (an end of the band): more bias than inside",
     Status.REFINED: "solved again by an orthogonal factorisation (nearly collinear window): nothing to do",
     Status.NO_COVARIANCE: "no residual left for a covariance: widen the window, or add experiments or periods",
-    Status.RANK_DEFICIENT: "the regressor lost rank: widen the window, lower the order, or excite the inputs independently",
+    Status.RANK_DEFICIENT: "the regressor lost rank: widen the window, lower the order, or excite independently",
     Status.LOW_EXCITATION: "an input carries almost no power here: excite these lines, or leave them out",
     Status.LOG_BRANCH: "the matrix logarithm is unsafe here: compare with the arithmetic or stacked estimate",
     Status.NOT_FINITE: "the estimate is not finite here: the regressor is singular",

@@ -18,7 +18,7 @@ from .spectra import Spectra, dft, record_spectra, select_band, select_positions
 
 def spectra_of(data: Experiment, method: AbstractMethod, *, periods=None, band=None) -> Spectra:
     """The spectra that `method` needs: of steady periods, or of the whole record if it is not periodic and the method
-    has a transient term. `periods` (from, to) and `band` (low, high, Hz) choose a part; `None` at an end leaves it open.
+    has a transient term. `periods` (from, to) and `band` (low, high, Hz) choose a part; `None` at an end: open.
     """
     if not data.period and _takes_transients(method):
         low, high = band or (None, None)
@@ -124,8 +124,8 @@ class Summary(eqx.Module):
             text.append("standard deviation: unknown (no residual degree of freedom)")
         else:
             text.append(
-                f"standard deviation: {100 * about['median_relative_std']:.2g} % of |G| (median of the diagonal); about "
-                f"{about['effective_independent_lines']:.0f} independent lines"
+                f"standard deviation: {100 * about['median_relative_std']:.2g} % of |G| (median of the diagonal); "
+                f"about {about['effective_independent_lines']:.0f} independent lines"
             )
         for i, j in _elements(frf):
             found = features(frf, i, j)

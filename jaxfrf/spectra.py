@@ -99,7 +99,7 @@ def dft(data: Experiment) -> Spectra:
 
 
 def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None) -> Spectra:
-    """Spectra of the mean steady period at the *unexcited* lines (detection lines) inside the excited band, or `band` (Hz).
+    """Spectra of the mean steady period at the *unexcited* lines (detection lines) of the excited band, or `band` (Hz).
 
     What stands there is noise and nonlinear distortion: even lines show even, odd lines odd nonlinearity.
     In closed loop it is the loop's reaction too; `jaxfrf.distortion` subtracts G U first.

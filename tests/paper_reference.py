@@ -343,9 +343,22 @@ def common_denominator_jio(U, Y, R, order, width, variable="index", frequency=No
 def average_experiments(mean, estimate, *spectra):
     """A mean of the local estimates of every experiment by itself (Section II-C.4).
 
-    `mean` is `arithmetic_mean`, `log_mean` or `log_mean_elementwise`. The experiments are independent and
-    each knows its covariance from its residual: the mean has 1/M^2 sum Cov_m, and all residuals count.
+    `mean` is `arithmetic_mean`, `log_mean` or `log_mean_elementwise`. The experiments are independent and each
+    knows its covariance from its residual: the mean has 1/M^2 sum Cov_m.
     """
     each = [estimate(*(X[e : e + 1] for X in spectra)) for e in range(len(spectra[0]))]
     G = mean(np.array([e.G for e in each])).G
-    return Estimate(G, sum(e.cov for e in each) / len(each) ** 2, sum(e.dof for e in each))
+    return Estimate(G, sum(e.cov for e in each) / len(each) ** 2, welch_satterthwaite(each))
+
+
+def welch_satterthwaite(each):
+    """(sum_m v_m)^2 / sum_m(v_m^2 / dof_m), v_m the share of experiment m in the variance of the mean.
+
+    One number for all elements of G: v_m is averaged over them as a share, so that units do not matter.
+    """
+    dof = np.empty(len(each[0].G))
+    for k in range(len(dof)):
+        variances = np.array([np.diag(e.cov[k]).real for e in each])  # (experiment, element)
+        share = np.mean(variances / variances.sum(axis=0), axis=1)
+        dof[k] = share.sum() ** 2 / sum(v**2 / e.dof[k] for v, e in zip(share, each, strict=True))
+    return dof

@@ -158,7 +158,6 @@ def test_means_over_single_experiments(mean, width):
     assert_covers(found, G, lines=(0, CENTRE, -1))
 
 
-@pytest.mark.xfail(strict=True, reason="`dof` adds up the residuals of experiments of unequal weight: too many")
 def test_mean_over_experiments_with_hardly_any_residual():
     """One residual each, and inputs of very different use: the variance is mostly one experiment's."""
     G = plants.matrix_polynomial(np.random.default_rng(5), 2, 2, local_offset(), 2)

@@ -77,6 +77,7 @@ def assert_transforms(method, seed, T=None, S=None):
     assert close(back, before.G)
     J = np.kron(S.T, np.linalg.inv(T))
     assert close(J @ np.asarray(after.cov) @ J.conj().T, before.cov, 1e-5)
+    return before, after
 
 
 def close(A, B, tolerance=1e-7):
@@ -97,14 +98,16 @@ def test_any_invertible_mixture_of_outputs_and_of_inputs(method, seed):
 @few
 @given(seed=seeds, T=scales, S=scales)
 def test_units_of_outputs_and_inputs(method, seed, T, S):
-    assert_transforms(method, seed, T, S)
+    before, after = assert_transforms(method, seed, T, S)
+    np.testing.assert_allclose(after.dof, before.dof, rtol=1e-5)
 
 
 @each(CLASSICAL, LOCAL, BY_CHANNEL, COMMON, ELEMENTWISE)
 @few
 @given(seed=seeds, T=orders, S=orders)
 def test_order_of_outputs_and_inputs(method, seed, T, S):
-    assert_transforms(method, seed, T, S)
+    before, after = assert_transforms(method, seed, T, S)
+    np.testing.assert_allclose(after.dof, before.dof, rtol=1e-5)
 
 
 @each(LOGARITHMIC)
@@ -112,7 +115,8 @@ def test_order_of_outputs_and_inputs(method, seed, T, S):
 @given(seed=seeds, S=scales | orders)
 def test_the_matrix_logarithm_follows_a_similarity(method, seed, S):
     """log(S A S^-1) = S log(A) S^-1: the same units or order on both sides of the plant, nothing more."""
-    assert_transforms(method, seed, S, S)
+    before, after = assert_transforms(method, seed, S, S)
+    np.testing.assert_allclose(after.dof, before.dof, rtol=1e-5)
 
 
 @each([jf.LogMean(), jf.LogMean(jf.LRM(order=2, width=14))])

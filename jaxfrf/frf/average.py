@@ -62,7 +62,7 @@ class AbstractAverage(AbstractMethod):
 
 
 class ArithmeticMean(AbstractAverage):
-    """G = 1/M sum_m G_m over blocks of n_in experiments, or over the estimates of a local method from one experiment each.
+    """G = 1/M sum_m G_m over blocks of n_in experiments, or over single-experiment estimates of a local method.
 
     Noise in u makes single estimates scatter with heavy tails, and the mean with them (Guillaume 1998).
 
@@ -80,8 +80,8 @@ class LogMean(AbstractAverage):
 
     P turns the eigenvalues of the first estimate to the positive real axis, so that the principal logarithm is
     far from its cut. Where a later eigenvalue comes within a right angle of the cut (|arg| > pi/2), or
-    eigenvectors are nearly parallel, the line gets the status `LOG_BRANCH`. Outliers weigh less than in the arithmetic mean,
-    and a gain that scatters multiplicatively is averaged without bias. Needs as many outputs as inputs.
+    eigenvectors are nearly parallel, the line gets the status `LOG_BRANCH`. Outliers weigh less than in the arithmetic
+    mean, and a gain that scatters multiplicatively is averaged without bias. Needs as many outputs as inputs.
 
     **Arguments:**
 

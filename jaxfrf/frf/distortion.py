@@ -49,7 +49,7 @@ def levels(spectra: Spectra) -> Levels:
 
 
 def distortion(unexcited: Spectra, frf: FRF) -> Float[np.ndarray, "pos freq out"]:
-    """Level of the output that the linear response does not explain, at unexcited lines: rms of Y - G U over experiments.
+    """Level of the output that the linear response leaves unexplained at unexcited lines: rms of Y - G U.
 
     In closed loop the controller excites these lines as well, so G U (G interpolated between the excited lines) is
     taken off first (Pintelon & Schoukens 2012, sec. 4.3, fast method). Even lines show even, odd lines odd

@@ -37,7 +37,7 @@ class AbstractLeastSquares(AbstractMethod):
 
     @abc.abstractmethod
     def fractions(self, n_target: int) -> tuple[tuple[int, ...], ...]:
-        """Targets that share an equation, and whose denominators multiply each other: a partition of range(n_target)."""
+        """Targets that share an equation, so that their denominators mix them: a partition of range(n_target)."""
 
     @property
     @abc.abstractmethod

@@ -25,7 +25,7 @@ class Auto(AbstractMethod):
     **Arguments:**
 
     - `method`: the local method whose `width` is chosen; default `LRM()`, R = 2.
-    - `widths`: windows to choose from, in lines; by default six between the narrowest useful one and a third of the band.
+    - `widths`: windows to choose from, in lines; by default six from the narrowest useful one to a third of the band.
     - `threshold`: see above. `use_reference`: estimate through r where it is recorded.
     """
 

@@ -2,8 +2,8 @@
 
 A window of w lines around line k holds the regressor columns x^p s_a, where s_a is a signal (reference, input, output,
 or 1 for a transient) and x the local variable, zero at line k. All that a least-squares fit needs are the inner
-products sum_j x_j^(p+q) conj(s_a) s_b: *moments* of products of signals. For a tile of neighbouring windows they are one
-real matrix product (banded weights times products), so no window is ever gathered, and experiments that share a
+products sum_j x_j^(p+q) conj(s_a) s_b: *moments* of products of signals. For a tile of neighbouring windows they are
+one real matrix product (banded weights times products), so no window is ever gathered, and experiments that share a
 model are summed before the product.
 """
 
