@@ -13,18 +13,58 @@ _PUBLIC = {
     "InputError": "_errors",
     "InputWarning": "_errors",
     "Status": "_status",
+    "Multisine": "excitation",
+    "SlowSine": "excitation",
+    "Reference": "excitation",
+    "reference": "excitation",
+    "RandomPhases": "excitation",
+    "SchroederPhases": "excitation",
+    "CrestOptimisedPhases": "excitation",
+    "full_lines": "excitation",
+    "odd_lines": "excitation",
+    "random_odd_lines": "excitation",
+    "log_odd_lines": "excitation",
+    "detection_lines": "excitation",
+    "band_lines": "excitation",
     "Experiment": "experiment",
     "Source": "experiment",
     "concatenate": "experiment",
     "select_periods": "experiment",
+    "screen": "screening",
+    "example": "example",
+    "example_response": "example",
     "Spectra": "spectra",
     "dft": "spectra",
     "unexcited_spectra": "spectra",
     "record_spectra": "spectra",
     "excited_lines": "spectra",
+    "select_band": "spectra",
+    "select_positions": "spectra",
     "differentiate": "spectra",
     "with_output_quantity": "spectra",
     "FRF": "frf",
+    "estimate": "frf",
+    "AbstractMethod": "frf",
+    "Auto": "frf",
+    "H1": "frf",
+    "H2": "frf",
+    "Hv": "frf",
+    "ArithmeticMean": "frf",
+    "LogMean": "frf",
+    "JointInputOutput": "frf",
+    "LPM": "frf",
+    "LRM": "frf",
+    "MisoLRM": "frf",
+    "CommonDenominatorLRM": "frf",
+    "coherence": "frf",
+    "multiple_coherence": "frf",
+    "levels": "frf",
+    "Levels": "frf",
+    "distortion": "frf",
+    "features": "frf",
+    "Feature": "frf",
+    "describe_method": "frf",
+    "concatenate_positions": "frf",
 }
 _NAMESPACES = ("excitation", "frf", "io", "plot")
 
@@ -32,21 +72,74 @@ __all__ = ["__version__", *_PUBLIC, *_NAMESPACES]
 
 if TYPE_CHECKING:
     from . import excitation as excitation, frf as frf, io as io, plot as plot
-    from ._errors import InputError as InputError, InputWarning as InputWarning
-    from ._status import Status as Status
+    from ._errors import (
+        InputError as InputError,
+        InputWarning as InputWarning,
+    )
+    from ._status import (
+        Status as Status,
+    )
+    from .example import (
+        example as example,
+        example_response as example_response,
+    )
+    from .excitation import (
+        CrestOptimisedPhases as CrestOptimisedPhases,
+        Multisine as Multisine,
+        RandomPhases as RandomPhases,
+        Reference as Reference,
+        SchroederPhases as SchroederPhases,
+        SlowSine as SlowSine,
+        band_lines as band_lines,
+        detection_lines as detection_lines,
+        full_lines as full_lines,
+        log_odd_lines as log_odd_lines,
+        odd_lines as odd_lines,
+        random_odd_lines as random_odd_lines,
+        reference as reference,
+    )
     from .experiment import (
         Experiment as Experiment,
         Source as Source,
         concatenate as concatenate,
         select_periods as select_periods,
     )
-    from .frf import FRF as FRF
+    from .frf import (
+        FRF as FRF,
+        H1 as H1,
+        H2 as H2,
+        LPM as LPM,
+        LRM as LRM,
+        AbstractMethod as AbstractMethod,
+        ArithmeticMean as ArithmeticMean,
+        Auto as Auto,
+        CommonDenominatorLRM as CommonDenominatorLRM,
+        Feature as Feature,
+        Hv as Hv,
+        JointInputOutput as JointInputOutput,
+        Levels as Levels,
+        LogMean as LogMean,
+        MisoLRM as MisoLRM,
+        coherence as coherence,
+        concatenate_positions as concatenate_positions,
+        describe_method as describe_method,
+        distortion as distortion,
+        estimate as estimate,
+        features as features,
+        levels as levels,
+        multiple_coherence as multiple_coherence,
+    )
+    from .screening import (
+        screen as screen,
+    )
     from .spectra import (
         Spectra as Spectra,
         dft as dft,
         differentiate as differentiate,
         excited_lines as excited_lines,
         record_spectra as record_spectra,
+        select_band as select_band,
+        select_positions as select_positions,
         unexcited_spectra as unexcited_spectra,
         with_output_quantity as with_output_quantity,
     )

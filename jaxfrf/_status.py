@@ -15,7 +15,9 @@ class Status(enum.IntFlag):
     NO_COVARIANCE = 4  # no residual degree of freedom is left: `cov` is NaN
     RANK_DEFICIENT = 8  # the regressor has not full rank: the estimate is the minimum-norm one
     LOW_EXCITATION = 16  # an input (or reference) carries almost no power here
-    LOG_BRANCH = 32  # the matrix logarithm is not safe: an eigenvalue left the right half-plane, or V is ill conditioned
+    LOG_BRANCH = (
+        32  # the matrix logarithm is not safe: an eigenvalue left the right half-plane, or V is ill conditioned
+    )
     NOT_FINITE = 64  # the estimate is NaN or infinite
 
 
@@ -23,7 +25,7 @@ ADVICE: dict[Status, str] = {
     Status.EDGE_WINDOW: "window not centred (an end of the band): more bias than inside",
     Status.REFINED: "solved again by an orthogonal factorisation (nearly collinear window): nothing to do",
     Status.NO_COVARIANCE: "no residual left for a covariance: widen the window, or add experiments or periods",
-    Status.RANK_DEFICIENT: "the regressor lost rank: widen the window, lower the order, or excite the inputs independently",
+    Status.RANK_DEFICIENT: "the regressor lost rank: widen the window, lower the order, or excite independently",
     Status.LOW_EXCITATION: "an input carries almost no power here: excite these lines, or leave them out",
     Status.LOG_BRANCH: "the matrix logarithm is unsafe here: compare with the arithmetic or stacked estimate",
     Status.NOT_FINITE: "the estimate is not finite here: the regressor is singular",

@@ -99,7 +99,10 @@ class Experiment(eqx.Module):
         n_pos, _, n_time, _ = self.u.shape
         if self.q is not None and len(self.q) != n_pos:
             raise input_error(
-                "q", f"{len(self.q)} configurations", f"one for each of the {n_pos} positions", "Check the order of axes."
+                "q",
+                f"{len(self.q)} configurations",
+                f"one for each of the {n_pos} positions",
+                "Check the order of axes.",
             )
         if self.period:
             _check_periods(n_time, self.period, self.transient_periods)
@@ -133,13 +136,16 @@ class Experiment(eqx.Module):
 
 
 def select_periods(data: Experiment, start: int, stop: int | None = None) -> Experiment:
-    """The steady periods `start:stop` of a record, counted from 0 after the transient ones (as a Python slice).
+    """The steady periods `start:stop` of a record, a slice counted from 0 after the transient ones.
 
     **Raises:** `jaxfrf.InputError` if the record is not periodic or nothing is left.
     """
     if not data.period:
         raise input_error(
-            "period", "0 (not periodic)", "a periodic record", "Say how long a period is, e.g. --set period=2500."
+            "period",
+            "0 (not periodic)",
+            "a periodic record",
+            "Say how long a period is, e.g. --set period=2500.",
         )
     chosen = range(data.n_periods)[start:stop]
     if not chosen:
@@ -168,10 +174,11 @@ def _rebuild(data: Experiment, **changes) -> Experiment:
 def concatenate(records: Sequence[Experiment]) -> Experiment:
     """Several records as one data set.
 
-    Records of the same operating points (equal `q`, or none) become further experiments there; records of other
-    operating points become further positions.
+    Records of the same operating points (equal `q`, or none) become further experiments there; records of
+    other operating points become further positions.
 
-    **Raises:** `jaxfrf.InputError` where they do not fit together (other `fs`, `period`, lines, channels or quantities).
+    **Raises:** `jaxfrf.InputError` where they do not fit together (other `fs`, `period`, lines, channels or
+    quantities).
     """
     records = list(records)
     if not records:
@@ -233,7 +240,10 @@ def _check_compatible(first: Experiment, other: Experiment) -> None:
     for name, (a, b) in pairs.items():
         if a != b:
             raise input_error(
-                f"{where}: {name}", f"{b}", f"{a} as in the file before it", "Estimate files that differ one by one."
+                f"{where}: {name}",
+                f"{b}",
+                f"{a} as in the file before it",
+                "Estimate files that differ one by one.",
             )
     if not _same(first.lines, other.lines):
         raise input_error(
@@ -261,8 +271,8 @@ def _signal(name: str, value) -> np.ndarray:
         raise input_error(name, kind, "real numbers", "Store the time record itself, not its spectrum or a text.")
     if x.size == 0:
         raise input_error(name, f"no samples (shape {x.shape})", "a record", "Check the file and the names in --map.")
-    if x.ndim == 1:
-        x = x[:, None]
+    if x.ndim == 1 or (x.ndim == 2 and len(x) == 1):
+        x = x.reshape(-1, 1)  # a row vector is one channel too
     if not 2 <= x.ndim <= 4:
         raise input_error(
             name,
@@ -279,13 +289,15 @@ def _signal(name: str, value) -> np.ndarray:
             "more samples than channels (the last two axes are time, channel)",
             "The axes look swapped: transpose the array.",
         )
-    bad = ~np.isfinite(x)
-    if bad.any():
+    # One NaN or Inf makes the sum so; the mask, as long as the record, is needed then only.
+    with np.errstate(over="ignore", invalid="ignore"):
+        suspicious = not np.isfinite(x.sum())
+    if suspicious and (bad := ~np.isfinite(x)).any():
         pos, exp, time, channel = (int(i) for i in np.argwhere(bad)[0])
         raise input_error(
             name,
-            f"{int(bad.sum())} NaN or Inf samples, the first at position {pos}, experiment {exp}, sample {time}, "
-            f"channel {channel}",
+            f"{int(bad.sum())} NaN or Inf samples, the first at position {pos}, experiment {exp}, "
+            f"sample {time}, channel {channel}",
             "finite numbers",
             "Repair or cut the record: a DFT spreads one bad sample over all frequencies.",
         )
@@ -293,28 +305,37 @@ def _signal(name: str, value) -> np.ndarray:
 
 
 def _configurations(value) -> np.ndarray:
-    q = np.atleast_2d(np.asarray(value, dtype=np.float64))
-    if q.ndim != 2 or not np.isfinite(q).all():
-        raise input_error("q", f"shape {q.shape}", "finite angles of shape (position, joint), rad", "Check q.")
-    return q
+    q = np.atleast_2d(np.asarray(value))
+    if q.ndim != 2 or q.dtype.kind not in "iuf" or not np.isfinite(q).all():
+        raise input_error(
+            "q", f"{q.dtype} of shape {q.shape}", "finite angles of shape (position, joint), rad", "Check q."
+        )
+    return q.astype(np.float64)
 
 
 def _line_numbers(value) -> np.ndarray:
     k = np.atleast_1d(np.asarray(value)).ravel()
-    if k.size == 0 or not np.issubdtype(k.dtype, np.number) or np.any(k != np.round(k.real)):
-        raise input_error("lines", f"{k[:5]}...", "whole DFT line numbers of one period", "Line k is k*fs/period Hz.")
+    if k.size == 0 or k.dtype.kind not in "iuf" or np.any(k != np.round(k)):
+        raise input_error("lines", f"{k[:5]}", "whole DFT line numbers of one period", "Line k is k*fs/period Hz.")
     return k.astype(np.int64)
 
 
+def _number(name: str, value) -> float:
+    x = np.asarray(value)
+    if x.size != 1 or x.dtype.kind not in "biuf":
+        raise input_error(name, f"{x.dtype} of shape {x.shape}", "one real number", f"Set it, e.g. --set {name}=2000.")
+    return float(x.item())
+
+
 def _positive(name: str, value) -> float:
-    x = float(np.asarray(value).squeeze())
+    x = _number(name, value)
     if not (np.isfinite(x) and x > 0):
-        raise input_error(name, f"{x}", "a positive number", f"Set it, e.g. --set {name}=2000.")
+        raise input_error(name, f"{x:g}", "a positive number", f"Set it, e.g. --set {name}=2000.")
     return x
 
 
 def _count(name: str, value) -> int:
-    x = float(np.asarray(value).squeeze())
+    x = _number(name, value)
     if not (np.isfinite(x) and x >= 0 and x == round(x)):
         raise input_error(name, f"{x:g}", "a whole number, 0 or more", f"Set it, e.g. --set {name}=2500.")
     return int(x)
@@ -354,4 +375,6 @@ def _check_lines(lines: np.ndarray, period: int) -> None:
             "Check period and fs: line k is k*fs/period Hz.",
         )
     if np.any(np.diff(lines) <= 0):
-        raise input_error("lines", "a list that is not increasing", "increasing line numbers", "Sort them, without repeats.")
+        raise input_error(
+            "lines", "a list that is not increasing", "increasing line numbers", "Sort them, without repeats."
+        )

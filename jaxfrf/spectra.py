@@ -99,7 +99,7 @@ def dft(data: Experiment) -> Spectra:
 
 
 def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None) -> Spectra:
-    """Spectra of the mean steady period at the *unexcited* lines (detection lines) inside the excited band, or `band` (Hz).
+    """Spectra of the mean steady period at the *unexcited* lines (detection lines) of the excited band, or `band` (Hz).
 
     What stands there is noise and nonlinear distortion: even lines show even, odd lines odd nonlinearity.
     In closed loop it is the loop's reaction too; `jaxfrf.distortion` subtracts G U first.
@@ -143,7 +143,23 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
                 f"a band that holds lines between {data.fs / n:.4g} and {data.fs / 2:g} Hz",
                 "Widen the band.",
             )
-    return dataclasses.replace(_at_lines(whole, k), periodic=False, noise=None)
+    spectra = _at_lines(whole, k)
+    return dataclasses.replace(
+        spectra, periodic=False, noise=None, warnings=(*spectra.warnings, _what_it_can_give(data, spectra))
+    )
+
+
+def _what_it_can_give(data: Experiment, spectra: Spectra) -> str:
+    """One sentence on where the excitation of an aperiodic record has its power."""
+    name, X = ("u", spectra.U) if spectra.R is None else ("r", spectra.R)
+    power = np.sum(np.abs(X) ** 2, axis=(0, 1))
+    share = np.cumsum(power, axis=0) / np.sum(power, axis=0)
+    limit = spectra.frequency[np.argmax(share >= 0.99, axis=0)]
+    return (
+        f"{_where(data, name)}: not periodic, taken whole with a transient term; 99 % of the power lies below "
+        f"{limit.min():.3g} to {limit.max():.3g} Hz (by channel). Above that, and between lines that carry little, "
+        "look at the standard deviation before the FRF; no noise level can be told apart from distortion."
+    )
 
 
 def _rebuild_whole(data: Experiment) -> Experiment:
@@ -266,6 +282,50 @@ def _check_power(data: Experiment, spectra: Spectra) -> None:
 
 def _where(data: Experiment, name: str) -> str:
     return f"{data.sources[0].name}: {name}" if data.sources else name
+
+
+def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
+    """The same spectra at the lines from `low` to `high` (Hz) only.
+
+    **Raises:** `jaxfrf.InputError` if no line is left.
+    """
+    inside = (spectra.frequency >= low) & (spectra.frequency <= high)
+    if not inside.any():
+        raise input_error(
+            "band",
+            f"no excited line between {low:g} and {high:g} Hz",
+            f"a part of {spectra.frequency[0]:.4g} to {spectra.frequency[-1]:.4g} Hz",
+            "Widen the band.",
+        )
+
+    def cut(x):
+        return None if x is None else x[:, :, inside]
+
+    return dataclasses.replace(
+        spectra,
+        U=cut(spectra.U),
+        Y=cut(spectra.Y),
+        R=cut(spectra.R),
+        noise=cut(spectra.noise),
+        lines=spectra.lines[inside],
+        frequency=spectra.frequency[inside],
+    )
+
+
+def select_positions(spectra: Spectra, positions) -> Spectra:
+    """The same spectra at some operating points only (a slice or a list of indices)."""
+
+    def cut(x):
+        return None if x is None else x[positions]
+
+    return dataclasses.replace(
+        spectra,
+        U=cut(spectra.U),
+        Y=cut(spectra.Y),
+        R=cut(spectra.R),
+        noise=cut(spectra.noise),
+        q=cut(spectra.q),
+    )
 
 
 def differentiate(X, omega, times: int):

@@ -1,0 +1,34 @@
+"""Excitation: line grids, phases, orthogonal multisines, and the references that a controller plays."""
+
+from .level import (
+    Levels as Levels,
+    crest_factor as crest_factor,
+    levels as levels,
+    line_power as line_power,
+    rms as rms,
+)
+from .lines import (
+    band_lines as band_lines,
+    detection_lines as detection_lines,
+    full_lines as full_lines,
+    log_odd_lines as log_odd_lines,
+    odd_lines as odd_lines,
+    random_odd_lines as random_odd_lines,
+)
+from .multisine import (
+    Multisine as Multisine,
+    SlowSine as SlowSine,
+    reference_spectra as reference_spectra,
+    shaped_amplitude as shaped_amplitude,
+)
+from .phases import (
+    PHASES as PHASES,
+    AbstractPhases as AbstractPhases,
+    CrestOptimisedPhases as CrestOptimisedPhases,
+    RandomPhases as RandomPhases,
+    SchroederPhases as SchroederPhases,
+    optimise_crest as optimise_crest,
+    random_phases as random_phases,
+    schroeder_phases as schroeder_phases,
+)
+from .signals import Reference as Reference, one_period as one_period, reference as reference

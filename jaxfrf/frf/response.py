@@ -1,5 +1,8 @@
 """The frequency response function with its uncertainty."""
 
+import dataclasses
+from collections.abc import Sequence
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Complex, Float, Int
@@ -71,3 +74,16 @@ class FRF(eqx.Module):
         """Standard deviation of every element of G, sqrt(E|G - EG|^2): (pos, freq, out, in)."""
         variance = np.real(np.diagonal(np.asarray(self.cov), axis1=-2, axis2=-1))
         return np.sqrt(np.maximum(variance, 0)).reshape(*self.G.shape[:2], self.n_in, self.n_out).swapaxes(-1, -2)
+
+
+def concatenate_positions(frfs: Sequence[FRF]) -> FRF:
+    """FRFs of different operating points, same lines and method, as one."""
+    first = frfs[0]
+
+    def join(name):
+        parts = [getattr(x, name) for x in frfs]
+        return None if any(x is None for x in parts) else np.concatenate(parts)
+
+    names = ("G", "cov", "dof", "status", "window", "cov_noise", "cov_total", "q")
+    warnings = tuple(dict.fromkeys(w for x in frfs for w in x.warnings))
+    return dataclasses.replace(first, **{name: join(name) for name in names}, warnings=warnings)

@@ -1,0 +1,329 @@
+"""Speed and memory of the local estimators, against least squares as users of NumPy and SciPy write it.
+
+    python benchmarks/bench_local.py [--quick] [--cases lrm lpm ...] [--cores 1 2] [--json FILE]
+
+Six inputs and outputs, R = 2, windows of 34 lines, 336 lines, 12 experiments, each estimated on its own unless the
+case says "stacked". Every measurement runs in a process of its own that is pinned to its cores and has as many BLAS
+threads. Contenders take turns, and ratios are taken turn by turn, so that other load on the machine hits all of them;
+the time of compilation is told apart. The baselines compute G alone, jaxfrf its covariance too.
+"""
+
+import argparse
+import dataclasses
+import json
+import os
+import pathlib
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import time
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+SEED = 1
+DISTURBANCE = 0.02
+ORDER, WIDTH, N_EXP = 2, 34, 12
+TIME_LIMIT = 900  # s, of a measuring process: batched LAPACK has been seen to hang
+LEAST = 0.2  # s, that a contender runs in one turn
+
+CASES = {
+    "lrm": "LRM, full matrix fraction",
+    "lpm": "LPM",
+    "miso": "LRM-MISO",
+    "jio": "JIO-LRM",
+    "stacked": "LRM, 12 experiments stacked",
+}
+LOOP, SCIPY, QR, NORMAL = "NumPy loop over lstsq", "SciPy loop, gelsy", "NumPy batched QR", "NumPy batched normal eq."
+INNER, FULL = "jaxfrf: factors of Cov", "jaxfrf.estimate: dense Cov"
+
+
+def main() -> None:
+    arguments = _arguments()
+    if arguments.worker:
+        request = json.loads(arguments.worker)
+        print(json.dumps(_WORKERS[request.pop("measure")](**request)))
+        return
+    result = {"machine": _machine(), "seed": SEED, "speed": [], "memory": [], "growth": {}}
+    print(_describe(result["machine"]))
+    rounds = 3 if arguments.quick else 7
+    for case in arguments.cases:
+        for cores in arguments.cores:
+            found = _run(cores, measure="speed", case=case, rounds=rounds, quick=arguments.quick)
+            result["speed"].append(found)
+            print(_speed_table(found), flush=True)
+    for contender in (LOOP, NORMAL, INNER, FULL):
+        result["memory"].append(_run(max(arguments.cores), measure="memory", case="lrm", contender=contender))
+    print(_memory_table(result["memory"]), flush=True)
+    for name, sizes in _growth_sizes(arguments.quick).items():
+        result["growth"][name] = _run(max(arguments.cores), measure="growth", sizes=sizes)
+        print(_growth_table(name, result["growth"][name]), flush=True)
+    result["machine"]["load_after"] = os.getloadavg()
+    print(f"load average at the end: {_load(result['machine']['load_after'])}")
+    if arguments.json:
+        temporary = arguments.json.with_name(arguments.json.name + ".part")
+        temporary.write_text(json.dumps(result, indent=1))
+        temporary.replace(arguments.json)
+
+
+def _arguments():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="the headline case only, in less than a minute")
+    parser.add_argument("--cases", nargs="+", choices=CASES, help="default: all")
+    parser.add_argument("--cores", nargs="+", type=int, help="default: 1 and 2, as far as there are so many")
+    parser.add_argument("--json", type=pathlib.Path, help="also write the results to this file")
+    parser.add_argument("--worker", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    available = len(_available())
+    arguments.cases = arguments.cases or (["lrm"] if arguments.quick else list(CASES))
+    arguments.cores = arguments.cores or [n for n in (1, 2) if n <= available]
+    if max(arguments.cores) > available or min(arguments.cores) < 1:
+        parser.error(f"--cores: from 1 to {available}, which this process may use")
+    return arguments
+
+
+# Measuring processes -------------------------------------------------------------------------------------------------
+
+
+def _available() -> list[int]:
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+
+
+def _run(cores: int, **request):
+    """What a fresh process on `cores` cores measures."""
+    chosen = _available()[:cores]
+
+    def pin():
+        if hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(0, chosen)
+
+    threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+    environment = os.environ | dict.fromkeys(threads, str(cores))
+    environment |= {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "0", "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, __file__, "--worker", json.dumps(request)]
+    done = subprocess.run(
+        command, env=environment, preexec_fn=pin, stdout=subprocess.PIPE, text=True, timeout=TIME_LIMIT, check=True
+    )
+    return {"cores": cores, **json.loads(done.stdout)}
+
+
+def _measure_speed(case: str, rounds: int, quick: bool) -> dict:
+    estimate, problem, contenders = _contenders(case)
+    began = time.perf_counter()
+    estimate()
+    first = time.perf_counter() - began
+    reference = contenders[LOOP]()
+    results = {name: _difference(f(), reference) for name, f in contenders.items()}
+    turns = [{name: _time(f) for name, f in contenders.items()} for _ in range(rounds)]
+    rows = [_summary(name, turns, problem.n_windows) | {"difference": results[name]} for name in contenders]
+    compile_time = first - statistics.median(turn[INNER][0] for turn in turns)
+    rows_of_window = problem.width * problem.X.shape[1]
+    return {"case": case, "windows": problem.n_windows, "rows": rows_of_window, "compile_s": compile_time, "rows_": rows}
+
+
+def _summary(name: str, turns, n_windows: int) -> dict:
+    wall = statistics.median(turn[name][0] for turn in turns)
+    ratios = [turn[LOOP][0] / turn[name][0] for turn in turns]
+    cpu = statistics.median(turn[LOOP][1] / turn[name][1] for turn in turns)
+    return {
+        "name": name,
+        "us_per_window": wall / n_windows * 1e6,
+        "windows_per_s": n_windows / wall,
+        "ratio": statistics.median(ratios),
+        "ratio_min": min(ratios),
+        "ratio_max": max(ratios),
+        "ratio_of_cpu_time": cpu,
+    }
+
+
+def _time(f) -> tuple[float, float]:
+    """Wall and processor time of one call, the mean over the calls that fit into `LEAST` seconds."""
+    began, began_cpu, calls = time.perf_counter(), time.process_time(), 0
+    while calls == 0 or time.perf_counter() - began < LEAST:
+        f()
+        calls += 1
+    return (time.perf_counter() - began) / calls, (time.process_time() - began_cpu) / calls
+
+
+def _measure_memory(case: str, contender: str) -> dict:
+    _, problem, contenders = _contenders(case)
+    before = _peak_mb()
+    contenders[contender]()
+    return {"name": contender, "windows": problem.n_windows, "before_mb": before, "peak_mb": _peak_mb()}
+
+
+def _measure_growth(sizes) -> dict:
+    """Sizes (positions, experiments), smallest first: the peak of a process only rises."""
+    rows = []
+    for n_pos, n_exp in sizes:
+        for stacked in (True, False):
+            spectra = _spectra(n_pos, n_exp)
+            rows.append(_grown(spectra if stacked else _one_by_one(spectra), n_pos, n_exp, stacked))
+    return {"rows_": rows}
+
+
+def _grown(spectra, n_pos: int, n_exp: int, stacked: bool) -> dict:
+    import jaxfrf as jf
+
+    method = jf.LRM(order=ORDER, width=WIDTH)
+    began = time.perf_counter()
+    method.estimate(spectra)
+    first = time.perf_counter() - began
+    wall = statistics.median(_time(lambda: method.estimate(spectra))[0] for _ in range(3))
+    n_windows = spectra.n_pos * len(spectra.lines)
+    return {
+        "positions": n_pos,
+        "experiments": n_exp,
+        "stacked": stacked,
+        "windows": n_windows,
+        "ms": wall * 1e3,
+        "us_per_window": wall / n_windows * 1e6,
+        "compile_s": first - wall,
+        "peak_mb": _peak_mb(),
+    }
+
+
+def _peak_mb() -> float:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1024 if sys.platform != "darwin" else peak / 1024**2
+
+
+_WORKERS = {"speed": _measure_speed, "memory": _measure_memory, "growth": _measure_growth}
+
+
+# Data and contenders -------------------------------------------------------------------------------------------------
+
+
+def _spectra(n_pos: int, n_exp: int):
+    from jaxfrf._environment import prepare
+
+    prepare()
+    import _plants
+    import numpy as np
+
+    rng = np.random.default_rng(SEED)
+    return _plants.experiment([_plants.random_axes(6, rng) for _ in range(n_pos)], n_exp, DISTURBANCE, rng)[0]
+
+
+def _one_by_one(spectra):
+    """Every experiment as an operating point of its own."""
+    return dataclasses.replace(
+        spectra, **{name: getattr(spectra, name).reshape(-1, 1, *spectra.U.shape[2:]) for name in ("U", "Y", "R")}
+    )
+
+
+def _contenders(case: str):
+    """The estimate that compiles, the problem, and functions by name that return G (pos, freq, out, in)."""
+    spectra = _spectra(1, N_EXP)
+    spectra = spectra if case == "stacked" else _one_by_one(spectra)
+    import _baselines as baselines
+    import jaxfrf as jf
+    import numpy as np
+
+    options = {"order": ORDER, "width": WIDTH}
+    method = {
+        "lrm": jf.LRM(**options),
+        "lpm": jf.LPM(**options),
+        "miso": jf.MisoLRM(**options),
+        "jio": jf.JointInputOutput(jf.LRM(**options)),
+        "stacked": jf.LRM(**options),
+    }[case]
+    X, targets = (spectra.R, (spectra.Y, spectra.U)) if case == "jio" else (spectra.U, (spectra.Y,))
+    problem = baselines.Problem(X, targets, WIDTH, ORDER, rational=case != "lpm", shared=case != "miso")
+    contenders = {
+        LOOP: lambda: baselines.loop(problem),
+        SCIPY: lambda: baselines.scipy_loop(problem),
+        QR: lambda: baselines.batched_qr(problem),
+        NORMAL: lambda: baselines.batched_normal(problem),
+        INNER: lambda: np.asarray(method.estimate(spectra).G),
+        FULL: lambda: jf.estimate(spectra, method).G,
+    }
+    return contenders[INNER], problem, contenders
+
+
+def _difference(G, reference) -> float:
+    """Largest relative difference of a window's response."""
+    import numpy as np
+
+    return float(np.max(np.linalg.norm(G - reference, axis=(2, 3)) / np.linalg.norm(reference, axis=(2, 3))))
+
+
+def _growth_sizes(quick: bool) -> dict:
+    experiments = (1, 12) if quick else (1, 3, 6, 12, 24)
+    positions = (1, 4) if quick else (1, 4, 16, 49)
+    return {"experiments": [(1, n) for n in experiments], "positions": [(n, N_EXP) for n in positions]}
+
+
+# Printing ------------------------------------------------------------------------------------------------------------
+
+
+def _machine() -> dict:
+    from importlib.metadata import version
+
+    return {
+        "processor": _processor(),
+        "cores": len(_available()),
+        "python": platform.python_version(),
+        "versions": {name: version(name) for name in ("numpy", "scipy", "jax")},
+        "load_before": os.getloadavg(),
+    }
+
+
+def _processor() -> str:
+    info = pathlib.Path("/proc/cpuinfo")
+    names = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+    return names[0] if names else platform.processor()
+
+
+def _describe(machine: dict) -> str:
+    versions = ", ".join(f"{name} {text}" for name, text in machine["versions"].items())
+    return (
+        f"{machine['processor']}, {machine['cores']} cores; Python {machine['python']}, {versions}\n"
+        f"load average: {_load(machine['load_before'])}"
+    )
+
+
+def _load(load) -> str:
+    return " ".join(f"{x:.1f}" for x in load)
+
+
+def _speed_table(found: dict) -> str:
+    cores = f"{found['cores']} core{'s' if found['cores'] > 1 else ''}"
+    lines = [
+        f"\n{CASES[found['case']]}: {found['windows']} windows of {found['rows']} rows, {cores}; "
+        f"compiled in {found['compile_s']:.1f} s",
+        f"  {'':28}{'us/window':>10}{'windows/s':>11}{'times the loop (min-max)':>27}{'processor':>11}{'difference':>12}",
+    ]
+    for row in found["rows_"]:
+        ratio = f"{row['ratio']:.2f} ({row['ratio_min']:.2f}-{row['ratio_max']:.2f})"
+        lines.append(
+            f"  {row['name']:28}{row['us_per_window']:10.1f}{row['windows_per_s']:11.0f}{ratio:>27}"
+            f"{row['ratio_of_cpu_time']:11.2f}{row['difference']:12.0e}"
+        )
+    return "\n".join(lines)
+
+
+def _memory_table(rows) -> str:
+    lines = [f"\nPeak memory, {rows[0]['windows']} windows of LRM, MB"]
+    lines += [
+        f"  {row['name']:28}{row['peak_mb']:8.0f}, of which {row['before_mb']:.0f} before the estimate" for row in rows
+    ]
+    return "\n".join(lines)
+
+
+def _growth_table(name: str, found: dict) -> str:
+    lines = [
+        f"\nGrowth with {name}, LRM, {found['cores']} cores (the peak is that of the process so far)",
+        f"  {'positions':>9}{'experiments':>13}{'':12}{'windows':>9}{'ms':>9}{'us/window':>11}{'compile s':>11}{'peak MB':>9}",
+    ]
+    for row in found["rows_"]:
+        kind = "stacked" if row["stacked"] else "one by one"
+        lines.append(
+            f"  {row['positions']:9}{row['experiments']:13}{kind:>12}{row['windows']:9}{row['ms']:9.1f}"
+            f"{row['us_per_window']:11.1f}{row['compile_s']:11.1f}{row['peak_mb']:9.0f}"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,232 @@
+"""The command line: `jaxfrf COMMAND ...`; every command is a few lines around public functions."""
+
+import argparse
+import json
+import pathlib
+import sys
+
+from . import __version__, _environment
+from ._errors import InputError
+
+
+def main(arguments=None) -> int:
+    """Run a command; returns 0, or 2 after bad input, with one message on standard error."""
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    if given.command is None:
+        parser.print_help()
+        return 0
+    _environment.prepare()
+    try:
+        summary = given.run(given)
+    except (InputError, ImportError, OSError) as error:
+        print(f"jaxfrf {given.command}: {_plain(error)}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"jaxfrf {given.command}: interrupted; what was finished is kept (see --resume)", file=sys.stderr)
+        return 130
+    if given.json:
+        print(json.dumps(summary.pop("json", summary), indent=1))
+    else:
+        print("\n".join(summary["text"]))
+    return 0
+
+
+def _plain(error: Exception) -> str:
+    if isinstance(error, FileNotFoundError) and error.filename:
+        return f"{error.filename}: no such file or folder"
+    return str(error)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="jaxfrf", description=__doc__.split(":")[0] + " of jaxfrf.")
+    parser.add_argument("--version", action="version", version=f"jaxfrf {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    _add_example(commands)
+    _add_excite(commands)
+    _add_estimate(commands)
+    return parser
+
+
+def _command(commands, name: str, run, text: str) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        name, help=text, description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON, and nothing else")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _add_example(commands) -> None:
+    parser = _command(commands, "example", _example, "Simulate a small closed-loop experiment and write its record.")
+    parser.add_argument("-o", "--output", required=True, help="record to write: .nc, .mat or .npz")
+    parser.add_argument("--blocks", type=int, default=2, help="blocks of two experiments (default 2)")
+    parser.add_argument("--seed", type=int, default=0)
+
+
+def _example(given) -> dict:
+    from .example import example
+    from .io import write
+
+    data = example(blocks=given.blocks, seed=given.seed)
+    write(given.output, data)
+    text = [
+        f"two flexible axes in closed loop: {data.n_exp} experiments, {data.n_periods} steady periods of "
+        f"{data.period / data.fs:g} s, {len(data.lines)} excited lines, seed {given.seed}",
+        f"wrote {given.output}",
+    ]
+    return {"text": text, "output": given.output, "seed": given.seed, "experiments": data.n_exp}
+
+
+def _add_excite(commands) -> None:
+    parser = _command(
+        commands, "excite", _excite, "Turn an excitation design into references that a controller can play."
+    )
+    parser.add_argument("design", metavar="DESIGN.toml")
+    parser.add_argument("-o", "--output", required=True, help="reference to write: .nc, .mat or .csv")
+    parser.add_argument("--plot", metavar="FILE", help="picture of the design (default: beside the output, .png)")
+
+
+def _excite(given) -> dict:
+    from . import plot
+    from .excitation import levels, reference
+    from .io import read_design, write_reference
+
+    made = reference(read_design(given.design))
+    written = write_reference(given.output, made)
+    picture = pathlib.Path(given.plot) if given.plot else pathlib.Path(given.output).with_suffix(".png")
+    plot.save(plot.multisine(made)[0].figure, picture)
+    about = levels(made)
+    frequency = made.lines * made.fs / made.period
+    text = [
+        f"{made.n_exp} experiments of {made.n_in} input(s), {made.n_time / made.fs:g} s each; "
+        f"{len(made.lines)} lines from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz",
+        *(
+            f"  input {i + 1}: rms {about.rms[:, i].max():.3g}, peak speed {about.velocity[:, i].max():.3g} rad/s, "
+            f"crest factor {about.crest[:, i].max():.3g}"
+            for i in range(made.n_in)
+        ),
+        f"wrote {', '.join(str(path) for path in (*written, picture))}",
+    ]
+    return {
+        "text": text,
+        "json": {
+            "output": [str(path) for path in written],
+            "plot": str(picture),
+            "experiments": made.n_exp,
+            "lines": len(made.lines),
+            "band_hz": [float(frequency[0]), float(frequency[-1])],
+            "crest_factor": about.crest.max(axis=0).tolist(),
+        },
+    }
+
+
+def _add_estimate(commands) -> None:
+    parser = _command(commands, "estimate", _estimate, "Estimate frequency response functions from records.")
+    parser.add_argument("data", nargs="+", metavar="DATA", help="experiment files, .nc .mat .npz .csv: one data set")
+    parser.add_argument("-o", "--output", required=True, help="FRF to write: .nc, .mat, .npz or .uff")
+    parser.add_argument("--method", default="auto", help="estimator (default auto); --methods lists them")
+    parser.add_argument("--methods", action=_ListMethods, nargs=0, help="list the estimators and stop")
+    parser.add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help="e.g. width=34, order=2")
+    parser.add_argument(
+        "--map", help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]; y=rec.act_vel"
+    )
+    parser.add_argument(
+        "--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720"
+    )
+    parser.add_argument("--scale", help="factors to SI units: y=0.0174532925")
+    parser.add_argument(
+        "--periods", metavar="A:B", help="use only these steady periods, counted from 0, B not included"
+    )
+    parser.add_argument("--band", metavar="LOW:HIGH", help="use only the lines in this band, Hz")
+    parser.add_argument("--plot", metavar="FILE", help="Bode picture to write: .png, .pdf, .svg")
+    parser.add_argument("--resume", action="store_true", help="go on with a run that was interrupted")
+
+
+class _ListMethods(argparse.Action):
+    def __call__(self, parser, namespace, values, option_string=None):
+        from .frf.catalogue import METHODS
+
+        print("\n".join(f"{name:16}  {text}" for name, (text, _) in METHODS.items()))
+        parser.exit(0)
+
+
+def _estimate(given) -> dict:
+    from . import io
+    from .frf.catalogue import method
+    from .pipeline import estimate_resumable, spectra_of, summary
+
+    chosen = method(given.method, _options(given.option))
+    data = io.read(
+        *given.data,
+        names=io.parse_map(given.map) if given.map else None,
+        values=io.parse_values(given.set) if given.set else None,
+        scale=io.parse_scale(given.scale) if given.scale else None,
+    )
+    spectra = spectra_of(data, chosen, periods=_range(given.periods, int), band=_range(given.band, float))
+    write = _frf_writer(given.output)
+    frf = estimate_resumable(spectra, chosen, given.output, resume=given.resume, say=None if given.json else _say)
+    write(given.output, frf)
+    written = [given.output]
+    if given.plot:
+        from . import plot
+
+        figure, _ = plot.bode([frf], [given.method], title=", ".join(pathlib.Path(name).name for name in given.data))
+        plot.save(figure, given.plot)
+        written.append(given.plot)
+    about = summary(spectra, frf)
+    for warning in frf.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    return {
+        "text": [*about.lines(), f"wrote {', '.join(written)}"],
+        "json": about.as_dict() | {"output": written},
+    }
+
+
+def _frf_writer(path: str):
+    """How to write this file; said before the estimation, not after it."""
+    from . import io
+
+    target = pathlib.Path(path)
+    known = {
+        ".nc": io.write_frf,
+        ".mat": io.write_frf,
+        ".npz": io.write_frf,
+        ".uff": io.write_uff,
+        ".unv": io.write_uff,
+    }
+    if target.suffix.lower() not in known:
+        raise InputError(f"{path}: found the suffix {target.suffix!r}; expected one of {', '.join(known)}. Rename it.")
+    if not target.absolute().parent.is_dir():
+        raise InputError(f"{path}: found no folder {target.parent}; expected one that exists. Make it first.")
+    return known[target.suffix.lower()]
+
+
+def _options(pairs) -> dict[str, str]:
+    options = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals or not key.strip():
+            raise InputError(f"--option: found {pair!r}; expected KEY=VALUE. Write e.g. --option width=34.")
+        options[key.strip()] = value.strip()
+    return options
+
+
+def _range(text: str | None, kind) -> tuple | None:
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        return kind(first) if first else None, kind(last) if last else None
+    except ValueError:
+        raise InputError(f"range: found {text!r}; expected FROM:TO. Write e.g. --periods 0:1 or --band 4:80.") from None
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,123 @@
+"""The verb of this package: spectra and a method to an FRF."""
+
+import dataclasses
+
+import numpy as np
+
+from .. import __version__
+from .._errors import input_error
+from .._status import Status, describe
+from .._types import require_x64
+from ..spectra import Spectra, select_positions
+from .method import AbstractMethod, Estimate, dense
+from .response import FRF
+
+_BLOCK_BYTES = 4e8  # operating points are estimated in groups that need about this much memory
+_SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
+_WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
+
+
+def estimate(spectra: Spectra, method: AbstractMethod, *, progress=None) -> FRF:
+    """Estimate the FRF from u to y at every operating point and excited line.
+
+    **Arguments:**
+
+    - `spectra`: from `jaxfrf.dft`. `method`: e.g. `jaxfrf.LRM(order=2)`, `jaxfrf.LogMean()`,
+      `jaxfrf.JointInputOutput(jaxfrf.LRM())`.
+    - `progress`: called with (operating points done, of how many) after every group of them.
+
+    **Returns:** a `jaxfrf.FRF`, with covariance, degrees of freedom and a status at every frequency. A frequency that
+    cannot be estimated is marked there and never stops the others.
+
+    **Raises:** `jaxfrf.InputError` if the method cannot be used on these spectra (too few experiments, no
+    reference, a window that is too narrow, ...); `ValueError` if JAX is set to 32 bit.
+    """
+    require_x64("estimate")
+    if not isinstance(method, AbstractMethod):
+        raise input_error(
+            "method", repr(method), "a method, e.g. jaxfrf.LRM(order=2)", "Names are for the command line (--method)."
+        )
+    method.check(spectra)
+    _check_rank(spectra, method)
+    groups = _groups(spectra)
+    parts = []
+    for group in groups:
+        parts.append(_plain(method.estimate(select_positions(spectra, slice(group[0], group[-1] + 1)))))
+        if progress is not None:
+            progress(group[-1] + 1, spectra.n_pos)
+    whole = _joined(parts)
+    status = whole.status | _excitation_status(spectra)
+    status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
+    serious = [text for text in describe(status & int(_SERIOUS))]
+    return FRF(
+        G=whole.G,
+        frequency=np.asarray(spectra.frequency),
+        cov=whole.cov,
+        dof=whole.dof,
+        status=status,
+        window=whole.window,
+        cov_noise=whole.cov_noise,
+        cov_total=whole.cov_total,
+        q=spectra.q,
+        method=describe_method(method),
+        y_quantity=spectra.y_quantity,
+        sources=spectra.sources,
+        warnings=(*spectra.warnings, *serious),
+        version=__version__,
+    )
+
+
+def describe_method(method) -> str:
+    """A method and its options as text, e.g. `LogMean(method=LRM(order=2, width=34), elementwise=False)`."""
+    if not isinstance(method, AbstractMethod):
+        return repr(method)
+    options = ", ".join(f"{f.name}={describe_method(getattr(method, f.name))}" for f in dataclasses.fields(method))
+    return f"{type(method).__name__}({options})"
+
+
+def _groups(spectra: Spectra):
+    vec = spectra.n_in * spectra.n_out
+    bytes_each = 16 * len(spectra.lines) * (4 * vec**2 + spectra.n_exp * 8 * (spectra.n_in + spectra.n_out) ** 2)
+    size = max(1, int(_BLOCK_BYTES / bytes_each))
+    return [range(i, min(i + size, spectra.n_pos)) for i in range(0, spectra.n_pos, size)]
+
+
+def _plain(x: Estimate) -> Estimate:
+    return dataclasses.replace(x, G=np.asarray(x.G), cov=np.asarray(dense(x.cov)))
+
+
+def _joined(parts) -> Estimate:
+    if len(parts) == 1:
+        return parts[0]
+
+    def join(name):
+        values = [getattr(x, name) for x in parts]
+        return None if values[0] is None else np.concatenate(values)
+
+    return Estimate(**{f.name: join(f.name) for f in dataclasses.fields(Estimate)})
+
+
+def _check_rank(spectra: Spectra, method: AbstractMethod) -> None:
+    """Inputs that are copies of each other at every line cannot be told apart by any method."""
+    n = spectra.n_in
+    if n == 1:
+        return
+    stacked = np.moveaxis(np.asarray(spectra.U), 3, 1).reshape(spectra.n_pos, n, -1)
+    size = np.linalg.norm(stacked, axis=-1, keepdims=True)
+    singular = np.linalg.svd(stacked / np.where(size > 0, size, 1.0), compute_uv=False)
+    rank = (singular > 1e-9 * singular[:, :1]).sum(axis=-1)
+    if np.any(rank < n):
+        pos = int(np.argmin(rank))
+        raise input_error(
+            "u",
+            f"{n} inputs of which only {int(rank[pos])} are independent (rank of the excitation at position {pos})",
+            "inputs that are excited independently of each other",
+            "Excite with orthogonal or independent random phases, or leave out the channel that copies another.",
+        )
+
+
+def _excitation_status(spectra: Spectra) -> np.ndarray:
+    """LOW_EXCITATION where a channel of u carries almost no power over all experiments: (pos, freq)."""
+    power = np.mean(np.abs(np.asarray(spectra.U)) ** 2, axis=1)
+    weak = power <= _WEAK * np.median(power, axis=1, keepdims=True)
+    return np.where(weak.any(axis=-1), int(Status.LOW_EXCITATION), 0)

@@ -1,0 +1,121 @@
+"""One door to every file format: load named variables from a file, save them to one, whole or not at all.
+
+A format is a module with `load(path)` and `save(path, variables, attributes)`; `_FORMATS` lists them.
+"""
+
+import contextlib
+import dataclasses
+import importlib
+import os
+import pathlib
+import secrets
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from .._errors import InputError, input_error
+
+_FORMATS = {".nc": "_netcdf", ".mat": "_matlab", ".npz": "_npz", ".csv": "_csv"}
+_SAVED = (".nc", ".mat", ".npz")
+
+
+@dataclasses.dataclass(frozen=True)
+class Unreadable:
+    """Stands for a variable that is neither numbers nor text: `kind` says what it is (a cell array)."""
+
+    kind: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Variable:
+    """An array to be saved, with the name of every axis and its unit."""
+
+    dims: tuple[str, ...]
+    value: np.ndarray
+    unit: str = ""
+
+
+Leaf = np.ndarray | str | Unreadable
+Attributes = Mapping[str, float | int | str]
+
+
+def load(path: str | os.PathLike) -> dict[str, Leaf]:
+    """All variables of a `.nc`, `.mat`, `.npz` or `.csv` file by name, fields of structs as `rec.vel`.
+
+    **Raises:** `jaxfrf.InputError` naming the file if it is missing, empty, truncated or of no known kind.
+    """
+    path = pathlib.Path(path)
+    reader = _format(path, tuple(_FORMATS), "read")
+    if not path.exists():
+        raise input_error(str(path), "no such file", "a measurement file", "Check the name and the folder.")
+    if path.is_dir():
+        raise input_error(str(path), "a folder", "a file", "Name the files in it.")
+    if path.stat().st_size == 0:
+        raise input_error(
+            str(path), "an empty file (0 bytes)", "a measurement file", "Export or copy it again."
+        )
+    try:
+        found = reader.load(path)
+    except (InputError, ImportError, MemoryError):
+        raise
+    except Exception as error:  # parsers of broken files raise anything, from zlib.error to IndexError
+        raise input_error(
+            str(path),
+            f"{reader.KIND} that cannot be read ({type(error).__name__}: {_first_line(error)})",
+            "a whole file of the kind that its extension says",
+            "It may be truncated, still being written, or have the wrong extension: copy or export it again.",
+        ) from error
+    if not found:
+        raise input_error(str(path), "no variables", "named arrays", "Export or copy it again.")
+    return found
+
+
+def save(path: str | os.PathLike, variables: Mapping[str, Variable], attributes: Attributes) -> None:
+    """Write arrays and scalars (numbers or text) to a `.nc`, `.mat` or `.npz` file, whole or not at all.
+
+    **Raises:** `jaxfrf.InputError` if the folder does not exist or the extension is not known; nothing is
+    written then.
+    """
+    path = pathlib.Path(path)
+    writer = _format(path, _SAVED, "written")
+    with replacing(path) as temporary:
+        writer.save(temporary, variables, attributes)
+
+
+@contextlib.contextmanager
+def replacing(path: pathlib.Path) -> Iterator[pathlib.Path]:
+    """A temporary file beside `path` that takes its place if the block succeeds, and vanishes otherwise."""
+    if not path.parent.is_dir():
+        raise input_error(
+            str(path), f"no folder {path.parent}", "an existing folder", "Make it, or write elsewhere."
+        )
+    temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def text(value) -> str:
+    """Text from what a file holds for it: str, bytes, or an array of one of them."""
+    value = np.asarray(value)
+    item = value.item() if value.size == 1 else "".join(str(x) for x in value.ravel())
+    return item.decode(errors="replace") if isinstance(item, bytes) else str(item)
+
+
+def _format(path: pathlib.Path, known: tuple[str, ...], action: str):
+    suffix = path.suffix.lower()
+    if suffix not in known:
+        raise input_error(
+            str(path),
+            f"the extension {suffix!r}" if suffix else "no extension",
+            f"a file that can be {action}: {', '.join(known)}",
+            "Convert the file, or give it the extension that it should have.",
+        )
+    return importlib.import_module(f".{_FORMATS[suffix]}", __package__)
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:200] if lines else "no further message"

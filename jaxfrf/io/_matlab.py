@@ -1,0 +1,147 @@
+"""MATLAB files: v5 (and v4) through SciPy, v7.3 (HDF5) through h5py.
+
+v7.3 stores arrays column by column, so HDF5 shows their axes reversed. The rule: a dataset that carries the
+attribute `MATLAB_class` was written the MATLAB way and is turned round; one without (plain HDF5 under the
+name `.mat`) is taken as it is.
+"""
+
+import pathlib
+import warnings
+from collections.abc import Mapping
+
+import numpy as np
+import scipy.io
+import scipy.sparse
+
+from ._container import Attributes, Leaf, Unreadable, Variable, text
+from ._optional import require
+
+KIND = "a MATLAB file"
+
+NAMELESS = "?"  # stands for objects whose names cannot be told; MATLAB strings ("...") are among them
+_V5_BYTES = 2**31 - 2**16  # v5 counts the bytes of a variable in 32 bits; some go to its header
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_NUMERIC = (
+    "double",
+    "single",
+    "logical",
+    *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
+)
+_HEADER = b"MATLAB 7.3 MAT-file, Platform: jaxfrf, Created on: -, HDF5 schema 1.00 ."
+
+
+def load(path: pathlib.Path) -> dict[str, Leaf]:
+    """Every variable, fields of structs as `struct.field`; objects, cells and functions stay closed."""
+    return _load_v73(path) if _is_hdf5(path) else _load_v5(path)
+
+
+def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
+    """v5, the version that everything reads; v7.3 where an array is too large for it."""
+    large = any(8 * np.size(v.value) > _V5_BYTES for v in variables.values())
+    (save_v73 if large else save_v5)(path, variables, attributes)
+
+
+def save_v5(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
+    # Everything as double: integer classes do not mix in MATLAB's arithmetic.
+    numbers = {name: np.asarray(v.value, np.float64) for name, v in variables.items()}
+    scalars = {name: x if isinstance(x, str) else float(x) for name, x in attributes.items()}
+    with path.open("wb") as file:
+        scipy.io.savemat(file, numbers | scalars, oned_as="row")
+
+
+def save_v73(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
+    """HDF5 behind MATLAB's 512-byte header; position by position, without a second copy of an array."""
+    with require("h5py", "io").File(path, "w", userblock_size=512) as file:
+        for name, variable in variables.items():
+            _store_array(file, name, np.atleast_2d(variable.value))
+        for name, x in attributes.items():
+            if isinstance(x, str):
+                dataset = file.create_dataset(name, data=np.array([[ord(c)] for c in x], np.uint16))
+                dataset.attrs["MATLAB_class"] = np.bytes_("char")
+                dataset.attrs["MATLAB_int_decode"] = np.int32(2)
+            else:
+                _store_array(file, name, np.full((1, 1), float(x)))
+    with path.open("r+b") as file:
+        file.write(_HEADER.ljust(116) + bytes(8) + b"\x00\x02IM")
+
+
+def _store_array(file, name: str, x: np.ndarray) -> None:
+    chunks = (*x.shape[:1:-1], 1, 1) if x.ndim == 4 else None  # one experiment a chunk
+    dataset = file.create_dataset(name, x.shape[::-1], np.float64, chunks=chunks)
+    dataset.attrs["MATLAB_class"] = np.bytes_("double")
+    for i, part in enumerate(x):
+        dataset[..., i] = part.T
+
+
+def _is_hdf5(path: pathlib.Path) -> bool:
+    with path.open("rb") as file:
+        start = file.read(520)
+    return start.startswith(_HDF5) or start[512:] == _HDF5
+
+
+def _load_v5(path: pathlib.Path) -> dict[str, Leaf]:
+    with warnings.catch_warnings(record=True) as caught, path.open("rb") as file:
+        warnings.simplefilter("always")
+        found = scipy.io.loadmat(file)
+    # SciPy calls every object "None" and keeps the last of them, which holds its true name.
+    last = found.pop("None", None)
+    flat = dict(pair for name in found if not name.startswith("__") for pair in _flat_v5(name, found[name]))
+    if last is not None:
+        flat[last["s0"].item().decode()] = Unreadable("a MATLAB object")
+    if any("Duplicate variable name" in str(warning.message) for warning in caught):
+        flat[NAMELESS] = Unreadable("MATLAB objects")
+    return flat
+
+
+def _flat_v5(name: str, x):
+    if isinstance(x, scipy.io.matlab.MatlabOpaque):
+        yield name, Unreadable("a MATLAB object")
+    elif isinstance(x, scipy.io.matlab.MatlabFunction):
+        yield name, Unreadable("a MATLAB function")
+    elif scipy.sparse.issparse(x):
+        yield name, x.toarray()
+    elif x.dtype.names and x.size == 1:
+        for field in x.dtype.names:
+            yield from _flat_v5(f"{name}.{field}", x.item()[x.dtype.names.index(field)])
+    elif x.dtype.names:
+        yield name, Unreadable(f"a MATLAB struct array {x.shape}")
+    elif x.dtype == object:
+        yield name, Unreadable(f"a MATLAB cell array {x.shape}")
+    elif x.dtype.kind == "U":
+        yield name, text(x) if x.size == 1 else x
+    else:
+        yield name, x
+
+
+def _load_v73(path: pathlib.Path) -> dict[str, Leaf]:
+    h5py = require("h5py", "io")
+    with h5py.File(path, "r") as file:
+        return dict(
+            pair for name in file if not name.startswith("#") for pair in _flat_v73(h5py, name, file[name])
+        )
+
+
+def _flat_v73(h5py, name: str, node):
+    kind = text(node.attrs["MATLAB_class"]) if "MATLAB_class" in node.attrs else ""
+    if isinstance(node, h5py.Group):
+        if kind not in ("", "struct"):
+            yield name, Unreadable(f"a MATLAB object or sparse array ({kind})")
+            return
+        for field in node:
+            yield from _flat_v73(h5py, f"{name}.{field}", node[field])
+    elif "MATLAB_empty" in node.attrs:
+        yield name, np.empty(0)
+    elif node.dtype == object or node.dtype.kind == "O":
+        yield name, Unreadable(f"a MATLAB {kind or 'reference'} array {node.shape[::-1]}")
+    elif kind == "char":
+        yield name, "".join(chr(c) for c in node[()].ravel())
+    elif kind in _NUMERIC:
+        yield name, _complex(node[()]).T
+    elif kind:
+        yield name, Unreadable(f"a MATLAB {kind}")
+    else:
+        yield name, _complex(node[()])
+
+
+def _complex(x: np.ndarray) -> np.ndarray:
+    return x["real"] + 1j * x["imag"] if x.dtype.names == ("real", "imag") else x

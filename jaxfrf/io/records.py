@@ -1,0 +1,381 @@
+"""Experiment files: read from `.nc`, `.mat`, `.npz` or `.csv`, under whatever names, and written."""
+
+import contextlib
+import dataclasses
+import hashlib
+import os
+import pathlib
+import re
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from .._errors import InputError, input_error
+from ..experiment import QUANTITIES, UNITS, Experiment, Source, concatenate
+from ..screening import screen
+from ._container import Leaf, Variable, load, save
+from ._matlab import NAMELESS
+from ._select import column, missing, select, time_like
+from .record_arguments import SIGNALS, check_names, check_scale, check_values
+
+_RATE = 1e-3  # relative difference of fs and the time vector that counts as a contradiction
+_UNIFORM = 0.05  # sample intervals that a time stamp may stand off the uniform grid
+_WHOLE = 1e-6  # a rate this close to a whole number of Hz is that number (time stamps are rounded)
+_CHANNEL = {"r": "input", "u": "input", "y": "output"}
+
+
+def read(
+    *paths: str | os.PathLike,
+    names: Mapping[str, str] | None = None,
+    values: Mapping[str, object] | None = None,
+    scale: Mapping[str, float | tuple[float, ...]] | None = None,
+) -> Experiment:
+    """Read experiment files; several are one data set (see `jaxfrf.concatenate`).
+
+    **Arguments:**
+
+    - `paths`: `.nc`, `.mat` (v5, v7.3), `.npz` or `.csv` files holding `r`, `u`, `y`, `q`, `fs`, `period`,
+      `lines`, `transient_periods`, `r_quantity`, `y_quantity` as in `jaxfrf.Experiment`. Only `u`, `y` and
+      either `fs` or a time vector `t` (s) are needed; a file that does not say `y_quantity` holds velocities.
+    - `names`: what they are called in the files, `{"u": "iq_adx", "y": "rec.act_vel'[0:3]"}` (see
+      `parse_map`).
+    - `values`: what the files do not say or say wrongly, `{"fs": 2500, "period": 2500, "samples": slice(0,
+      18720)}` (see `parse_values`). `samples` is the part of the record to keep.
+    - `scale`: factors that make the units SI, `{"y": np.pi / 180}`, one for all or one for each channel.
+
+    What looks suspicious but can be used stands in `Experiment.warnings` (see `jaxfrf.screen`). A record of
+    more than half the memory should be split into one file for each operating point, read and transformed one
+    by one.
+
+    **Raises:** `jaxfrf.InputError` naming the file, the variable, what was found, what was expected and what
+    to do.
+    """
+    if not paths:
+        raise input_error("files", "none", "at least one measurement file", "Name a file.")
+    given = _Given(check_names(names), check_values(values), check_scale(scale))
+    return concatenate([_read_one(pathlib.Path(path), given) for path in paths])
+
+
+def write(path: str | os.PathLike, data: Experiment) -> None:
+    """Write an experiment file, `.nc`, `.mat` or `.npz`, whole or not at all.
+
+    `.mat` is v5, or v7.3 where an array is too large for v5 (2 GiB). Provenance and warnings are not written:
+    they belong to the files that the data came from.
+
+    **Raises:** `jaxfrf.InputError` if the folder does not exist or the extension is not known.
+    """
+    units = {"u": "N m", "r": UNITS[data.r_quantity], "y": UNITS[data.y_quantity]}
+    variables = {}
+    for name in SIGNALS:
+        x = getattr(data, name)
+        if x is not None:
+            channel = "reference" if name == "r" and x.shape[-1] != data.n_in else _CHANNEL[name]
+            dims = ("position", "experiment", "time", channel)
+            variables[name] = Variable(dims, np.asarray(x), units[name])
+    if data.q is not None:
+        variables["q"] = Variable(("position", "joint"), np.asarray(data.q), "rad")
+    if data.lines is not None:
+        variables["lines"] = Variable(("line",), np.asarray(data.lines))
+    attributes = {
+        "fs": data.fs,
+        "period": data.period,
+        "transient_periods": data.transient_periods,
+        "r_quantity": data.r_quantity,
+        "y_quantity": data.y_quantity,
+    }
+    save(path, variables, attributes)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Given:
+    """What the caller says about the files."""
+
+    names: Mapping[str, str]
+    values: Mapping[str, object]
+    scale: Mapping[str, float | tuple[float, ...]]
+
+
+@dataclasses.dataclass(frozen=True)
+class _File:
+    """One file, and what the caller says about it."""
+
+    path: pathlib.Path
+    variables: Mapping[str, Leaf]
+    given: _Given
+
+    def get(self, key: str):
+        """Value of a name of the experiment file, or `None`; what the caller sets goes first."""
+        if key in self.given.values:
+            return self.given.values[key]
+        if key in self.given.names or key in self.variables:
+            return select(self.path, self.variables, key, self.given.names.get(key, key))
+        return None
+
+    def label(self, key: str) -> str:
+        """`u`, or `u (iq_adx)` where the file has another name for it."""
+        name = self.given.names.get(key, key)
+        return key if name == key else f"{key} ({name})"
+
+    def error(self, key: str, found: str, expected: str, do: str) -> InputError:
+        return input_error(f"{self.path}: {self.label(key)}", found, expected, do)
+
+
+def _read_one(path: pathlib.Path, given: _Given) -> Experiment:
+    file = _File(path, load(path), given)
+    source = Source(path.name, _sha256(path))
+    signals = {key: _signal(file, key) for key in SIGNALS}
+    fs, late = _sampling_frequency(file, signals["u"].shape[-2])
+    remarks = [*late, *_restored_axes(file, signals), *_lost_quantity(file)]
+    optional = {key: file.get(key) for key in ("q", "lines")}
+    if optional["q"] is not None:
+        optional["q"] = _scaled(file, "q", _numbers(file, "q", optional["q"]))
+    with _naming(file):
+        data = Experiment(
+            **{key: _cut(file, key, x) for key, x in signals.items()},
+            **optional,
+            fs=fs,
+            period=_scalar(file, "period", 0),
+            transient_periods=_scalar(file, "transient_periods", 0),
+            r_quantity=_text(file, "r_quantity", "velocity"),
+            y_quantity=_text(file, "y_quantity", "velocity"),
+            sources=(source,),
+        )
+    del signals, file  # the arrays live on in `data` alone
+    warnings = tuple(f"{path}: {text}" for text in (*remarks, *screen(data)))
+    return dataclasses.replace(data, warnings=warnings) if warnings else data
+
+
+def _signal(file: _File, key: str) -> np.ndarray | None:
+    """A record as the file has it, a vector made one channel, its units converted."""
+    value = file.get(key)
+    if value is None:
+        if key == "r":
+            return None
+        raise missing(file.path, file.variables, key, key)
+    x = column(_numbers(file, key, value))
+    if _lost_its_channel(file, x):
+        x = x[..., None]
+    if x.size == 0:
+        raise file.error(
+            key, f"no samples (shape {x.shape})", "a record", "Check the file, or name another variable."
+        )
+    if not 2 <= x.ndim <= 4:
+        shapes = "(time, channel), (experiment, time, channel) or (position, experiment, time, channel)"
+        raise file.error(key, f"the shape {x.shape}", shapes, "Name a record, or reshape it.")
+    time = x.shape[-2]
+    if time < max(x.shape):
+        turn = (
+            f'Transpose it: --map "{key}={file.given.names.get(key, key)}\'".'
+            if x.ndim == 2
+            else "Reorder the axes."
+        )
+        raise file.error(
+            key,
+            f"{time} samples along the time axis of shape {x.shape}",
+            "time as the last axis but one, and the longest: ([position,] [experiment,] time, channel)",
+            f"The axes look swapped. {turn}",
+        )
+    return _scaled(file, key, x)
+
+
+def _lost_its_channel(file: _File, x: np.ndarray) -> bool:
+    """MATLAB drops trailing axes of length one; of one channel it leaves (position, experiment, time)."""
+    return file.path.suffix.lower() == ".mat" and x.ndim == 3 and x.shape[2] > max(x.shape[:2])
+
+
+def _restored_axes(file: _File, signals: Mapping[str, np.ndarray | None]) -> list[str]:
+    """A remark where a single channel was assumed, unless the number of configurations confirms it."""
+    for key, x in signals.items():
+        if x is None or not _lost_its_channel(file, np.asarray(file.get(key))):
+            continue
+        q = file.get("q")
+        if q is None or len(np.atleast_2d(q)) != len(x):
+            return [
+                f"{file.label(key)}: its shape {x.shape[:3]} was taken as (position, experiment, time) of "
+                "one channel, as MATLAB drops a last axis of length one. If it is (experiment, channel, "
+                "time), permute it."
+            ]
+    return []
+
+
+def _lost_quantity(file: _File) -> list[str]:
+    """A remark where the quantity of y may stand in an object that could not be read."""
+    if NAMELESS not in file.variables or file.get("y_quantity") is not None:
+        return []
+    return [
+        "some variables are MATLAB objects whose names cannot be read, and y was taken as a velocity. If one "
+        "of them is y_quantity (text in double quotes), set it: --set y_quantity=position."
+    ]
+
+
+def _numbers(file: _File, key: str, value) -> np.ndarray:
+    x = np.asarray(value)
+    if x.dtype.kind not in "biuf":
+        kind = {"c": "complex numbers", "U": "text", "S": "text", "O": "objects"}.get(
+            x.dtype.kind, f"{x.dtype} data"
+        )
+        raise file.error(
+            key, kind, "real numbers", "Store the time record itself, not its spectrum or a text."
+        )
+    return x
+
+
+def _scaled(file: _File, key: str, x: np.ndarray) -> np.ndarray:
+    factor = file.given.scale.get(key)
+    if factor is None:
+        return x
+    channels = 1 if x.ndim == 0 else x.shape[-1]
+    if np.size(factor) not in (1, channels):
+        raise file.error(
+            key,
+            f"{np.size(factor)} factors in --scale for {channels} channels",
+            "one, or one each",
+            "Correct --scale.",
+        )
+    return x * np.asarray(factor, np.float64)
+
+
+def _cut(file: _File, key: str, x: np.ndarray | None) -> np.ndarray | None:
+    """The part of the record that `samples` keeps."""
+    kept = file.given.values.get("samples")
+    if x is None or kept is None:
+        return x
+    n = x.shape[-2]
+    start, stop = kept.start or 0, n if kept.stop is None else kept.stop
+    if not 0 <= start < stop <= n:
+        raise file.error(
+            key,
+            f"samples {start}:{stop} of a record of {n}",
+            f"a part of 0:{n}",
+            "Correct --set samples=START:STOP.",
+        )
+    return x[..., start:stop, :]
+
+
+def _scalar(file: _File, key: str, default: float | None) -> float | None:
+    value = file.get(key)
+    if value is None:
+        return default
+    x = _numbers(file, key, value)
+    if x.size != 1:
+        raise file.error(key, f"an array of shape {x.shape}", "one number", f"Set it: --set {key}=NUMBER.")
+    return float(_scaled(file, key, x.reshape(())))
+
+
+def _text(file: _File, key: str, default: str) -> str:
+    value = file.get(key)
+    if value is not None and not isinstance(value, str):
+        choices = " or ".join(QUANTITIES)
+        raise file.error(
+            key, f"numbers of shape {np.shape(value)}", choices, f"Set it: --set {key}=velocity."
+        )
+    return default if value is None else value.strip()
+
+
+def _sampling_frequency(file: _File, n_time: int) -> tuple[float, list[str]]:
+    """fs from the file, the caller or the time vector, and remarks on it; all that is known must agree."""
+    fs = _scalar(file, "fs", None)
+    time = file.get("t")
+    named = "t" in file.given.names
+    if fs is not None and not named and not _is_time(time, n_time):
+        return fs, []
+    if time is None or (not named and np.size(time) == 1):
+        raise _no_rate(file, n_time)
+    rate, deviation = _rate(file, _scaled(file, "t", column(_numbers(file, "t", time))), n_time)
+    if fs is None:
+        if deviation > _UNIFORM:
+            raise file.error(
+                "t",
+                f"time stamps up to {deviation:.2g} sample intervals off a uniform grid",
+                "uniform sampling",
+                f"Resample the record, or, if only the stamps jitter, say the rate: --set fs={rate:.6g}.",
+            )
+        return rate, []
+    if fs > 0 and abs(rate / fs - 1) > _RATE:
+        raise file.error(
+            "fs",
+            f"{fs:g} Hz against {rate:g} Hz by the time vector {file.label('t')}",
+            "the same rate by both",
+            _rate_advice(rate / fs, rate),
+        )
+    if deviation > _UNIFORM:
+        return fs, [
+            f"the time stamps {file.label('t')} stand up to {deviation:.2g} sample intervals off a uniform "
+            "grid: samples may be missing or late."
+        ]
+    return fs, []
+
+
+def _is_time(value, n_time: int) -> bool:
+    """Whether a variable that happens to be called `t` is a time vector of the record."""
+    t = np.asarray(value)
+    return t.size == n_time and t.dtype.kind in "biuf" and bool(t.flat[-1] > t.flat[0])
+
+
+def _rate(file: _File, time: np.ndarray, n_time: int) -> tuple[float, float]:
+    """Mean rate of a time vector, Hz, and how far stamps stand off the uniform grid, in sample intervals."""
+    if time.size != n_time or time.shape[-1] != 1 or n_time < 2:
+        raise file.error(
+            "t",
+            f"shape {time.shape}",
+            f"one time stamp for each of the {n_time} samples",
+            "Name another time vector.",
+        )
+    t = time.ravel().astype(np.float64)
+    span = t[-1] - t[0]
+    if not (np.isfinite(t).all() and span > 0):
+        raise file.error(
+            "t", f"times from {t[0]:g} to {t[-1]:g}", "finite, increasing times in s", "Correct it."
+        )
+    rate = (n_time - 1) / span
+    deviation = np.max(np.abs((t - t[0]) * rate - np.arange(n_time)))
+    whole = round(rate)
+    return float(whole) if abs(rate - whole) <= _WHOLE * rate else float(rate), float(deviation)
+
+
+def _rate_advice(ratio: float, rate: float) -> str:
+    for unit, factor in (("ms", 1e-3), ("microseconds", 1e-6), ("ns", 1e-9)):
+        if abs(ratio / factor - 1) < _RATE:
+            return f"The time vector looks like {unit}: --scale t={factor:g}."
+    return f"Correct one of them, e.g. --set fs={rate:.6g}."
+
+
+def _no_rate(file: _File, n_time: int) -> InputError:
+    like = time_like(file.variables, n_time)
+    if not like:
+        return missing(file.path, file.variables, "fs", "fs")
+    return file.error(
+        "fs",
+        "no such variable",
+        "the sampling frequency fs (Hz), or a time vector t (s)",
+        f"Set it, e.g. --set fs=2000, or name the time vector: --map t={like[0]} (--scale t=1e-6 if it is in "
+        "microseconds).",
+    )
+
+
+@contextlib.contextmanager
+def _naming(file: _File) -> Iterator[None]:
+    """Put the file, and its own names, into the messages of `jaxfrf.Experiment`."""
+    try:
+        yield
+    except InputError as error:
+        what, colon, rest = str(error).partition(": ")
+        what = re.sub(r"\w+", lambda word: file.label(word[0]), what)
+        if "a whole number of periods" in rest:
+            rest += _cut_advice(file)
+        raise InputError(f"{file.path}: {what}{colon}{rest}") from error
+
+
+def _cut_advice(file: _File) -> str:
+    """The cut that keeps all whole periods."""
+    kept = file.given.values.get("samples") or slice(0, None)
+    period = int(_scalar(file, "period", 0))
+    n_time = column(np.asarray(file.get("u"))).shape[-2]
+    start, stop, _ = kept.indices(n_time)
+    whole = (stop - start) // period * period
+    return f" This keeps them: --set samples={start}:{start + whole}." if whole else ""
+
+
+def _sha256(path: pathlib.Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,301 @@
+"""FRF files: the same names in `.nc`, `.mat` and `.npz`.
+
+    G                          (position, frequency, output, input), complex
+    frequency                  (frequency,), Hz
+    cov, cov_noise, cov_total  (position, frequency, vec, vec), complex; vec(G) stacks the columns of G
+    dof, status, window        (position, frequency)
+    q                          (position, joint), rad
+    method, options            text; `options` is the part of `method` in brackets
+    y_quantity, version        text
+    provenance, warnings       JSON text: [{"name": ..., "sha256": ...}, ...] and ["...", ...]
+
+`cov_noise`, `cov_total` and `q` are absent where they are unknown.
+
+**NetCDF** has no complex numbers of its own. They are stored as the compound (r, i) that its community has
+agreed on: valid NetCDF-4, still one variable `G`, complex again in xarray, h5py and netCDF4 (`auto_complex`),
+and a pair of parts to every other reader. **MATLAB**: the axes stay as above, while `idfrd` wants (output,
+input, frequency): `idfrd(permute(G(1,:,:,:), [3 4 2 1]), 2*pi*frequency, 0)`. MATLAB drops trailing axes of
+length one when it saves; they are put back on reading. **NumPy**: no pickle.
+"""
+
+import dataclasses
+import hashlib
+import json
+import pathlib
+import re
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from .._errors import input_error
+from .._status import Status
+from ..experiment import QUANTITIES, UNITS, Source
+from ..frf import FRF
+from ._container import Unreadable, load, replacing
+from ._optional import require
+
+_AXES = {
+    "G": ("position", "frequency", "output", "input"),
+    "frequency": ("frequency",),
+    "cov": ("position", "frequency", "vec", "vec_conj"),
+    "cov_noise": ("position", "frequency", "vec", "vec_conj"),
+    "cov_total": ("position", "frequency", "vec", "vec_conj"),
+    "dof": ("position", "frequency"),
+    "status": ("position", "frequency"),
+    "window": ("position", "frequency"),
+    "q": ("position", "joint"),
+}
+
+
+def write_frf(path, frf: FRF) -> None:
+    """Write an FRF with everything that is known about it; the suffix `.nc`, `.mat` or `.npz` says the
+    format.
+
+    The file is there whole or not at all, and `read_frf` returns every field bit by bit.
+
+    **Raises:** `jaxfrf.InputError` if the suffix is another, or the folder is not there.
+    """
+    path = pathlib.Path(path)
+    write = _WRITERS[_suffix(path)]
+    with replacing(path) as draft:
+        write(draft, _contents(frf))
+
+
+def read_frf(path) -> FRF:
+    """Read what `write_frf` wrote, or any `.nc`, `.mat` or `.npz` file that holds at least `G` and
+    `frequency`.
+
+    What such a file does not hold is unknown: no `cov` means NaN and `Status.NO_COVARIANCE`.
+
+    **Raises:** `jaxfrf.InputError` if the file is missing, empty, truncated, of another format, or holds no
+    FRF.
+    """
+    path = pathlib.Path(path)
+    _suffix(path)
+    return _frf(load(path), str(path))
+
+
+def frf_from_arrays(
+    G,
+    frequency,
+    *,
+    y_quantity: str = "velocity",
+    q=None,
+    method: str = "",
+    sources: Sequence[Source] = (),
+    warnings: Sequence[str] = (),
+) -> FRF:
+    """An FRF from bare numbers, without a covariance: `cov` is NaN, `dof` 0 and `status` says
+    `NO_COVARIANCE`.
+
+    **Arguments:**
+
+    - `G`: (freq,), (freq, out, in) or (pos, freq, out, in).
+    - `frequency`: (freq,), Hz.
+    - `y_quantity`: `position`, `velocity` or `acceleration`.
+    - `q`: (pos, joint), rad, or `None`.
+
+    **Raises:** `jaxfrf.InputError` naming what does not fit.
+    """
+    contents = {"G": G, "frequency": frequency, "method": method, "y_quantity": y_quantity}
+    if q is not None:
+        contents["q"] = q
+    bare = _frf(contents, "FRF")
+    return dataclasses.replace(bare, sources=tuple(sources), warnings=tuple(warnings))
+
+
+def source(path) -> Source:
+    """The name of a file and the sha256 of its bytes."""
+    path = pathlib.Path(path)
+    with path.open("rb") as file:
+        return Source(path.name, hashlib.file_digest(file, "sha256").hexdigest())
+
+
+# --- between an FRF and the names of the file ---
+
+
+def _contents(frf: FRF) -> dict[str, np.ndarray | str]:
+    arrays = {name: np.asarray(getattr(frf, name)) for name in _AXES if getattr(frf, name) is not None}
+    options = re.search(r"\((.*)\)\s*$", frf.method, re.DOTALL)
+    return arrays | {
+        "method": frf.method,
+        "options": options.group(1) if options else "",
+        "y_quantity": frf.y_quantity,
+        "version": frf.version,
+        "provenance": json.dumps([{"name": s.name, "sha256": s.sha256} for s in frf.sources]),
+        "warnings": json.dumps(list(frf.warnings)),
+    }
+
+
+def _frf(names: Mapping, where: str) -> FRF:
+    if "G" not in names or "frequency" not in names:
+        raise _no_frf(names, where)
+    frequency = np.atleast_1d(_numbers(names["frequency"], f"{where}: frequency")).ravel()
+    if np.iscomplexobj(frequency) or not np.isfinite(frequency).all():
+        raise input_error(
+            f"{where}: frequency", "complex, NaN or Inf values", "finite frequencies, Hz", "Repair it."
+        )
+    G = _response(_numbers(names["G"], f"{where}: G"), len(frequency), f"{where}: G")
+    per_line, vec = G.shape[:2], G.shape[2] * G.shape[3]
+    covariances = {
+        name: _complex(_shaped(names[name], (*per_line, vec, vec), f"{where}: {name}"))
+        for name in ("cov", "cov_noise", "cov_total")
+        if name in names
+    }
+    y_quantity = _text(names, "y_quantity") or "velocity"
+    if y_quantity not in QUANTITIES:
+        raise input_error(
+            f"{where}: y_quantity", repr(y_quantity), f"one of {', '.join(QUANTITIES)}", "Correct it."
+        )
+    return FRF(
+        G=G,
+        frequency=frequency,
+        cov=covariances.pop("cov", np.full((*per_line, vec, vec), np.nan, complex)),
+        dof=_shaped(names.get("dof", np.zeros(per_line)), per_line, f"{where}: dof"),
+        status=_shaped(names.get("status", _bare_status(G, "cov" in names)), per_line, f"{where}: status"),
+        window=_shaped(names.get("window", np.ones(per_line)), per_line, f"{where}: window"),
+        q=_configurations(names["q"], len(G), f"{where}: q") if "q" in names else None,
+        method=_text(names, "method"),
+        y_quantity=y_quantity,
+        sources=tuple(Source(s["name"], s["sha256"]) for s in _json(names, "provenance", where)),
+        warnings=tuple(_json(names, "warnings", where)),
+        version=_text(names, "version"),
+        **covariances,
+    )
+
+
+def _bare_status(G: np.ndarray, has_covariance: bool) -> np.ndarray:
+    """The status of a response about which nothing else is known."""
+    finite = np.isfinite(G).all(axis=(2, 3))
+    status = np.where(finite, Status.OK, Status.NOT_FINITE)
+    return status if has_covariance else status | Status.NO_COVARIANCE
+
+
+def _no_frf(names: Mapping, where: str):
+    if {"u", "y"} <= set(names):
+        return input_error(
+            where,
+            "an experiment file (it holds u and y)",
+            "an FRF file (G and frequency)",
+            "Estimate first: jaxfrf estimate DATA -o frf.nc.",
+        )
+    held = ", ".join(sorted(names)) or "nothing"
+    return input_error(where, f"no FRF: it holds {held}", "at least G and frequency", "Name another file.")
+
+
+def _numbers(value, where: str) -> np.ndarray:
+    x = np.asarray(value)
+    if x.dtype.kind not in "fciu":
+        found = value.kind if isinstance(value, Unreadable) else f"{x.dtype} data"
+        raise input_error(where, found, "numbers", "Save the array itself, not text or objects.")
+    return x
+
+
+def _response(G: np.ndarray, n_freq: int, where: str) -> np.ndarray:
+    """(pos, freq, out, in), where the first axis, or trailing ones of length one, may have been dropped."""
+    shape = G.shape
+    if G.ndim == 4:
+        pass
+    elif G.ndim == 3 and shape[0] == n_freq:
+        shape = (1, *shape)
+    elif G.ndim in (2, 3) and shape[1] == n_freq:
+        shape = (*shape, *(1,) * (4 - G.ndim))
+    elif G.size == n_freq:
+        shape = (1, n_freq, 1, 1)
+    if len(shape) != 4 or shape[1] != n_freq:
+        raise input_error(
+            where,
+            f"shape {G.shape} with {n_freq} frequencies",
+            "(position, frequency, output, input), or (frequency, output, input)",
+            "Transpose it: MATLAB's idfrd and python-control keep (output, input, frequency).",
+        )
+    return _complex(G.reshape(shape))
+
+
+def _complex(x: np.ndarray) -> np.ndarray:
+    return x.astype(np.result_type(x.dtype, np.complex64), copy=False)
+
+
+def _shaped(value, shape: tuple[int, ...], where: str) -> np.ndarray:
+    """`value` in `shape`; only axes of length one may have been lost or added."""
+    value = _numbers(value, where)
+    if [n for n in value.shape if n != 1] != [n for n in shape if n != 1]:
+        raise input_error(
+            where, f"shape {value.shape}", f"shape {shape}, as G has it", "Check the order of axes."
+        )
+    return value.reshape(shape)
+
+
+def _configurations(value, n_pos: int, where: str) -> np.ndarray:
+    q = np.atleast_2d(_numbers(value, where))
+    if q.ndim != 2 or len(q) != n_pos:
+        raise input_error(
+            where, f"shape {q.shape}", f"(position, joint) with {n_pos} positions", "Transpose it."
+        )
+    return q
+
+
+def _text(names: Mapping, name: str) -> str:
+    value = names.get(name, "")
+    return str(value) if np.size(value) else ""  # MATLAB has no empty text, only empty arrays
+
+
+def _json(names: Mapping, name: str, where: str) -> list:
+    text = _text(names, name)
+    try:
+        return json.loads(text) if text else []
+    except json.JSONDecodeError as error:
+        raise input_error(
+            f"{where}: {name}", f"text that is no JSON ({error})", "a JSON list", "Repair it."
+        ) from error
+
+
+# --- formats: each writes a dictionary of arrays and texts ---
+
+
+def _write_nc(path: pathlib.Path, names: Mapping) -> None:
+    xarray = require("xarray", "io")
+    require("h5netcdf", "io")
+    notes = {
+        "G": {"units": f"({UNITS[names['y_quantity']]})/(N m)", "long_name": "frequency response function"},
+        "frequency": {"units": "Hz"},
+        "cov": {"long_name": "covariance of vec(G), columns stacked"},
+        "dof": {"long_name": "residual degrees of freedom behind cov"},
+        "q": {"units": "rad"},
+        "status": {
+            "flag_masks": np.array([flag.value for flag in Status], names["status"].dtype),
+            "flag_meanings": " ".join(flag.name.lower() for flag in Status),
+        },
+    }
+    arrays = {name: (axes, names[name], notes.get(name, {})) for name, axes in _AXES.items() if name in names}
+    texts = {name: value for name, value in names.items() if name not in _AXES}
+    as_they_are = {name: {"_FillValue": None} for name in arrays}
+    xarray.Dataset(arrays, attrs=texts).to_netcdf(path, engine="h5netcdf", encoding=as_they_are)
+
+
+def _write_mat(path: pathlib.Path, names: Mapping) -> None:
+    import scipy.io
+    from scipy.io.matlab import MatWriteError
+
+    try:
+        scipy.io.savemat(path, dict(names), oned_as="column", appendmat=False)
+    except MatWriteError as error:
+        raise input_error(
+            str(path), "2 GB or more in one array", "less (the limit of .mat)", "Write .nc."
+        ) from error
+
+
+def _write_npz(path: pathlib.Path, names: Mapping) -> None:
+    with path.open("wb") as file:  # given a name, NumPy may add a suffix
+        np.savez(file, allow_pickle=False, **names)
+
+
+_WRITERS: dict[str, Callable] = {".nc": _write_nc, ".mat": _write_mat, ".npz": _write_npz}
+
+
+def _suffix(path: pathlib.Path) -> str:
+    suffix = path.suffix.lower()
+    if suffix not in _WRITERS:
+        found = f"the suffix {suffix!r}" if suffix else "no suffix"
+        raise input_error(str(path), found, f"one of {', '.join(_WRITERS)}", "Name the file accordingly.")
+    return suffix

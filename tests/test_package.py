@@ -1,0 +1,324 @@
+"""The house: public names, what importing costs, directions of the imports, and how JAX is used."""
+
+import ast
+import importlib
+import inspect
+import os
+import pathlib
+import re
+import subprocess
+import sys
+import types
+
+import pytest
+
+import jaxfrf as jf
+
+ROOT = pathlib.Path(jf.__file__).parents[1]
+PACKAGE = ROOT / "jaxfrf"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+def run(code, **environment):
+    """Output of a fresh interpreter without the settings of this one; `None` takes a variable out."""
+    unset = {name: None for name in os.environ if name.startswith(("JAX_", "XLA_")) or name == "NPROC"}
+    cache = {"JAX_COMPILATION_CACHE_DIR": os.environ["JAX_COMPILATION_CACHE_DIR"]}
+    both = os.environ | unset | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": str(ROOT)} | cache | environment
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        env={name: value for name, value in both.items() if value is not None},
+        capture_output=True,
+        text=True,
+        timeout=200,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
+
+
+# --- public names
+
+
+def defined_in(namespace):
+    """Public names of a namespace that come from this package: no submodules, no imported libraries."""
+    for name in dir(namespace):
+        value = getattr(namespace, name)
+        if not name.startswith("_") and not isinstance(value, types.ModuleType):
+            yield name, value
+
+
+def all_public():
+    yield from ((f"jaxfrf.{name}", getattr(jf, name)) for name in jf._PUBLIC)
+    for space in jf._NAMESPACES:
+        yield from ((f"jaxfrf.{space}.{name}", value) for name, value in defined_in(getattr(jf, space)))
+
+
+PUBLIC = dict(all_public())
+
+
+def test_public_names_are_unique_and_listed():
+    assert len(set(jf.__all__)) == len(jf.__all__)
+    assert set(jf.__all__) <= set(dir(jf))
+    for space in jf._NAMESPACES:
+        assert inspect.getdoc(getattr(jf, space)), f"jaxfrf.{space} has no docstring"
+    assert re.fullmatch(r"\d+\.\d+\.\d+", jf.__version__)
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_public_names_are_documented(name):
+    value = PUBLIC[name]
+    assert not isinstance(value, types.ModuleType), f"{name} is a module"
+    if not callable(value):
+        return  # a table: its comment stands in the source
+    text = inspect.getdoc(value) or ""
+    assert len(text) > 20 and text[0].isupper(), f"{name}: {text!r}"
+    # An equinox module without a docstring shows its signature instead of one.
+    assert not inspect.isclass(value) or "__doc__" in vars(value)
+    first = text.split("\n\n")[0].rstrip()
+    assert first[-1] in ".:", f"{name}: the first paragraph ends with {first[-20:]!r}"
+
+
+def test_public_names_have_annotated_arguments_or_speaking_defaults():
+    """No public function swallows options that it does not name."""
+    for name, value in PUBLIC.items():
+        if inspect.isfunction(value):
+            kinds = {p.kind for p in inspect.signature(value).parameters.values()}
+            assert inspect.Parameter.VAR_KEYWORD not in kinds, name
+
+
+@pytest.mark.parametrize("first", sorted(jf._PUBLIC))
+def test_a_public_name_lives_in_no_module_of_that_name(first):
+    """A submodule `jaxfrf.x` would take the place of a public name `x` as soon as anything imports it."""
+    taken = [path.name for path in (PACKAGE / f"{first}.py", PACKAGE / first) if path.exists()]
+    assert not taken, f"after `import jaxfrf.{first}`, jaxfrf.{first} is the module {taken[0]}"
+
+
+def test_unknown_names():
+    with pytest.raises(AttributeError, match="no attribute 'estimat'"):
+        jf.estimat  # noqa: B018
+
+
+def test_type_checkers_see_the_same_names():
+    """The imports under TYPE_CHECKING say the same as the table that the lazy imports use."""
+    tree = ast.parse((PACKAGE / "__init__.py").read_text())
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    assert block.test.id == "TYPE_CHECKING"
+    seen, spaces = {}, []
+    for node in block.body:
+        for alias in node.names:
+            assert alias.asname == alias.name, f"{alias.name}: re-export it as `X as X`"
+            if node.module is None:
+                spaces.append(alias.name)
+            else:
+                seen[alias.name] = node.module
+    assert seen == jf._PUBLIC
+    assert sorted(spaces) == sorted(jf._NAMESPACES)
+
+
+# --- what importing costs
+
+
+def test_importing_is_free():
+    """No jax, no numpy, nothing printed, nothing configured."""
+    says = run(
+        "import os, sys, warnings\n"
+        "before = dict(os.environ), list(warnings.filters)\n"
+        "import jaxfrf\n"
+        "assert (dict(os.environ), list(warnings.filters)) == before\n"
+        "heavy = {'jax', 'jaxlib', 'numpy', 'scipy', 'equinox', 'matplotlib', 'xarray', 'logging'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    assert says == ""
+
+
+def test_names_open_no_device_and_change_no_setting():
+    """Every public name and namespace, and every submodule, can be imported without starting a backend."""
+    modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in MODULES]
+    says = run(
+        "import importlib, os, jax\n"
+        "def settings():\n"
+        "    return {k: v for k, v in jax.config.values.items()}, dict(os.environ)\n"
+        "before = settings()\n"
+        "import jaxfrf\n"
+        f"for name in {modules}:\n"
+        "    importlib.import_module(name.removesuffix('.__init__'))\n"
+        "for name in jaxfrf.__all__:\n"
+        "    getattr(jaxfrf, name)\n"
+        "jaxfrf.LogMean(jaxfrf.JointInputOutput(jaxfrf.LRM()))\n"
+        "assert settings() == before\n"
+        "from jax._src import xla_bridge\n"
+        "assert not xla_bridge.backends_are_initialized()\n"
+    )
+    assert says == ""
+
+
+# --- directions of the imports
+
+BASE = {"_errors", "_types", "_status", "_environment"}
+EXCITATION = BASE | {"excitation"}
+EXPERIMENT = EXCITATION | {"experiment"}
+SPECTRA = EXPERIMENT | {"spectra"}
+FRF = SPECTRA | {"frf"}
+IO = FRF | {"screening", "io"}
+
+MAY_IMPORT = {
+    **{name: {"_errors"} for name in BASE},
+    "excitation": EXCITATION,
+    "experiment": BASE | {"experiment"},
+    "spectra": BASE | {"experiment", "spectra"},
+    "screening": BASE | {"experiment", "spectra"},
+    "frf": FRF - {"excitation"},
+    "example": EXPERIMENT,
+    "io": IO,
+    "plot": IO | {"plot"},
+    "pipeline": IO,
+}
+"""Which rooms a room may import from. Data flow from excitation over experiment and spectra to the FRF; files and
+pictures stand above all containers, the command line above everything. A new room gets its own line here."""
+
+
+def room(path):
+    first = path.relative_to(PACKAGE).parts[0]
+    return first.removesuffix(".py")
+
+
+def imported(path):
+    """(module, at module level or not) of every import in a file, absolute."""
+    tree = ast.parse(path.read_text())
+    inside = {id(node) for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) for node in ast.walk(f)}
+    here = ("jaxfrf", *path.relative_to(PACKAGE).parts[:-1])
+    for node in ast.walk(tree):
+        top = id(node) not in inside
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, top) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = here[: len(here) - node.level + 1] if node.level else ()
+            base = ".".join([*base, *([node.module] if node.module else [])])
+            yield from ((f"{base}.{alias.name}" if base == "jaxfrf" else base, top) for alias in node.names)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_import_directions(path):
+    here = room(path)
+    if here in ("__init__", "__main__"):
+        return
+    assert here in MAY_IMPORT, f"{here} is a new room: say in MAY_IMPORT what it stands above"
+    for name, _ in imported(path):
+        parts = name.split(".")
+        if parts[0] == "jaxfrf" and parts[1] != "__version__":
+            assert parts[1] in MAY_IMPORT[here], f"{here} imports {name}, which stands above it"
+
+
+def test_directions_have_no_circle():
+    """What a room may import may not import it back (but through itself)."""
+    for here, below in MAY_IMPORT.items():
+        for other in below - {here}:
+            assert here not in MAY_IMPORT[other], f"{here} and {other} may import each other"
+
+
+def test_every_room_of_the_table_exists():
+    assert set(MAY_IMPORT) == {room(path) for path in MODULES} - {"__init__", "__main__"}
+
+
+OPTIONAL = {"matplotlib", "xarray", "h5py", "h5netcdf", "pymatreader", "pyuff", "control", "mujoco"}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_optional_libraries_are_imported_where_they_are_used(path):
+    for name, top in imported(path):
+        assert not (top and name.split(".")[0] in OPTIONAL), f"{path.name} imports {name} at module level"
+    assert "from __future__ import annotations" not in path.read_text()
+
+
+def test_works_without_the_extras():
+    """A plain install estimates and saves: everything imports with the optional libraries blocked, and says what to do."""
+    says = run(
+        "import sys\n"
+        f"for name in {sorted(OPTIONAL)}:\n"
+        "    sys.modules[name] = None\n"
+        "import jaxfrf as jf, tempfile, os\n"
+        "for name in jf.__all__:\n"
+        "    getattr(jf, name)\n"
+        "where = os.path.join(tempfile.mkdtemp(), 'a.npz')\n"
+        "jf.io.write(where, jf.example(blocks=1, periods=1))\n"
+        "frf = jf.estimate(jf.dft(jf.io.read(where)), jf.LRM())\n"
+        "jf.io.write_frf(where, frf)\n"
+        "assert jf.io.read_frf(where).G.shape == frf.G.shape\n"
+        "for use in (lambda: jf.plot.bode([frf], ['a']), lambda: jf.io.write_frf(where[:-3] + 'nc', frf)):\n"
+        "    try:\n"
+        "        use()\n"
+        "    except ImportError as error:\n"
+        "        print(error)\n",
+        JAX_ENABLE_X64="1",
+    )
+    assert "pip install 'jaxfrf[plot]'" in says and "pip install 'jaxfrf[io]'" in says
+
+
+# --- the README
+
+
+def readme_commands():
+    """Lines of the README's code blocks that call `jaxfrf`, continuation lines joined."""
+    text = (ROOT / "README.md").read_text().replace("\\\n", " ")
+    return re.findall(r"(?:^|[/\s`])jaxfrf ((?:[a-z]+)(?: [^`\n|&;#]*)?)", text)
+
+
+def test_commands_in_the_readme_exist():
+    """Every command and long option that the README shows is known to the command line."""
+    from jaxfrf.__main__ import _parser
+
+    parser = _parser()
+    (commands,) = (a for a in parser._actions if hasattr(a, "choices") and isinstance(a.choices, dict))
+    shown = [line for line in readme_commands() if "--" in line or line.split()[0] in commands.choices]
+    for line in shown:
+        name, *rest = line.split()
+        assert name in commands.choices, f"README: jaxfrf {line}"
+        known = {text for action in commands.choices[name]._actions for text in action.option_strings}
+        for option in (word for word in rest if word.startswith("--")):
+            assert option.split("=")[0] in known, f"README: jaxfrf {name} {option}"
+
+
+def test_the_installed_command_is_main():
+    text = (ROOT / "pyproject.toml").read_text()
+    target = re.search(r'^jaxfrf = "([\w.]+):(\w+)"$', text, re.MULTILINE)
+    assert callable(getattr(importlib.import_module(target[1]), target[2]))
+    assert f'version = "{jf.__version__}"' in text
+
+
+# --- how JAX is used
+
+SPECTRA_2000 = """
+import numpy as np, jaxfrf as jf
+rng = np.random.default_rng(0)
+n = lambda *shape: rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+U, R = n(1, 1, 2000, 3), n(1, 1, 2000, 3)
+lines = np.arange(1, 2001)
+spectra = jf.Spectra(U=U, Y=U @ n(3, 3) + 0.1 * n(1, 1, 2000, 3), R=R, lines=lines, frequency=lines * 1.0, noise=None)
+"""
+
+
+def test_thousands_of_windows_return():
+    """Batched LAPACK calls share a thread pool and can wait for each other for ever; these are the methods with several
+    equations a window. With the environment as it is (no NPROC): the library alone must return, time limit above."""
+    says = run(
+        SPECTRA_2000
+        + "for method in (jf.JointInputOutput(jf.MisoLRM()), jf.JointInputOutput(jf.LRM()), jf.LRM(), jf.MisoLRM()):\n"
+        "    frf = jf.estimate(spectra, method)\n"
+        "    assert np.isfinite(frf.G).all() and frf.G.shape == (1, 2000, 3, 3)\n"
+        "    print(type(method).__name__)\n",
+        JAX_ENABLE_X64="1",
+    )
+    assert says.split() == ["JointInputOutput", "JointInputOutput", "LRM", "MisoLRM"]
+
+
+def test_single_precision_is_refused():
+    """The library never switches JAX to 64 bit by itself; it says who must, and how."""
+    says = run(
+        SPECTRA_2000 + "import jax\n"
+        "try:\n"
+        "    jf.estimate(spectra, jf.LRM())\n"
+        "except ValueError as error:\n"
+        "    print(error)\n"
+        "assert not jax.config.jax_enable_x64\n",
+        JAX_ENABLE_X64=None,
+    )
+    assert re.search(r"estimate needs 64-bit numbers.*JAX_ENABLE_X64=1.*jax_enable_x64", says, re.DOTALL)
