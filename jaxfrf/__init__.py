@@ -66,12 +66,12 @@ _PUBLIC = {
     "describe_method": "frf",
     "concatenate_positions": "frf",
 }
-_NAMESPACES = ("excitation", "frf", "io", "plot")
+_NAMESPACES = ("excitation", "frf", "io", "plot", "robot")
 
 __all__ = ["__version__", *_PUBLIC, *_NAMESPACES]
 
 if TYPE_CHECKING:
-    from . import excitation as excitation, frf as frf, io as io, plot as plot
+    from . import excitation as excitation, frf as frf, io as io, plot as plot, robot as robot
     from ._errors import (
         InputError as InputError,
         InputWarning as InputWarning,

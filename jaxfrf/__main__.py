@@ -2,11 +2,13 @@
 
 import argparse
 import json
+import os
 import pathlib
 import sys
+from collections.abc import Iterable
 
 from . import __version__, _environment
-from ._errors import InputError
+from ._errors import InputError, input_error
 
 
 def main(arguments=None) -> int:
@@ -25,11 +27,15 @@ def main(arguments=None) -> int:
     except KeyboardInterrupt:
         print(f"jaxfrf {given.command}: interrupted; what was finished is kept (see --resume)", file=sys.stderr)
         return 130
-    if given.json:
-        print(json.dumps(summary.pop("json", summary), indent=1))
-    else:
-        print("\n".join(summary["text"]))
+    _print(json.dumps(summary.pop("json", summary), indent=1) if given.json else "\n".join(summary["text"]))
     return 0
+
+
+def _print(text: str) -> None:
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:  # the reader has seen enough (`| head`); Python would complain again at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _plain(error: Exception) -> str:
@@ -92,9 +98,10 @@ def _excite(given) -> dict:
     from .excitation import levels, reference
     from .io import read_design, write_reference
 
+    picture = pathlib.Path(given.plot) if given.plot else pathlib.Path(given.output).with_suffix(".png")
+    _check_picture(picture)
     made = reference(read_design(given.design))
     written = write_reference(given.output, made)
-    picture = pathlib.Path(given.plot) if given.plot else pathlib.Path(given.output).with_suffix(".png")
     plot.save(plot.multisine(made)[0].figure, picture)
     about = levels(made)
     frequency = made.lines * made.fs / made.period
@@ -156,15 +163,19 @@ def _estimate(given) -> dict:
     from .frf.catalogue import method
     from .pipeline import estimate_resumable, spectra_of, summary
 
+    _check_x64()
+    write = _frf_writer(given.output, given.data)
+    if given.plot:
+        _check_picture(given.plot)
     chosen = method(given.method, _options(given.option))
+    periods, band = _range("--periods", given.periods, int), _range("--band", given.band, float)
     data = io.read(
         *given.data,
         names=io.parse_map(given.map) if given.map else None,
         values=io.parse_values(given.set) if given.set else None,
         scale=io.parse_scale(given.scale) if given.scale else None,
     )
-    spectra = spectra_of(data, chosen, periods=_range(given.periods, int), band=_range(given.band, float))
-    write = _frf_writer(given.output)
+    spectra = spectra_of(data, chosen, periods=periods, band=band)
     frf = estimate_resumable(spectra, chosen, given.output, resume=given.resume, say=None if given.json else _say)
     write(given.output, frf)
     written = [given.output]
@@ -183,23 +194,41 @@ def _estimate(given) -> dict:
     }
 
 
-def _frf_writer(path: str):
+def _check_x64() -> None:
+    from ._types import require_x64
+
+    try:
+        require_x64("jaxfrf estimate")
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def _frf_writer(path: str, data: Iterable[str]):
     """How to write this file; said before the estimation, not after it."""
     from . import io
 
+    writers = dict.fromkeys((".nc", ".mat", ".npz"), io.write_frf) | dict.fromkeys((".uff", ".unv"), io.write_uff)
+    _check_target(path, writers)
     target = pathlib.Path(path)
-    known = {
-        ".nc": io.write_frf,
-        ".mat": io.write_frf,
-        ".npz": io.write_frf,
-        ".uff": io.write_uff,
-        ".unv": io.write_uff,
-    }
-    if target.suffix.lower() not in known:
-        raise InputError(f"{path}: found the suffix {target.suffix!r}; expected one of {', '.join(known)}. Rename it.")
+    if target.resolve() in [pathlib.Path(name).resolve() for name in data]:
+        raise input_error(path, "the measurement itself", "another file for the FRF", "Choose another name.")
+    return writers[target.suffix.lower()]
+
+
+def _check_picture(path: str | os.PathLike) -> None:
+    from .io._optional import require
+
+    figure = require("matplotlib.figure", "plot").Figure()
+    _check_target(path, [f".{kind}" for kind in sorted(figure.canvas.get_supported_filetypes())])
+
+
+def _check_target(path: str | os.PathLike, suffixes: Iterable[str]) -> None:
+    """Refuse what could not be written, before anything is estimated or written."""
+    target = pathlib.Path(path)
+    if target.suffix.lower() not in suffixes:
+        raise input_error(str(path), f"the suffix {target.suffix!r}", f"one of {', '.join(suffixes)}", "Rename it.")
     if not target.absolute().parent.is_dir():
-        raise InputError(f"{path}: found no folder {target.parent}; expected one that exists. Make it first.")
-    return known[target.suffix.lower()]
+        raise input_error(str(path), f"no folder {target.parent}", "one that exists", "Make it first.")
 
 
 def _options(pairs) -> dict[str, str]:
@@ -212,7 +241,7 @@ def _options(pairs) -> dict[str, str]:
     return options
 
 
-def _range(text: str | None, kind) -> tuple | None:
+def _range(option: str, text: str | None, kind) -> tuple | None:
     if text is None:
         return None
     first, colon, last = text.partition(":")
@@ -221,7 +250,7 @@ def _range(text: str | None, kind) -> tuple | None:
             raise ValueError
         return kind(first) if first else None, kind(last) if last else None
     except ValueError:
-        raise InputError(f"range: found {text!r}; expected FROM:TO. Write e.g. --periods 0:1 or --band 4:80.") from None
+        raise input_error(option, repr(text), "FROM:TO", "Write e.g. --periods 0:1 or --band 4:80.") from None
 
 
 def _say(text: str) -> None:

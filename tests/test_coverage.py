@@ -162,4 +162,4 @@ def test_mean_over_experiments_with_hardly_any_residual():
     """One residual each, and inputs of very different use: the variance is mostly one experiment's."""
     G = plants.matrix_polynomial(np.random.default_rng(5), 2, 2, local_offset(), 2)
     method = jf.ArithmeticMean(jf.LPM(order=2, width=7, variable="index"))
-    assert_covers(jf.estimate(open_loop(G, 4, 1e-3, n_pos=3000), method), G, lines=(0, CENTRE, -1))
+    assert_covers(jf.estimate(open_loop(G, 4, 1e-3, n_pos=2000), method), G, lines=(0, CENTRE, -1))

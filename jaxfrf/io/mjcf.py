@@ -2,6 +2,7 @@
 
 import math
 import os
+import pathlib
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from .._errors import input_error
 from ..robot.drive import Friction, Spring
 from ..robot.robot import Robot
-from .robots import write_whole
+from ._container import replacing
 
 
 def mjcf(robot: Robot, friction: bool = False, timestep: float = 1e-4) -> str:
@@ -44,7 +45,8 @@ def mjcf(robot: Robot, friction: bool = False, timestep: float = 1e-4) -> str:
 
 def write_mjcf(robot: Robot, path: str | os.PathLike, friction: bool = False, timestep: float = 1e-4) -> None:
     """Write `mjcf(robot)` to a file. Nothing half written is left."""
-    write_whole(path, mjcf(robot, friction, timestep))
+    with replacing(pathlib.Path(path)) as draft:
+        draft.write_text(mjcf(robot, friction, timestep), encoding="utf-8")
 
 
 def _check_springs(robot: Robot) -> None:

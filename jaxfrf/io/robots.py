@@ -3,7 +3,6 @@
 import json
 import os
 import pathlib
-import tempfile
 import tomllib
 from collections.abc import Mapping
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 from .._errors import input_error
 from ..robot.robot import Robot
 from ..robot.schema import robot_from_table, table_from_robot
+from ._container import replacing
 
 
 def read_robot(path: str | os.PathLike) -> Robot:
@@ -25,7 +25,8 @@ def read_robot(path: str | os.PathLike) -> Robot:
 
 def write_robot(robot: Robot, path: str | os.PathLike) -> None:
     """Write a TOML file that `read_robot` reads back to the same robot. Nothing half written is left."""
-    write_whole(path, toml_text(table_from_robot(robot)))
+    with replacing(pathlib.Path(path)) as draft:
+        draft.write_text(toml_text(table_from_robot(robot)), encoding="utf-8")
 
 
 def read_toml(path: pathlib.Path) -> dict[str, Any]:
@@ -47,19 +48,6 @@ def toml_text(table: Mapping[str, Any]) -> str:
         else:
             lines.append(f"{key} = {_value(value)}")
     return "\n".join([*lines, *tables, ""])
-
-
-def write_whole(path: str | os.PathLike, text: str) -> None:
-    """Write a text to a temporary file beside `path` and rename it: never half a file."""
-    path = pathlib.Path(path)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.replace(temporary, path)
-    except BaseException:
-        pathlib.Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 def _value(value: Any) -> str:
