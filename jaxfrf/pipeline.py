@@ -9,23 +9,27 @@ import time
 import equinox as eqx
 import numpy as np
 
+from . import __version__
+from ._errors import InputError, input_error
 from ._status import describe
 from .experiment import Experiment, select_periods
 from .frf import FRF, AbstractMethod, concatenate_positions, describe_method, estimate
 from .frf.features import features
 from .spectra import Spectra, dft, record_spectra, select_band, select_positions
 
+_RUN = "run-"  # begins the name of the file that says which run the finished parts belong to
+
 
 def spectra_of(data: Experiment, method: AbstractMethod, *, periods=None, band=None) -> Spectra:
     """The spectra that `method` needs: of steady periods, or of the whole record if it is not periodic and the method
     has a transient term. `periods` (from, to) and `band` (low, high, Hz) choose a part; `None` at an end: open.
     """
+    if periods is not None:
+        data = select_periods(data, periods[0] or 0, periods[1])
     if not data.period and _takes_transients(method):
         low, high = band or (None, None)
         whole = None if band is None else (low or 0.0, high or data.fs / 2)
         return record_spectra(data, whole)
-    if periods is not None and data.period:
-        data = select_periods(data, periods[0] or 0, periods[1])
     spectra = dft(data)
     return spectra if band is None else select_band(spectra, band[0] or 0.0, band[1] or data.fs / 2)
 
@@ -48,17 +52,16 @@ def estimate_resumable(spectra: Spectra, method: AbstractMethod, output, *, resu
     method.check(spectra)
     if spectra.n_pos == 1:
         return estimate(spectra, method)
-    folder = pathlib.Path(f"{output}.parts")
-    key = _fingerprint(spectra, method)
-    if folder.exists() and not (resume and (folder / key).exists()):
-        shutil.rmtree(folder)
-    folder.mkdir(exist_ok=True)
-    (folder / key).touch()
+    folder = _folder_of_parts(output, _fingerprint(spectra, method), resume)
     start, last, parts = time.monotonic(), 0.0, []
     for pos in range(spectra.n_pos):
         path = folder / f"{pos:05d}.npz"
         if not path.exists():
-            write_frf(path, estimate(select_positions(spectra, [pos]), method))
+            try:
+                write_frf(path, estimate(select_positions(spectra, [pos]), method))
+            except InputError:
+                shutil.rmtree(folder)
+                raise
         parts.append(read_frf(path))
         spent = time.monotonic() - start
         if say is not None and spent - last > 5:
@@ -69,12 +72,26 @@ def estimate_resumable(spectra: Spectra, method: AbstractMethod, output, *, resu
     return frf
 
 
+def _folder_of_parts(output, key: str, resume: bool) -> pathlib.Path:
+    """The folder for finished operating points: as an interrupted run of this `key` left it, or empty."""
+    folder = pathlib.Path(f"{output}.parts")
+    if folder.exists() and not any(folder.glob(f"{_RUN}*")):
+        raise input_error(str(folder), "files of someone else", "the parts of an earlier run, or nothing", "Rename it.")
+    if folder.exists() and not (resume and (folder / key).exists()):
+        shutil.rmtree(folder)
+    folder.mkdir(exist_ok=True)
+    (folder / key).touch()
+    return folder
+
+
 def _fingerprint(spectra: Spectra, method: AbstractMethod) -> str:
-    digest = hashlib.sha256(describe_method(method).encode())
-    for x in (spectra.U, spectra.Y, spectra.R, spectra.frequency):
+    """What the estimate and everything that is stored with it depend on."""
+    about = (describe_method(method), __version__, spectra.y_quantity, spectra.n_periods, spectra.sources)
+    digest = hashlib.sha256(repr(about).encode())
+    for x in (spectra.U, spectra.Y, spectra.R, spectra.frequency, spectra.q):
         if x is not None:
             digest.update(np.ascontiguousarray(x).tobytes())
-    return f"run-{digest.hexdigest()[:16]}"
+    return f"{_RUN}{digest.hexdigest()[:16]}"
 
 
 class Summary(eqx.Module):

@@ -20,16 +20,20 @@ CENTRE = 15
 FALSE_ALARM = 1e-3  # chance that a correct estimator fails one test, over all of its elements
 
 
-def assert_covers(found, G, lines=(0,)):
-    """The share of hits, element by element and line by line, lies within (two-sided) binomial limits."""
+def assert_covers(found, G, lines=(0,), at_most=LEVEL):
+    """The share of hits, element by element and line by line, lies within (two-sided) binomial limits.
+
+    `at_most` above the level allows regions that are too large, never ones that are too small.
+    """
     n_pos, _, n_out, n_in = found.G.shape
     dof = np.broadcast_to(found.dof, found.G.shape[:2])
     error = np.abs(np.asarray(found.G) - G) ** 2
     variance = np.einsum("pfvv->pfv", np.asarray(found.cov)).real
     variance = variance.reshape(n_pos, -1, n_in, n_out).swapaxes(-1, -2)  # the columns of G were stacked
     inside = error <= scipy.stats.f.ppf(LEVEL, 2, 2 * dof)[..., None, None] * variance
-    tests = len(lines) * n_out * n_in
-    low, high = scipy.stats.binom.ppf([FALSE_ALARM / 2 / tests, 1 - FALSE_ALARM / 2 / tests], n_pos, LEVEL) / n_pos
+    tail = FALSE_ALARM / 2 / (len(lines) * n_out * n_in)
+    low = scipy.stats.binom.ppf(tail, n_pos, LEVEL) / n_pos
+    high = scipy.stats.binom.isf(tail, n_pos, at_most) / n_pos
     share = inside[:, list(lines)].mean(axis=0)
     assert np.all((low <= share) & (share <= high)), f"covers {share.min():.3f} to {share.max():.3f}, not {LEVEL}"
 
@@ -159,7 +163,11 @@ def test_means_over_single_experiments(mean, width):
 
 
 def test_mean_over_experiments_with_hardly_any_residual():
-    """One residual each, and inputs of very different use: the variance is mostly one experiment's."""
+    """One residual each, and inputs of very different use: the variance is mostly one experiment's.
+
+    Welch-Satterthwaite's degrees of freedom are known to be somewhat too few there.
+    """
     G = plants.matrix_polynomial(np.random.default_rng(5), 2, 2, local_offset(), 2)
     method = jf.ArithmeticMean(jf.LPM(order=2, width=7, variable="index"))
-    assert_covers(jf.estimate(open_loop(G, 4, 1e-3, n_pos=2000), method), G, lines=(0, CENTRE, -1))
+    found = jf.estimate(open_loop(G, 4, 1e-3, n_pos=2000), method)
+    assert_covers(found, G, lines=(0, CENTRE, -1), at_most=0.97)

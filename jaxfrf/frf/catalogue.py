@@ -68,7 +68,7 @@ def _with_options(chosen: AbstractMethod, options: dict) -> tuple[AbstractMethod
         value = getattr(chosen, field.name)
         if isinstance(value, AbstractMethod):
             changes[field.name], options = _with_options(value, options)
-        elif field.name in options:
+        elif field.name in options and field.name != "method":
             changes[field.name] = _converted(chosen, field.name, options[field.name])
             options = {k: v for k, v in options.items() if k != field.name}
     return dataclasses.replace(chosen, **changes), options
@@ -86,7 +86,8 @@ def _converted(chosen: AbstractMethod, name: str, value):
     """A value from text, by what the field holds."""
     if not isinstance(value, str):
         return value
-    annotation = str(inspect.get_annotations(_owner(type(chosen), name))[name])
+    annotation = inspect.get_annotations(_owner(type(chosen), name))[name]
+    annotation = getattr(annotation, "__name__", None) or str(annotation)
     text = value.strip().lower()
     try:
         if "None" in annotation and text == "none":

@@ -7,7 +7,7 @@ import numpy as np
 from .._errors import input_error
 from .._status import Status
 from ..spectra import Spectra
-from .local import AbstractLeastSquares, check_periodic
+from .least_squares import AbstractLeastSquares, check_periodic
 from .method import AbstractMethod, Estimate, KroneckerSum
 from .window import Windows
 

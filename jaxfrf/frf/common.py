@@ -4,7 +4,8 @@ import equinox as eqx
 
 from ..spectra import Spectra
 from .combine import direct, through_ratio
-from .local import AbstractLocal, regress
+from .least_squares import regress
+from .local import AbstractLocal
 from .method import Estimate, dense
 from .regression import Equation, Solution
 from .window import Columns

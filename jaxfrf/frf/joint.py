@@ -3,7 +3,7 @@
 from .._errors import input_error
 from ..spectra import Spectra
 from .classical import H1, check_independent
-from .local import AbstractLeastSquares
+from .least_squares import AbstractLeastSquares
 from .method import AbstractMethod, Estimate
 
 
