@@ -1,11 +1,12 @@
 """The command line: `jaxfrf COMMAND ...`; every command is a few lines around public functions."""
 
 import argparse
+import contextlib
 import json
 import os
 import pathlib
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 
 from . import __version__, _environment
 from ._errors import InputError, input_error
@@ -175,8 +176,9 @@ def _estimate(given) -> dict:
         values=io.parse_values(given.set) if given.set else None,
         scale=io.parse_scale(given.scale) if given.scale else None,
     )
-    spectra = spectra_of(data, chosen, periods=periods, band=band)
-    frf = estimate_resumable(spectra, chosen, given.output, resume=given.resume, say=None if given.json else _say)
+    with _naming(given.data):
+        spectra = spectra_of(data, chosen, periods=periods, band=band)
+        frf = estimate_resumable(spectra, chosen, given.output, resume=given.resume, say=None if given.json else _say)
     write(given.output, frf)
     written = [given.output]
     if given.plot:
@@ -194,6 +196,19 @@ def _estimate(given) -> dict:
     }
 
 
+@contextlib.contextmanager
+def _naming(files: Sequence[str]) -> Iterator[None]:
+    """What is wrong with the data names the files."""
+    try:
+        yield
+    except InputError as error:
+        name = pathlib.Path(files[0]).name
+        if str(error).startswith(name):
+            raise
+        more = f" and {len(files) - 1} more" if len(files) > 1 else ""
+        raise InputError(f"{name}{more}: {error}") from None
+
+
 def _check_x64() -> None:
     from ._types import require_x64
 
@@ -203,7 +218,7 @@ def _check_x64() -> None:
         raise InputError(str(error)) from None
 
 
-def _frf_writer(path: str, data: Iterable[str]):
+def _frf_writer(path: str, data: Sequence[str]):
     """How to write this file; said before the estimation, not after it."""
     from . import io
 

@@ -14,6 +14,7 @@ from .experiment import QUANTITIES, Experiment, Source
 _FOUND_GAP_DB = 10.0  # excited and other lines are told apart by a gap of at least this much
 _FOUND_RANGE_DB = 40.0  # without such a gap: lines within this range of the strongest
 _SILENT = 1e-14  # power, relative to the median line, below which a line carries nothing (rounding)
+_SILENT_SHARE = 1e-24  # the same relative to the whole signal, for when the median line is rounding itself
 
 
 class Spectra(eqx.Module):
@@ -269,6 +270,9 @@ def _check_power(data: Experiment, spectra: Spectra) -> None:
     name, X = ("u", spectra.U) if spectra.R is None else ("r", spectra.R)
     power = np.mean(np.abs(X) ** 2, axis=(0, 1))
     silent = power <= _SILENT * np.median(power, axis=0)
+    if data.lines is not None:  # lines that were found have power; those that were given may all be wrong
+        steady = getattr(data, name)[:, :, data.transient_periods * data.period :]
+        silent |= power <= _SILENT_SHARE * np.mean([np.var(x, axis=0) for at in steady for x in at], axis=0)
     if silent.any():
         line, channel = (int(i) for i in np.argwhere(silent)[0])
         raise input_error(

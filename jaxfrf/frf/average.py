@@ -6,7 +6,8 @@ from .._errors import input_error
 from .._status import Status
 from ..spectra import Spectra
 from .classical import H1
-from .method import AbstractMethod, Estimate, KroneckerSum, dense, split_blocks
+from .inverse import inverse
+from .method import AbstractMethod, Estimate, KroneckerSum, dense, split_blocks, variances
 
 _CONDITION = 1e6  # of the eigenvectors: above it the matrix logarithm loses half of the digits
 
@@ -111,17 +112,19 @@ class LogMean(AbstractAverage):
 
 
 def _matrix_mean(G):
-    """Logarithmic mean over axis 1 of (pos, block, freq, n, n), and the status flags."""
+    """Logarithmic mean over axis 1 of (pos, block, freq, n, n), and the flags; NaN where a block is not finite."""
+    bad = ~np.isfinite(G).all(axis=(1, 3, 4))[:, None, :, None, None]
+    G = np.where(bad, np.eye(G.shape[-1]), G)
     values, V = np.linalg.eig(G[:, 0])
     P = _similar(np.exp(-1j * np.angle(values)), V)
-    turned_values, vectors = np.linalg.eig(P[:, None] @ G)
-    logs = _similar(np.log(turned_values), vectors)
-    mean_values, mean_vectors = np.linalg.eig(logs.mean(axis=1))
-    mean = np.linalg.solve(P, _similar(np.exp(mean_values), mean_vectors))
-    with np.errstate(invalid="ignore"):
+    turned_values, vectors = np.linalg.eig(np.nan_to_num(P)[:, None] @ G)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        logs = _similar(np.log(turned_values), vectors)
+        mean_values, mean_vectors = np.linalg.eig(np.nan_to_num(logs.mean(axis=1)))
+        mean = inverse(P) @ _similar(np.exp(mean_values), mean_vectors)
         unsafe = np.any(np.abs(np.angle(turned_values)) > np.pi / 2, axis=(1, 3))
         unsafe |= np.any(np.linalg.cond(vectors) > _CONDITION, axis=1) | (np.linalg.cond(V) > _CONDITION)
-    return mean, np.where(unsafe, int(Status.LOG_BRANCH), 0)
+    return np.where(bad[:, 0], np.nan, mean), np.where(unsafe, int(Status.LOG_BRANCH), 0)
 
 
 def _elementwise_mean(G):
@@ -134,7 +137,7 @@ def _elementwise_mean(G):
 
 def _similar(values, V):
     """V diag(values) V^-1."""
-    return np.linalg.solve(V.swapaxes(-1, -2), (V * values[..., None, :]).swapaxes(-1, -2)).swapaxes(-1, -2)
+    return (V * values[..., None, :]) @ inverse(V)
 
 
 def _scatter(blocks, mean):
@@ -147,11 +150,13 @@ def _scatter(blocks, mean):
 
 
 def _joint_dof(cov, dof):
-    """Degrees of freedom of a mean of variances of unequal size (Welch-Satterthwaite): (pos, freq)."""
+    """Degrees of freedom of a mean of variances of unequal size, the size of a block being its mean share in the
+    variance of an element (Welch-Satterthwaite): (pos, freq)."""
     n_pos, n_block = dof.shape[:2]
-    size = cov.trace() if isinstance(cov, KroneckerSum) else np.trace(dense(cov), axis1=-2, axis2=-1).real
-    size = size.reshape(n_pos, n_block, -1)
-    return size.sum(axis=1) ** 2 / np.maximum((size**2 / dof).sum(axis=1), 1e-300)
+    each = np.asarray(variances(cov)).reshape(n_pos, n_block, dof.shape[2], -1)
+    whole = each.sum(axis=1, keepdims=True)
+    share = np.divide(each, whole, out=np.full_like(each, 1 / n_block), where=whole > 0).mean(axis=-1)
+    return 1 / (share**2 / dof).sum(axis=1)
 
 
 def _mean_covariance(cov, n_pos: int, n_block: int):

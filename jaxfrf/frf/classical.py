@@ -7,6 +7,7 @@ import numpy as np
 from .._errors import input_error
 from .._status import Status
 from ..spectra import Spectra
+from .inverse import inverse
 from .least_squares import AbstractLeastSquares, check_periodic
 from .method import AbstractMethod, Estimate, KroneckerSum
 from .window import Windows
@@ -79,7 +80,7 @@ class H2(AbstractMethod):
 
     def estimate(self, spectra: Spectra) -> Estimate:
         U, Y = by_line(spectra.U), by_line(spectra.Y)
-        return _residual_estimate(spectra, _right_divide(Y @ _h(Y), U @ _h(Y)))
+        return _residual_estimate(spectra, Y @ _h(Y) @ inverse(U @ _h(Y)))
 
 
 class Hv(AbstractMethod):
@@ -174,11 +175,6 @@ def _total_least_squares(U, y):
     _, vectors = np.linalg.eigh(both @ _h(both))
     v = vectors[..., :, 0].conj()
     return -v[..., :-1] / v[..., -1:] * scale_y[..., 0] / scale_u[..., 0]
-
-
-def _right_divide(A, B):
-    """A B^-1."""
-    return np.linalg.solve(B.swapaxes(-1, -2), A.swapaxes(-1, -2)).swapaxes(-1, -2)
 
 
 def _h(x):

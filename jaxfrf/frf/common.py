@@ -1,9 +1,11 @@
 """Local rational method with one scalar denominator shared by all outputs."""
 
 import equinox as eqx
+import numpy as np
 
 from ..spectra import Spectra
 from .combine import direct, through_ratio
+from .inverse import inverse
 from .least_squares import regress
 from .local import AbstractLocal
 from .method import Estimate, dense
@@ -34,6 +36,9 @@ class CommonDenominatorLRM(AbstractLocal):
     def n_parameters(self, spectra: Spectra, n_top: int, n_target: int) -> int:
         return super().n_parameters(spectra, n_top, n_target) + -(-self.order // n_target)
 
+    def shared_parameters(self, n_target: int) -> float:
+        return self.order / n_target
+
     def model(self, n_exp: int, n_top: int, n_targets: list[int]) -> tuple[Columns, tuple[Equation, ...]]:
         """One equation: the numerator columns explain every x^s z, s = 0..R (s by s)."""
         columns, (numerator,) = super().model(n_exp, n_top, [sum(n_targets)])
@@ -58,60 +63,58 @@ class _SharedDenominator(eqx.Module):
     combine: object = eqx.field(static=True)
 
     def __call__(self, solution: Solution, of_target, dof):
-        xp = solution.G.__array_namespace__()
         terms, n_target = self.order + 1, solution.G.shape[-2] // (self.order + 1)
         batch = solution.G.shape[:-2]
         G = solution.G.reshape(*batch, terms, n_target, -1)
         E = solution.E.reshape(*batch, terms, n_target, terms, n_target)
         weight = 1 / solution.power[..., :n_target]
-        d = _denominator(E, weight, xp)
+        d = _denominator(E, weight)
         whole = Solution(
-            G=xp.sum(d[..., :, None, None] * G, axis=-3),
+            G=np.sum(d[..., :, None, None] * G, axis=-3),
             S=solution.S,
-            E=xp.sum(d[..., :, None, None, None] * d.conj()[..., None, None, :, None] * E, axis=(-4, -2)),
+            E=np.sum(d[..., :, None, None, None] * d.conj()[..., None, None, :, None] * E, axis=(-4, -2)),
             power=solution.power[..., :n_target],
             pivot=solution.pivot,
             residual=solution.residual,
         )
-        dof = xp.asarray(dof) - self.order / n_target
         result, cov = self.combine(whole, of_target[:n_target], dof)
         if self.order == 0:
             return result, cov
-        return result, dense(cov) + self._from_denominator(whole, G, E, weight, dof, xp)
+        return result, dense(cov) + self._from_denominator(whole, G, E, weight, dof)
 
-    def _from_denominator(self, whole: Solution, G, E, weight, dof, xp):
+    def _from_denominator(self, whole: Solution, G, E, weight, dof):
         """The part of Cov(vec G) that comes from the uncertain denominator."""
-        C = whole.E / xp.where(dof > 0, dof, xp.nan)[..., None, None]
+        C = whole.E / np.where(dof > 0, dof, np.nan)[..., None, None]
         weighted = C * weight[..., :, None] * weight[..., None, :]
-        normal = _normal(E, weight, xp)[..., 1:, 1:]
-        noise = xp.einsum("...tjsi,...ij->...st", E, weighted)[..., 1:, 1:]
-        inverse = xp.linalg.inv(normal)
-        cov_d = inverse @ noise @ inverse.conj().mT
-        effect = self._effect(whole, G[..., 1:, :, :], xp)
-        columns = xp.moveaxis(effect.mT.reshape(*effect.shape[:-2], -1), -2, -1)
+        normal = _normal(E, weight)[..., 1:, 1:]
+        noise = np.einsum("...tjsi,...ij->...st", E, weighted)[..., 1:, 1:]
+        solved = inverse(normal)
+        cov_d = solved @ noise @ solved.conj().mT
+        effect = self._effect(whole, G[..., 1:, :, :])
+        columns = np.moveaxis(effect.mT.reshape(*effect.shape[:-2], -1), -2, -1)
         return columns @ cov_d @ columns.conj().mT
 
-    def _effect(self, whole: Solution, G, xp):
+    def _effect(self, whole: Solution, G):
         """dG/dd_s: (*batch, s, out, in)."""
         if self.combine is direct:
             return G
         n_in = whole.G.shape[-1]
-        inverse = xp.linalg.inv(whole.G[..., -n_in:, :])
-        ratio = whole.G[..., :-n_in, :] @ inverse
+        W = inverse(whole.G[..., -n_in:, :])
+        ratio = whole.G[..., :-n_in, :] @ W
         through = G[..., :-n_in, :] - ratio[..., None, :, :] @ G[..., -n_in:, :]
-        return through @ inverse[..., None, :, :]
+        return through @ W[..., None, :, :]
 
 
-def _normal(E, weight, xp):
+def _normal(E, weight):
     """sum_i e_(s,i)^H e_(t,i) / power_i: (*batch, s, t), from E = sum_rows e conj(e)^T."""
-    return xp.einsum("...tisi,...i->...st", E, weight)
+    return np.einsum("...tisi,...i->...st", E, weight)
 
 
-def _denominator(E, weight, xp):
+def _denominator(E, weight):
     """(1, d_1, ..., d_R) that leave the least: (*batch, R+1)."""
-    normal = _normal(E, weight, xp)
-    one = xp.ones((*normal.shape[:-2], 1), dtype=normal.dtype)
+    normal = _normal(E, weight)
+    one = np.ones((*normal.shape[:-2], 1), dtype=normal.dtype)
     if normal.shape[-1] == 1:
         return one
-    d = -xp.linalg.solve(normal[..., 1:, 1:], normal[..., 1:, :1])[..., 0]
-    return xp.concat([one, d], axis=-1)
+    d = -(inverse(normal[..., 1:, 1:]) @ normal[..., 1:, :1])[..., 0]
+    return np.concat([one, d], axis=-1)

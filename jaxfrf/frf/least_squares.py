@@ -1,7 +1,6 @@
 """Estimators that are one linear least-squares problem in every window: the model, its solution, its covariance."""
 
 import abc
-import dataclasses
 
 import equinox as eqx
 import jax
@@ -13,7 +12,7 @@ from .._status import Status
 from ..spectra import Spectra
 from .combine import direct, through_ratio
 from .method import AbstractMethod, Estimate
-from .regression import PIVOT, RESIDUAL, Equation, equation_of_target, solve_gram, solve_rows
+from .regression import PIVOT, RESIDUAL, Equation, Solution, equation_of_target, solve_gram, solve_rows
 from .window import Columns, Windows, gram, span_of
 
 
@@ -59,6 +58,10 @@ class AbstractLeastSquares(AbstractMethod):
             + (order * shared if self.has_denominator else 0)
             + (0 if transient is None else (transient + 1) * spectra.n_exp)
         )
+
+    def shared_parameters(self, n_target: int) -> float:
+        """Unknowns per target that the equations do not count, because all targets share them."""
+        return 0.0
 
     def model(self, n_exp: int, n_top: int, n_targets: list[int]) -> tuple[Columns, tuple[Equation, ...]]:
         """Columns in the order transient, x^s X, x^s Z, x^0 X, x^0 Z, and the equations that use them."""
@@ -122,40 +125,41 @@ def regress(method: AbstractLeastSquares, spectra: Spectra, X, targets, combine)
     n_parameters = max(len(eq.regressors) for eq in equations)
     windows = method.windows(spectra, n_parameters)
     signals = _signals(X, targets, method.transient_order)
-    dof = spectra.n_exp * windows.width - n_parameters
+    spent = n_parameters + method.shared_parameters(sum(z.shape[-1] for z in targets))
+    dof = spectra.n_exp * windows.width - spent
     place = tuple(jnp.asarray(x) for x in (windows.coordinate, windows.start, windows.start + windows.width))
-    solved = _solve_all(
-        jnp.asarray(signals), place, span_of(windows), columns, equations, combine, jnp.asarray(float(dof))
-    )
-    G, cov, pivot, residual = jax.device_get(solved)
-    result = Estimate(
+    solution = jax.device_get(_solve_all(jnp.asarray(signals), place, span_of(windows), columns, equations))
+    shape = solution.pivot.shape
+    doubtful = ~((solution.pivot > PIVOT) & ((solution.residual > RESIDUAL) | (dof <= 0)))
+    solution, missing = _refined(solution, doubtful, signals, windows, columns, equations)
+    dofs = dof + missing
+    G, cov = combine(solution, tuple(equation_of_target(equations)), dofs)
+    flags = {
+        Status.EDGE_WINDOW: np.broadcast_to(~windows.centred, shape),
+        Status.REFINED: doubtful,
+        Status.RANK_DEFICIENT: missing > 0,
+        Status.NO_COVARIANCE: dofs <= 0,
+    }
+    return Estimate(
         G=G,
         cov=cov,
-        dof=np.full(G.shape[:2], float(dof)),
-        status=np.broadcast_to(np.where(windows.centred, 0, int(Status.EDGE_WINDOW)), G.shape[:2]),
-        window=np.full(G.shape[:2], float(windows.width)),
+        dof=dofs,
+        status=sum(np.where(where, int(flag), 0) for flag, where in flags.items()),
+        window=np.full(shape, float(windows.width)),
     )
-    doubtful = ~((pivot > PIVOT) & ((residual > RESIDUAL) | (dof == 0)))
-    if doubtful.any():
-        result = _refined(result, doubtful, signals, windows, columns, equations, combine)
-    status = np.where(result.dof > 0, result.status, result.status | int(Status.NO_COVARIANCE))
-    return dataclasses.replace(result, status=status)
 
 
-def _refined(result: Estimate, doubtful, signals, windows: Windows, columns: Columns, equations, combine) -> Estimate:
-    """The estimate with its doubtful windows solved again from their rows."""
-    of_target = tuple(equation_of_target(equations))
-    result = jax.tree.map(np.array, result)
+def _refined(solution: Solution, doubtful, signals, windows: Windows, columns: Columns, equations):
+    """The solution with its doubtful windows solved again from their rows, and the rank missing there: (pos, freq)."""
+    missing = np.zeros(doubtful.shape, int)
+    if not doubtful.any():
+        return solution, missing
+    solution = jax.tree.map(np.array, solution)
     for pos in np.flatnonzero(doubtful.any(axis=1)):
         for lines in _batches(np.flatnonzero(doubtful[pos])):
-            solution, missing = solve_rows(signals[pos], windows, columns, equations, lines)
-            result.dof[pos, lines] += missing
-            G, cov = combine(solution, of_target, result.dof[pos, lines])
-            result.G[pos, lines] = G
-            jax.tree.map(lambda old, new, at=(pos, lines): old.__setitem__(at, new), result.cov, cov)
-            deficient = np.where(missing > 0, int(Status.RANK_DEFICIENT), 0)
-            result.status[pos, lines] |= int(Status.REFINED) | deficient
-    return result
+            again, missing[pos, lines] = solve_rows(signals[pos], windows, columns, equations, lines)
+            jax.tree.map(lambda old, new, at=(pos, lines): old.__setitem__(at, new), solution, again)
+    return solution, missing
 
 
 def _batches(lines, size: int = 64):
@@ -163,12 +167,8 @@ def _batches(lines, size: int = 64):
 
 
 @eqx.filter_jit
-def _solve_all(signals, place, span: int, columns: Columns, equations, combine, dof):
-    def finish(A):
-        solution = solve_gram(A, equations)
-        return *combine(solution, tuple(equation_of_target(equations)), dof), solution.pivot, solution.residual
-
-    return jax.lax.map(lambda s: gram(s, *place, span, columns, finish), signals)
+def _solve_all(signals, place, span: int, columns: Columns, equations) -> Solution:
+    return jax.lax.map(lambda s: gram(s, *place, span, columns, lambda A: solve_gram(A, equations)), signals)
 
 
 def _signals(X, targets, transient: int | None) -> np.ndarray:

@@ -22,15 +22,15 @@ class KroneckerSum(eqx.Module):
 
     def dense(self) -> Complex[Array, "*batch vec vec"]:
         """Covariance of vec(G), columns stacked."""
-        xp = self.left.__array_namespace__()
         batch, n, m = self.left.shape[:-3], self.left.shape[-1], self.right.shape[-1]
         flat = self.left.reshape(*batch, -1, n * n).mT @ self.right.reshape(*batch, -1, m * m)
-        return xp.moveaxis(flat.reshape(*batch, n, n, m, m), -2, -3).reshape(*batch, n * m, n * m)
+        cov = np.moveaxis(flat.reshape(*batch, n, n, m, m), -2, -3).reshape(*batch, n * m, n * m)
+        return (cov + cov.conj().mT) / 2  # Hermitian up to rounding already
 
-    def trace(self) -> Float[Array, "*batch"]:
-        """Sum of the variances of all elements."""
-        terms = [np.trace(x, axis1=-2, axis2=-1) for x in (np.asarray(self.left), np.asarray(self.right))]
-        return np.sum(terms[0] * terms[1], axis=-1).real
+    def diagonal(self) -> Float[Array, "*batch vec"]:
+        """Variances of vec(G)."""
+        left, right = (np.diagonal(np.asarray(x), axis1=-2, axis2=-1) for x in (self.left, self.right))
+        return np.sum(left[..., :, None] * right[..., None, :], axis=-3).real.reshape(*left.shape[:-2], -1)
 
 
 class Estimate(eqx.Module):
@@ -48,6 +48,11 @@ class Estimate(eqx.Module):
 def dense(cov) -> Array:
     """A covariance as an array, whichever way it is kept."""
     return cov.dense() if isinstance(cov, KroneckerSum) else cov
+
+
+def variances(cov) -> Array:
+    """The diagonal of a covariance, whichever way it is kept."""
+    return cov.diagonal() if isinstance(cov, KroneckerSum) else np.diagonal(cov, axis1=-2, axis2=-1).real
 
 
 class AbstractMethod(eqx.Module):
