@@ -155,11 +155,13 @@ def _what_it_can_give(data: Experiment, spectra: Spectra) -> str:
     name, X = ("u", spectra.U) if spectra.R is None else ("r", spectra.R)
     power = np.sum(np.abs(X) ** 2, axis=(0, 1))
     share = np.cumsum(power, axis=0) / np.sum(power, axis=0)
-    limit = spectra.frequency[np.argmax(share >= 0.99, axis=0)]
+    limit = [f"{f:.3g}" for f in np.unique(spectra.frequency[np.argmax(share >= 0.99, axis=0)])]
+    below = f"{limit[0]} Hz" if len(limit) == 1 else f"{limit[0]} to {limit[-1]} Hz (by channel)"
     return (
-        f"{_where(data, name)}: not periodic, taken whole with a transient term; 99 % of the power lies below "
-        f"{limit.min():.3g} to {limit.max():.3g} Hz (by channel). Above that, and between lines that carry little, "
-        "look at the standard deviation before the FRF; no noise level can be told apart from distortion."
+        f"{_where(data, name)}: not periodic, taken whole with a transient term; 99 % of the power between "
+        f"{spectra.frequency[0]:.3g} and {spectra.frequency[-1]:.3g} Hz lies below {below}. Above that, and between "
+        "lines that carry little, look at the standard deviation before the FRF; no noise level can be told apart from "
+        "distortion."
     )
 
 

@@ -46,8 +46,13 @@ def _split(effect, of_target, solution: Solution):
 def _covariance(S, effects, E, dof):
     """sum_tu S_tu (x) (M_t E M_u^H) / dof; NaN without degrees of freedom."""
     right = effects[..., :, None, :, :] @ (E[..., None, None, :, :] @ effects.conj().mT[..., None, :, :, :])
-    dof = np.asarray(dof)[..., None, None, None]
+    dof = np.asarray(dof)[..., None, None, None, None]
     with np.errstate(invalid="ignore"):
-        right = right.reshape(*right.shape[:-4], -1, *right.shape[-2:]) / np.where(dof > 0, dof, np.nan)
-    terms = KroneckerSum(left=S.reshape(*S.shape[:-4], -1, *S.shape[-2:]), right=right)
+        right = right / np.where(dof > 0, dof, np.nan)
+    terms = KroneckerSum(*(x.reshape(*x.shape[:-4], -1, *x.shape[-2:]) for x in (_hermitian(S), _hermitian(right))))
     return terms if terms.left.shape[-3] <= _MANY else terms.dense()
+
+
+def _hermitian(x):
+    """Without the rounding by which blocks (t, u) and (u, t) are not each other's adjoint: (*batch, t, u, i, j)."""
+    return (x + x.conj().swapaxes(-4, -3).mT) / 2

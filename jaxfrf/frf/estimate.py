@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 
 from .. import __version__
@@ -40,12 +41,12 @@ def estimate(spectra: Spectra, method: AbstractMethod, *, progress=None) -> FRF:
     method.check(spectra)
     _check_rank(spectra, method)
     groups = _groups(spectra)
-    parts = []
+    whole = None
     for group in groups:
-        parts.append(_plain(method.estimate(select_positions(spectra, slice(group[0], group[-1] + 1)))))
+        part = _plain(method.estimate(select_positions(spectra, slice(group[0], group[-1] + 1))))
+        whole = _stored(whole, part, group, spectra.n_pos)
         if progress is not None:
             progress(group[-1] + 1, spectra.n_pos)
-    whole = _joined(parts)
     status = whole.status | _excitation_status(spectra)
     status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
     serious = [text for text in describe(status & int(_SERIOUS))]
@@ -78,7 +79,8 @@ def describe_method(method) -> str:
 def _groups(spectra: Spectra):
     vec = spectra.n_in * spectra.n_out
     bytes_each = 16 * len(spectra.lines) * (4 * vec**2 + spectra.n_exp * 8 * (spectra.n_in + spectra.n_out) ** 2)
-    size = max(1, int(_BLOCK_BYTES / bytes_each))
+    n_group = -(-spectra.n_pos // max(1, int(_BLOCK_BYTES / bytes_each)))
+    size = -(-spectra.n_pos // n_group)  # of equal size, so that one compilation serves them
     return [range(i, min(i + size, spectra.n_pos)) for i in range(0, spectra.n_pos, size)]
 
 
@@ -86,15 +88,14 @@ def _plain(x: Estimate) -> Estimate:
     return dataclasses.replace(x, G=np.asarray(x.G), cov=np.asarray(dense(x.cov)))
 
 
-def _joined(parts) -> Estimate:
-    if len(parts) == 1:
-        return parts[0]
-
-    def join(name):
-        values = [getattr(x, name) for x in parts]
-        return None if values[0] is None else np.concatenate(values)
-
-    return Estimate(**{f.name: join(f.name) for f in dataclasses.fields(Estimate)})
+def _stored(whole: Estimate | None, part: Estimate, group, n_pos: int) -> Estimate:
+    """The result of a group put in its place among those of all operating points."""
+    if len(group) == n_pos:
+        return part
+    if whole is None:
+        whole = jax.tree.map(lambda x: np.empty((n_pos, *x.shape[1:]), x.dtype), part)
+    jax.tree.map(lambda every, x: every.__setitem__(slice(group[0], group[-1] + 1), x), whole, part)
+    return whole
 
 
 def _check_rank(spectra: Spectra, method: AbstractMethod) -> None:

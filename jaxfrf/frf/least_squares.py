@@ -4,7 +4,6 @@ import abc
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .._errors import input_error
@@ -127,8 +126,8 @@ def regress(method: AbstractLeastSquares, spectra: Spectra, X, targets, combine)
     signals = _signals(X, targets, method.transient_order)
     spent = n_parameters + method.shared_parameters(sum(z.shape[-1] for z in targets))
     dof = spectra.n_exp * windows.width - spent
-    place = tuple(jnp.asarray(x) for x in (windows.coordinate, windows.start, windows.start + windows.width))
-    solution = jax.device_get(_solve_all(jnp.asarray(signals), place, span_of(windows), columns, equations))
+    place = (windows.coordinate, windows.start, windows.start + windows.width)
+    solution = jax.device_get(_solve(signals, place, span_of(windows), columns, equations))
     shape = solution.pivot.shape
     doubtful = ~((solution.pivot > PIVOT) & ((solution.residual > RESIDUAL) | (dof <= 0)))
     solution, missing = _refined(solution, doubtful, signals, windows, columns, equations)
@@ -167,7 +166,8 @@ def _batches(lines, size: int = 64):
 
 
 @eqx.filter_jit
-def _solve_all(signals, place, span: int, columns: Columns, equations) -> Solution:
+def _solve(signals, place, span: int, columns: Columns, equations) -> Solution:
+    """Every window of every operating point, one point after the other: their moments fit the cache then."""
     return jax.lax.map(lambda s: gram(s, *place, span, columns, lambda A: solve_gram(A, equations)), signals)
 
 

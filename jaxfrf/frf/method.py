@@ -22,10 +22,12 @@ class KroneckerSum(eqx.Module):
 
     def dense(self) -> Complex[Array, "*batch vec vec"]:
         """Covariance of vec(G), columns stacked."""
-        batch, n, m = self.left.shape[:-3], self.left.shape[-1], self.right.shape[-1]
-        flat = self.left.reshape(*batch, -1, n * n).mT @ self.right.reshape(*batch, -1, m * m)
-        cov = np.moveaxis(flat.reshape(*batch, n, n, m, m), -2, -3).reshape(*batch, n * m, n * m)
-        return (cov + cov.conj().mT) / 2  # Hermitian up to rounding already
+        left, right = np.asarray(self.left), np.asarray(self.right)
+        if left.shape[-3] == 1:
+            cov = left[..., 0, :, None, :, None] * right[..., 0, None, :, None, :]
+        else:
+            cov = np.einsum("...tab,...tij->...aibj", left, right)
+        return cov.reshape(*left.shape[:-3], left.shape[-1] * right.shape[-1], -1)
 
     def diagonal(self) -> Float[Array, "*batch vec"]:
         """Variances of vec(G)."""
