@@ -31,8 +31,8 @@ _PUBLIC = {
     "concatenate": "experiment",
     "select_periods": "experiment",
     "screen": "screening",
-    "example": "example",
-    "example_response": "example",
+    "example": "examples",
+    "example_response": "examples",
     "Spectra": "spectra",
     "dft": "spectra",
     "unexcited_spectra": "spectra",
@@ -79,7 +79,7 @@ if TYPE_CHECKING:
     from ._status import (
         Status as Status,
     )
-    from .example import (
+    from .examples import (
         example as example,
         example_response as example_response,
     )

@@ -72,7 +72,7 @@ def _add_example(commands) -> None:
 
 
 def _example(given) -> dict:
-    from .example import example
+    from .examples import example
     from .io import write
 
     data = example(blocks=given.blocks, seed=given.seed)

@@ -81,7 +81,9 @@ def test_bench_load_side(measured):
         expected = 1 / (1 - (f[low] / ANTIRESONANCE) ** 2)
         ratio = (load.G / motor.G)[0, low, 0, 0]
         assert np.median(np.abs(ratio / expected - 1)) < 0.05
-        assert jf.features(load)[0].kind == "resonance" and jf.features(load)[0].frequency == RESONANCE
+        found = jf.features(load)
+        assert found[0].kind == "resonance" and found[0].frequency == RESONANCE
+        assert not any(x.kind == "antiresonance" and x.frequency < RESONANCE for x in found)  # none on this side
 
 
 def test_bench_signal_to_noise_ratio(measured):
@@ -128,7 +130,7 @@ def test_bench_one_period_against_the_other_record(measured):
     Against record B (other phases, every other odd line), over the common lines and all 19 steady periods, LRM is
     closer: its windows average over lines what differs from line to line, noise and nonlinear distortion, and the
     distortion of B is another one. Against the mean of the *other periods of A*, H1 looks far better, and is not:
-    nonlinear distortion repeats with the period, so that mean holds the same, and what H1 copies of it counts as accuracy.
+    nonlinear distortion repeats with the period: that mean holds it too, and what H1 copies of it counts as accuracy.
     """
     a, b = bench(measured, "A"), bench(measured, "B")
     spectra_b = jf.dft(b)
@@ -206,8 +208,8 @@ def test_emps_joint_against_direct(measured, tmp_path, capsys):
 
 
 def test_emps_friction_at_the_lowest_line(measured, tmp_path):
-    """At .16 Hz, where the axis travels, Coulomb friction doubles the viscous one: its linear equivalent by least squares
-    is Fc E|v| / E[v^2] over the measured speed (208 N s/m against Fv = 203.5)."""
+    """At .16 Hz, where the axis travels, Coulomb friction doubles the viscous one: its linear equivalent by least
+    squares is Fc E|v| / E[v^2] over the measured speed (208 N s/m against Fv = 203.5)."""
     f, G = emps(measured, tmp_path, "h1")
     data = jf.io.read(measured / "emps" / "DATA_EMPS.mat", names={"u": "vir", "y": "qm"})
     speed = np.gradient(data.y[0, 0, :18720, 0]) * data.fs
