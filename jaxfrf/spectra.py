@@ -12,6 +12,7 @@ from ._types import Array
 from .experiment import QUANTITIES, Experiment, Source
 
 _FOUND_GAP_DB = 10.0  # excited and other lines are told apart by a gap of at least this much
+_FOUND_DEEPEST_DB = 80.0  # below the strongest line a line is no excitation, gap or not
 _FOUND_RANGE_DB = 40.0  # without such a gap: lines within this range of the strongest
 _SILENT = 1e-14  # power, relative to the median line, below which a line carries nothing (rounding)
 _SILENT_SHARE = 1e-24  # the same relative to the whole signal, for when the median line is rounding itself
@@ -184,8 +185,8 @@ def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
     """The lines that the reference (or, without one, the input) excites, found from its power.
 
     A line counts when *every* channel carries power there (a slow sine on one axis does not make a line), and when it
-    stands above the largest gap in the sorted power of all lines, or, where no gap of 10 dB exists, within 40 dB
-    of the strongest line. The gap can be wrong for weak or smoothly decaying spectra: give `lines` then.
+    stands above the largest gap in the sorted power of all lines (at most 80 dB below the strongest), or, where no gap
+    of 10 dB exists, within 40 dB of the strongest line. The gap can be wrong for weak or smoothly decaying spectra: give `lines` then.
     """
     k = np.arange(1, (data.period - 1) // 2 + 1)
     strength = _strength(data, k)
@@ -201,7 +202,8 @@ def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
     gaps = order[:-1] - order[1:]
     fewest = min(3, len(order) - 2)
     cut = fewest + int(np.argmax(gaps[fewest:])) if len(gaps) > fewest >= 0 else 0
-    threshold = order[cut] if gaps[cut] >= _FOUND_GAP_DB else max(-_FOUND_RANGE_DB, order[-1])
+    found_gap = gaps[cut] >= _FOUND_GAP_DB
+    threshold = max(order[cut] if found_gap else order[-1], -_FOUND_DEEPEST_DB if found_gap else -_FOUND_RANGE_DB)
     return k[level >= threshold]
 
 

@@ -352,7 +352,7 @@ BAD = {
     "swapped axes": (_swapped, {}, [], r"u: found .*2 samples .*axes look swapped"),
     "negative fs": (None, {"fs": -1.0}, [], r"fs: found -1; expected a positive number"),
     "fs against the time vector": (None, {"t": np.arange(800) / 100}, [], r"fs: found 200 Hz against 100 Hz"),
-    "no fs": (None, {"fs": None}, [], r"fs: found no such variable; expected the sampling freq"),
+    "no fs": (None, {"fs": None}, [], r"fs: found neither fs nor a time vector; expected the sampling freq"),
     "wrong period": (None, {"period": 399}, [], r"period: found 800 samples, 2\.0\d* periods of 399"),
     "no period": (None, {"period": 0}, ["--method", "h1"], r"period: found 0: the record is not periodic.*transient"),
     "all transient": (None, {"transient_periods": 2}, [], r"transient_periods: found 2 of 2"),

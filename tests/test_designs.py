@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from jaxfrf import InputError
-from jaxfrf import excitation as ex
+from jaxfrf import InputError, excitation as ex
 from jaxfrf.io.designs import read_design
 from jaxfrf.io.references import read_reference, write_reference
 
@@ -202,9 +201,7 @@ def test_written_and_read_again(tmp_path, small, kind):
     assert np.array_equal(again.position, small.position)
     for field in dataclasses.fields(small.design):
         if field.name not in ("slow", "phases"):
-            assert np.array_equal(getattr(again.design, field.name), getattr(small.design, field.name)), (
-                field.name
-            )
+            assert np.array_equal(getattr(again.design, field.name), getattr(small.design, field.name)), field.name
     assert np.array_equal(again.design.slow.lines, small.design.slow.lines)
     assert again.design.phases.name == "random"
     # What the file says of the design is enough to make the same signals again.
@@ -293,9 +290,7 @@ def test_wrong_names(tmp_path, small):
         with pytest.raises(InputError, match="nowhere"):
             write_reference(tmp_path / "nowhere" / f"move.{kind}", small)
     scipy.io.savemat(tmp_path / "other.mat", {"r": np.zeros((5, 1)), "fs": 1.0})
-    with pytest.raises(
-        InputError, match=r"other.mat: found no r_position, lines, .*; expected a reference written"
-    ):
+    with pytest.raises(InputError, match=r"other.mat: found no r_position, lines, .*; expected a reference written"):
         read_reference(tmp_path / "other.mat")
 
 

@@ -6,11 +6,9 @@ import jax
 import jax.random as jr
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from jaxfrf import InputError
-from jaxfrf import excitation as ex
+from jaxfrf import InputError, excitation as ex
 
 PAPER_LINES = (112, 2240, 366)
 QUICK = settings(max_examples=25, deadline=None)
@@ -111,9 +109,7 @@ def crest(lines, phases, **options):
 @pytest.mark.parametrize("n", [64, 100, 250])
 def test_schroeder_crest_factor(n):
     """4.6 dB for many lines (Boyd, IEEE Trans. Circuits Syst. 33 (1986): Newman phases, shifted in time)."""
-    assert crest(np.arange(1, n + 1), ex.SchroederPhases()).item() == pytest.approx(
-        10 ** (4.6 / 20), rel=0.02
-    )
+    assert crest(np.arange(1, n + 1), ex.SchroederPhases()).item() == pytest.approx(10 ** (4.6 / 20), rel=0.02)
 
 
 @pytest.mark.parametrize("lines", [np.arange(1, 40), np.arange(31, 231, 2), ex.log_odd_lines(20, 200, 60)])
@@ -128,10 +124,7 @@ def test_optimised_crest_factors_of_a_block():
     """All nine signals of three inputs come down, and the block stays orthogonal."""
     options = {"n_in": 3, "seed": 4}
     lines = np.arange(21, 141, 2)
-    assert (
-        crest(lines, ex.CrestOptimisedPhases(), **options).max()
-        < crest(lines, ex.RandomPhases(), **options).min()
-    )
+    assert crest(lines, ex.CrestOptimisedPhases(), **options).max() < crest(lines, ex.RandomPhases(), **options).min()
     design = ex.Multisine(1000.0, 4000, lines, phases=ex.CrestOptimisedPhases(), **options)
     _assert_orthogonal(design)
 
@@ -164,9 +157,7 @@ def test_orthogonal(n_in, phases):
     _assert_orthogonal(ex.Multisine(1000.0, 200, lines, amplitude=amplitude, blocks=blocks, phases=phases))
 
 
-@given(
-    n_in=st.integers(1, 5), blocks=st.integers(1, 3), period=st.integers(40, 90), seed=st.integers(0, 2**31)
-)
+@given(n_in=st.integers(1, 5), blocks=st.integers(1, 3), period=st.integers(40, 90), seed=st.integers(0, 2**31))
 @QUICK
 def test_rms_in_time_is_that_of_the_spectrum(n_in, blocks, period, seed):
     rms = np.linspace(1, 3, n_in)
@@ -330,17 +321,13 @@ def test_bad_designs(change, message):
 
 
 def test_bad_lines():
-    with pytest.raises(
-        InputError, match=r"band: found 5 to 4 Hz with lines every 1 Hz; expected a band that holds"
-    ):
+    with pytest.raises(InputError, match=r"band: found 5 to 4 Hz with lines every 1 Hz; expected a band that holds"):
         ex.band_lines(5.0, 4.0, 100.0, 100)
     with pytest.raises(InputError, match=r"band: found 4.2 to 4.8 Hz"):
         ex.band_lines(4.2, 4.8, 100.0, 100)
     with pytest.raises(InputError, match=r"band: found 60 to 80 Hz"):
         ex.band_lines(60.0, 80.0, 100.0, 100)
-    with pytest.raises(
-        InputError, match="first and last line: found 0 and 5; expected whole numbers with 1 <= first"
-    ):
+    with pytest.raises(InputError, match="first and last line: found 0 and 5; expected whole numbers with 1 <= first"):
         ex.full_lines(0, 5)
     with pytest.raises(InputError, match="lines: found no odd line from 4 to 4; expected at least one"):
         ex.odd_lines(4, 4)
@@ -351,17 +338,11 @@ def test_bad_lines():
 
 
 def test_bad_slow_sine_and_spectrum():
-    with pytest.raises(
-        InputError, match=r"slow sine: found lines of shape .* expected one line and one amplitude"
-    ):
+    with pytest.raises(InputError, match=r"slow sine: found lines of shape .* expected one line and one amplitude"):
         ex.SlowSine([1, 3], [1.0])
-    with pytest.raises(
-        InputError, match=r"slow sine amplitude: found .* expected finite numbers of at least 0"
-    ):
+    with pytest.raises(InputError, match=r"slow sine amplitude: found .* expected finite numbers of at least 0"):
         ex.SlowSine([1], [-1.0])
-    with pytest.raises(
-        InputError, match=r"spectrum: found frequencies .* expected positive, increasing frequencies"
-    ):
+    with pytest.raises(InputError, match=r"spectrum: found frequencies .* expected positive, increasing frequencies"):
         ex.shaped_amplitude(np.ones(3), [2.0, 1.0], [1.0, 1.0])
     with pytest.raises(InputError, match=r"spectrum amplitude: found shape \(3,\) for 2 frequencies"):
         ex.shaped_amplitude(np.ones(3), [1.0, 2.0], [1.0, 1.0, 1.0])
@@ -375,9 +356,7 @@ def test_picture_shows_the_spectrum():
     from jaxfrf.plot.excitation import multisine
 
     slow = ex.SlowSine([1, 3], [10.0, 0.0])
-    design = ex.Multisine(
-        100.0, 400, ex.odd_lines(9, 121)[::2], rms=[1.0, 2.0], slow=slow, transient_periods=1
-    )
+    design = ex.Multisine(100.0, 400, ex.odd_lines(9, 121)[::2], rms=[1.0, 2.0], slow=slow, transient_periods=1)
     axes = multisine(ex.reference(design))
     markers = [line for line in axes[1].lines if line.get_marker() == "."]
     for channel, line in enumerate(markers):

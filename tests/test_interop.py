@@ -16,9 +16,7 @@ def random_frf(shape=(2, 6, 3, 2), frequency=None, y_quantity="velocity") -> FRF
     rng = np.random.default_rng(3)
     G = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
     frequency = np.sort(rng.uniform(1, 80, shape[1])) if frequency is None else frequency
-    return frf_from_arrays(
-        G, frequency, y_quantity=y_quantity, q=rng.standard_normal((shape[0], 6)), method="H1()"
-    )
+    return frf_from_arrays(G, frequency, y_quantity=y_quantity, q=rng.standard_normal((shape[0], 6)), method="H1()")
 
 
 # --- universal files ---
@@ -280,8 +278,7 @@ def test_sep005_channels_become_an_experiment():
 def test_sep005_channels_by_name_and_with_time():
     t = np.arange(8.0)
     channels = [
-        {"name": n, "data": k * t, "time": t / 50, "unit_str": "V"}
-        for k, n in enumerate(("ref", "torque", "speed"))
+        {"name": n, "data": k * t, "time": t / 50, "unit_str": "V"} for k, n in enumerate(("ref", "torque", "speed"))
     ]
     data = from_sep005(channels, u=["torque"], y=["speed"], r=["ref"], y_quantity="velocity")
     assert data.fs == pytest.approx(50)

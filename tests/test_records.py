@@ -11,8 +11,7 @@ import pymatreader
 import pytest
 import scipy.io
 import xarray
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 import jaxfrf as jf
 from jaxfrf.io import _matlab
@@ -130,11 +129,7 @@ def test_matlab_v5_as_scipy_reads_it(tmp_path):
     write(tmp_path / "a.mat", data)
     found = scipy.io.loadmat(tmp_path / "a.mat")
     np.testing.assert_array_equal(found["u"], data.u)
-    assert (
-        found["fs"].shape == (1, 1)
-        and found["period"].dtype == float
-        and found["y_quantity"] == ["acceleration"]
-    )
+    assert found["fs"].shape == (1, 1) and found["period"].dtype == float and found["y_quantity"] == ["acceleration"]
 
 
 def test_matlab_v73_as_pymatreader_and_h5py_read_it(tmp_path, monkeypatch):
@@ -176,9 +171,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, extension, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
-@pytest.mark.parametrize(
-    ("name", "says"), [("a.h5", r"'\.h5'"), ("a.csv", r"\.csv"), ("no/a.nc", "no folder")]
-)
+@pytest.mark.parametrize(("name", "says"), [("a.h5", r"'\.h5'"), ("a.csv", r"\.csv"), ("no/a.nc", "no folder")])
 def test_wrong_place_to_write(tmp_path, name, says):
     with pytest.raises(jf.InputError, match=says):
         write(tmp_path / name, experiment())
@@ -443,7 +436,7 @@ def test_rate_from_a_time_vector(tmp_path):
         ({"fs": np.nan}, r"fs: found nan"),
         ({"fs": "fast"}, r"fs: found text; expected real numbers"),
         ({"fs": np.array([1.0, 2.0])}, r"fs: found an array of shape \(.*2.*\); expected one number"),
-        ({}, r"fs: found no such variable; expected the sampling frequency"),
+        ({}, r"fs: found neither fs nor a time vector; expected the sampling frequency"),
         ({"time": np.arange(200) / FS}, r"fs: found no such variable.*--map t=time"),
         ({"fs": 1000.0, "t": np.arange(200) / FS}, r"fs: found 1000 Hz against 500 Hz.*--set fs=500"),
         ({"fs": FS, "t": np.arange(200) * 2000.0}, r"against 0\.0005 Hz.*microseconds: --scale t=1e-06"),

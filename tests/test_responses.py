@@ -58,9 +58,7 @@ def assert_same_bits(a: FRF, b: FRF):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-@pytest.mark.parametrize(
-    "shape", [(2, 7, 3, 2), (1, 1, 1, 1), (1, 5, 1, 1), (3, 5, 1, 2), (1, 4, 2, 1), (5, 5, 2, 2)]
-)
+@pytest.mark.parametrize("shape", [(2, 7, 3, 2), (1, 1, 1, 1), (1, 5, 1, 1), (3, 5, 1, 2), (1, 4, 2, 1), (5, 5, 2, 2)])
 @pytest.mark.parametrize("known", [True, False])
 def test_every_field_comes_back_bit_by_bit(tmp_path, suffix, shape, known):
     frf = make_frf(shape, known=known)
@@ -100,9 +98,7 @@ def test_plain_hdf5_reader_sees_complex_numbers_and_named_axes(tmp_path):
         assert json.loads(file.attrs["provenance"])[0] == {"name": "Versuch ü.mat", "sha256": "ab" * 32}
         assert file.attrs["options"] == "order=2, width=34, variable='index'"
         meanings = dict(
-            zip(
-                file["status"].attrs["flag_meanings"].split(), file["status"].attrs["flag_masks"], strict=True
-            )
+            zip(file["status"].attrs["flag_meanings"].split(), file["status"].attrs["flag_masks"], strict=True)
         )
         assert meanings["rank_deficient"] == Status.RANK_DEFICIENT
 
@@ -123,9 +119,7 @@ def test_matlab_sees_complex_doubles_and_permute_gives_idfrd_its_order(tmp_path)
     names = scipy.io.loadmat(tmp_path / "frf.mat")
     np.testing.assert_array_equal(names["G"], frf.G)
     assert names["frequency"].shape == (7, 1)
-    for_idfrd = np.transpose(names["G"][:1], np.array([3, 4, 2, 1]) - 1)[
-        ..., 0
-    ]  # permute(G(1,:,:,:), [3 4 2 1])
+    for_idfrd = np.transpose(names["G"][:1], np.array([3, 4, 2, 1]) - 1)[..., 0]  # permute(G(1,:,:,:), [3 4 2 1])
     assert for_idfrd.shape == (3, 2, 7)
     assert for_idfrd[2, 1, 4] == frf.G[0, 4, 2, 1]
     assert names["method"][0] == frf.method

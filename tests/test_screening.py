@@ -160,9 +160,7 @@ def test_one_other_period(period):
 def test_one_sample_lost_shows_in_the_reference():
     r, u, y = record()
     r[0, 0, -1] = r[0, 0, -2]  # logged twice
-    the_one(
-        screen(experiment(r, u, y)), r"r: channel \d .* differs in its last period .* most at sample 5999"
-    )
+    the_one(screen(experiment(r, u, y)), r"r: channel \d .* differs in its last period .* most at sample 5999")
 
 
 def test_low_signal_to_noise_ratio():

@@ -87,9 +87,7 @@ def log_odd_lines(first: int, last: int, points: int) -> Grid:
     return _some(lines[lines <= last], first, last)
 
 
-def detection_lines(
-    lines: Int[Array, "freq"], first: int | None = None, last: int | None = None
-) -> tuple[Grid, Grid]:
+def detection_lines(lines: Int[Array, "freq"], first: int | None = None, last: int | None = None) -> tuple[Grid, Grid]:
     """The unexcited lines (odd, even) of the band: odd and even nonlinear distortion show there.
 
     The band reaches from `first` to `last`; by default from the lowest to the highest excited line.

@@ -115,17 +115,13 @@ class Multisine(eqx.Module):
         velocity_limit = None if velocity_limit is None else _numbers("velocity_limit", velocity_limit)
         n_in = _agree(n_in, rms, amplitude, slow, velocity_limit)
         self.amplitude = _amplitude(amplitude, rms, len(self.lines), n_in)
-        self.velocity_limit = (
-            None if velocity_limit is None else _per_channel("velocity_limit", velocity_limit, n_in)
-        )
+        self.velocity_limit = None if velocity_limit is None else _per_channel("velocity_limit", velocity_limit, n_in)
 
     def __check_init__(self):
         top = (self.period - 1) // 2
         _check_lines("lines", self.lines, top)
         if np.any(np.diff(self.lines) <= 0):
-            raise input_error(
-                "lines", "a list that is not increasing", "increasing line numbers", "Sort them."
-            )
+            raise input_error("lines", "a list that is not increasing", "increasing line numbers", "Sort them.")
         if not isinstance(self.phases, AbstractPhases):
             raise input_error("phases", repr(self.phases), "a choice of phases", "E.g. RandomPhases().")
         if self.blocks > 1 and not self.phases.random:
@@ -176,9 +172,7 @@ class Multisine(eqx.Module):
         return np.sqrt(np.sum(self.amplitude**2, axis=0) / 2)
 
 
-def reference_spectra(
-    design: Multisine, *, key: PRNGKeyArray | None = None
-) -> Complex[np.ndarray, "exp freq in"]:
+def reference_spectra(design: Multisine, *, key: PRNGKeyArray | None = None) -> Complex[np.ndarray, "exp freq in"]:
     """Fourier coefficients of the multisine references at the excited lines, block after block.
 
     Experiment e of block m is number m*n_in + e. A block does not depend on how many blocks there are, so

@@ -150,9 +150,7 @@ def optimise_crest(
 
     x = np.stack([phi, psi]).ravel()
     for p in _EXPONENTS:
-        x = scipy.optimize.minimize(
-            cost, x, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": _ITERATIONS}
-        ).x
+        x = scipy.optimize.minimize(cost, x, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": _ITERATIONS}).x
     return split(np.mod(x, 2 * np.pi))
 
 

@@ -96,7 +96,8 @@ class LogMean(AbstractAverage):
     elementwise: bool = False
 
     def check(self, spectra: Spectra) -> None:
-        if spectra.n_out != spectra.n_in and not self.elementwise:
+        averages = spectra.n_exp // self.block_size(spectra) > 1
+        if averages and spectra.n_out != spectra.n_in and not self.elementwise:
             raise input_error(
                 "LOG",
                 f"{spectra.n_out} outputs and {spectra.n_in} inputs",

@@ -56,6 +56,14 @@ class AbstractLocal(AbstractLeastSquares):
 
     def windows(self, spectra: Spectra, n_parameters: int) -> Windows:
         least = math.ceil(n_parameters / spectra.n_exp)
+        if least > len(spectra.lines):
+            raise input_error(
+                "lines",
+                f"{len(spectra.lines)} lines with {spectra.n_exp} experiment(s)",
+                f"at least {least} for {n_parameters} unknowns in a window",
+                "Use more lines (for a record that is not periodic: --band LOW:HIGH), lower the order, or stack more "
+                "experiments.",
+            )
         width = default_width(n_parameters, spectra.n_exp, len(spectra.lines)) if self.width is None else self.width
         if width < least:
             raise input_error(

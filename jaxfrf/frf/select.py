@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import scipy.ndimage
 
+from .._errors import input_error
 from ..spectra import Spectra
 from .joint import JointInputOutput
 from .local import LRM, AbstractLocal
@@ -33,6 +34,16 @@ class Auto(AbstractMethod):
     widths: tuple[int, ...] | None = None
     threshold: float = 0.7
     use_reference: bool = True
+
+    def __check_init__(self):
+        if self.method.width is not None:
+            raise input_error(
+                "width",
+                f"width={self.method.width} for a method that chooses its windows",
+                "no width",
+                f"Say which windows to choose from (widths={self.method.width}), or take a method with a fixed one, "
+                "e.g. lrm-jio-stacked.",
+            )
 
     def block_size(self, spectra: Spectra) -> int:
         return 1

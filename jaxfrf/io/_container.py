@@ -51,9 +51,7 @@ def load(path: str | os.PathLike) -> dict[str, Leaf]:
     if path.is_dir():
         raise input_error(str(path), "a folder", "a file", "Name the files in it.")
     if path.stat().st_size == 0:
-        raise input_error(
-            str(path), "an empty file (0 bytes)", "a measurement file", "Export or copy it again."
-        )
+        raise input_error(str(path), "an empty file (0 bytes)", "a measurement file", "Export or copy it again.")
     try:
         found = reader.load(path)
     except (InputError, ImportError, MemoryError):
@@ -86,9 +84,7 @@ def save(path: str | os.PathLike, variables: Mapping[str, Variable], attributes:
 def replacing(path: pathlib.Path) -> Iterator[pathlib.Path]:
     """A temporary file beside `path` that takes its place if the block succeeds, and vanishes otherwise."""
     if not path.parent.is_dir():
-        raise input_error(
-            str(path), f"no folder {path.parent}", "an existing folder", "Make it, or write elsewhere."
-        )
+        raise input_error(str(path), f"no folder {path.parent}", "an existing folder", "Make it, or write elsewhere.")
     temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
     try:
         yield temporary

@@ -22,9 +22,7 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
     """
     # A unit such as ° in an unknown encoding must not make the numbers unreadable.
     lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    numbered = [
-        (i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.startswith(_COMMENTS)
-    ]
+    numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.startswith(_COMMENTS)]
     if not numbered:
         raise input_error(str(path), "no lines of numbers", "a table", "Export or copy it again.")
     separator = _separator(numbered[0][1])

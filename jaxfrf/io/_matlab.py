@@ -116,9 +116,7 @@ def _flat_v5(name: str, x):
 def _load_v73(path: pathlib.Path) -> dict[str, Leaf]:
     h5py = require("h5py", "io")
     with h5py.File(path, "r") as file:
-        return dict(
-            pair for name in file if not name.startswith("#") for pair in _flat_v73(h5py, name, file[name])
-        )
+        return dict(pair for name in file if not name.startswith("#") for pair in _flat_v73(h5py, name, file[name]))
 
 
 def _flat_v73(h5py, name: str, node):

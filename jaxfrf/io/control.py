@@ -19,9 +19,7 @@ def to_control(frf: FRF, pos: int = 0):
     """
     control = require("control", "control")
     if not -frf.n_pos <= pos < frf.n_pos:
-        raise input_error(
-            "pos", f"{pos}", f"one of the {frf.n_pos} operating points (0 to {frf.n_pos - 1})", "Choose."
-        )
+        raise input_error("pos", f"{pos}", f"one of the {frf.n_pos} operating points (0 to {frf.n_pos - 1})", "Choose.")
     return control.FrequencyResponseData(
         np.moveaxis(np.asarray(frf.G[pos]), 0, -1),
         2 * np.pi * np.asarray(frf.frequency),
@@ -60,9 +58,7 @@ def from_control(system, frequency=None, *, y_quantity: str = "velocity") -> FRF
 def _points(system, frequency) -> np.ndarray:
     """Where in the complex plane to evaluate the system."""
     if frequency is None:
-        raise input_error(
-            "frequency", "none", "frequencies in Hz at which to evaluate the system", "Give them."
-        )
+        raise input_error("frequency", "none", "frequencies in Hz at which to evaluate the system", "Give them.")
     s = 2j * np.pi * np.atleast_1d(np.asarray(frequency, float))
     if system.isctime():
         return s

@@ -64,9 +64,7 @@ def read_design(path: str | os.PathLike) -> Multisine:
     try:
         return design_from_table(tomllib.loads(path.read_text(encoding="utf-8")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise input_error(
-            str(path), f"no valid TOML ({error})", "a design in TOML", "Correct that line."
-        ) from error
+        raise input_error(str(path), f"no valid TOML ({error})", "a design in TOML", "Correct that line.") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 

@@ -58,9 +58,7 @@ def check_names(names: Mapping[str, str] | None) -> dict[str, str]:
     _check_keys("--map", names, MAPPED)
     for key, name in names.items():
         if not isinstance(name, str) or not name.strip():
-            raise input_error(
-                f"--map {key}", repr(name), "the name of a variable", f"Write --map {key}=NAME."
-            )
+            raise input_error(f"--map {key}", repr(name), "the name of a variable", f"Write --map {key}=NAME.")
     return names
 
 
@@ -153,9 +151,7 @@ def _factor(key: str, value) -> float | tuple[float, ...]:
         parts = split(value.strip("[]"), ";") if isinstance(value, str) else np.ravel(value)
         factors = tuple(float(x) for x in parts)
     except (ValueError, TypeError):
-        raise _bad_value(
-            "--scale", key, value, "a factor like 0.0174532925, or one a channel like [1;-1]"
-        ) from None
+        raise _bad_value("--scale", key, value, "a factor like 0.0174532925, or one a channel like [1;-1]") from None
     if not factors or not np.isfinite(factors).all() or 0.0 in factors:
         raise _bad_value("--scale", key, value, "finite factors other than zero")
     return factors[0] if len(factors) == 1 else factors

@@ -156,18 +156,14 @@ def _signal(file: _File, key: str) -> np.ndarray | None:
     if _lost_its_channel(file, x):
         x = x[..., None]
     if x.size == 0:
-        raise file.error(
-            key, f"no samples (shape {x.shape})", "a record", "Check the file, or name another variable."
-        )
+        raise file.error(key, f"no samples (shape {x.shape})", "a record", "Check the file, or name another variable.")
     if not 2 <= x.ndim <= 4:
         shapes = "(time, channel), (experiment, time, channel) or (position, experiment, time, channel)"
         raise file.error(key, f"the shape {x.shape}", shapes, "Name a record, or reshape it.")
     time = x.shape[-2]
     if time < max(x.shape):
         turn = (
-            f'Transpose it: --map "{key}={file.given.names.get(key, key)}\'".'
-            if x.ndim == 2
-            else "Reorder the axes."
+            f'Transpose it: --map "{key}={file.given.names.get(key, key)}\'".' if x.ndim == 2 else "Reorder the axes."
         )
         raise file.error(
             key,
@@ -211,12 +207,8 @@ def _lost_quantity(file: _File) -> list[str]:
 def _numbers(file: _File, key: str, value) -> np.ndarray:
     x = np.asarray(value)
     if x.dtype.kind not in "biuf":
-        kind = {"c": "complex numbers", "U": "text", "S": "text", "O": "objects"}.get(
-            x.dtype.kind, f"{x.dtype} data"
-        )
-        raise file.error(
-            key, kind, "real numbers", "Store the time record itself, not its spectrum or a text."
-        )
+        kind = {"c": "complex numbers", "U": "text", "S": "text", "O": "objects"}.get(x.dtype.kind, f"{x.dtype} data")
+        raise file.error(key, kind, "real numbers", "Store the time record itself, not its spectrum or a text.")
     return x
 
 
@@ -266,9 +258,7 @@ def _text(file: _File, key: str, default: str) -> str:
     value = file.get(key)
     if value is not None and not isinstance(value, str):
         choices = " or ".join(QUANTITIES)
-        raise file.error(
-            key, f"numbers of shape {np.shape(value)}", choices, f"Set it: --set {key}=velocity."
-        )
+        raise file.error(key, f"numbers of shape {np.shape(value)}", choices, f"Set it: --set {key}=velocity.")
     return default if value is None else value.strip()
 
 
@@ -324,9 +314,7 @@ def _rate(file: _File, time: np.ndarray, n_time: int) -> tuple[float, float]:
     t = time.ravel().astype(np.float64)
     span = t[-1] - t[0]
     if not (np.isfinite(t).all() and span > 0):
-        raise file.error(
-            "t", f"times from {t[0]:g} to {t[-1]:g}", "finite, increasing times in s", "Correct it."
-        )
+        raise file.error("t", f"times from {t[0]:g} to {t[-1]:g}", "finite, increasing times in s", "Correct it.")
     rate = (n_time - 1) / span
     deviation = np.max(np.abs((t - t[0]) * rate - np.arange(n_time)))
     whole = round(rate)
@@ -343,7 +331,12 @@ def _rate_advice(ratio: float, rate: float) -> str:
 def _no_rate(file: _File, n_time: int) -> InputError:
     like = time_like(file.variables, n_time)
     if not like:
-        return missing(file.path, file.variables, "fs", "fs")
+        return file.error(
+            "fs",
+            "neither fs nor a time vector",
+            "the sampling frequency fs (Hz)",
+            "Set it, e.g. --set fs=2000, or say what it is called: --map fs=NAME.",
+        )
     return file.error(
         "fs",
         "no such variable",

@@ -138,14 +138,9 @@ def _design(found) -> Multisine:
 
     lines = np.ravel(found["lines"])
     amplitude = np.reshape(found["amplitude"], (len(lines), -1))
-    slow = (
-        SlowSine(np.ravel(found["slow_lines"]), np.ravel(found["slow_amplitude"]))
-        if "slow_lines" in found
-        else None
-    )
+    slow = SlowSine(np.ravel(found["slow_lines"]), np.ravel(found["slow_amplitude"])) if "slow_lines" in found else None
     scalars = {
-        name: number(name)
-        for name in ("fs", "period", "periods", "transient_periods", "blocks", "seed", "ramp")
+        name: number(name) for name in ("fs", "period", "periods", "transient_periods", "blocks", "seed", "ramp")
     }
     limit = np.ravel(found["velocity_limit"]) if "velocity_limit" in found else None
     phases = str(found["phases"])

@@ -132,9 +132,7 @@ def _frf(names: Mapping, where: str) -> FRF:
         raise _no_frf(names, where)
     frequency = np.atleast_1d(_numbers(names["frequency"], f"{where}: frequency")).ravel()
     if np.iscomplexobj(frequency) or not np.isfinite(frequency).all():
-        raise input_error(
-            f"{where}: frequency", "complex, NaN or Inf values", "finite frequencies, Hz", "Repair it."
-        )
+        raise input_error(f"{where}: frequency", "complex, NaN or Inf values", "finite frequencies, Hz", "Repair it.")
     G = _response(_numbers(names["G"], f"{where}: G"), len(frequency), f"{where}: G")
     per_line, vec = G.shape[:2], G.shape[2] * G.shape[3]
     covariances = {
@@ -144,9 +142,7 @@ def _frf(names: Mapping, where: str) -> FRF:
     }
     y_quantity = _text(names, "y_quantity") or "velocity"
     if y_quantity not in QUANTITIES:
-        raise input_error(
-            f"{where}: y_quantity", repr(y_quantity), f"one of {', '.join(QUANTITIES)}", "Correct it."
-        )
+        raise input_error(f"{where}: y_quantity", repr(y_quantity), f"one of {', '.join(QUANTITIES)}", "Correct it.")
     return FRF(
         G=G,
         frequency=frequency,
@@ -220,18 +216,14 @@ def _shaped(value, shape: tuple[int, ...], where: str) -> np.ndarray:
     """`value` in `shape`; only axes of length one may have been lost or added."""
     value = _numbers(value, where)
     if [n for n in value.shape if n != 1] != [n for n in shape if n != 1]:
-        raise input_error(
-            where, f"shape {value.shape}", f"shape {shape}, as G has it", "Check the order of axes."
-        )
+        raise input_error(where, f"shape {value.shape}", f"shape {shape}, as G has it", "Check the order of axes.")
     return value.reshape(shape)
 
 
 def _configurations(value, n_pos: int, where: str) -> np.ndarray:
     q = np.atleast_2d(_numbers(value, where))
     if q.ndim != 2 or len(q) != n_pos:
-        raise input_error(
-            where, f"shape {q.shape}", f"(position, joint) with {n_pos} positions", "Transpose it."
-        )
+        raise input_error(where, f"shape {q.shape}", f"(position, joint) with {n_pos} positions", "Transpose it.")
     return q
 
 
@@ -245,9 +237,7 @@ def _json(names: Mapping, name: str, where: str) -> list:
     try:
         return json.loads(text) if text else []
     except json.JSONDecodeError as error:
-        raise input_error(
-            f"{where}: {name}", f"text that is no JSON ({error})", "a JSON list", "Repair it."
-        ) from error
+        raise input_error(f"{where}: {name}", f"text that is no JSON ({error})", "a JSON list", "Repair it.") from error
 
 
 # --- formats: each writes a dictionary of arrays and texts ---
@@ -280,9 +270,7 @@ def _write_mat(path: pathlib.Path, names: Mapping) -> None:
     try:
         scipy.io.savemat(path, dict(names), oned_as="column", appendmat=False)
     except MatWriteError as error:
-        raise input_error(
-            str(path), "2 GB or more in one array", "less (the limit of .mat)", "Write .nc."
-        ) from error
+        raise input_error(str(path), "2 GB or more in one array", "less (the limit of .mat)", "Write .nc.") from error
 
 
 def _write_npz(path: pathlib.Path, names: Mapping) -> None:

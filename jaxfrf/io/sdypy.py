@@ -39,9 +39,7 @@ def from_sdypy(data, *, conjugated: bool = False) -> FRF:
     if not isinstance(data, Mapping):
         data = _of_pyfrf(data)
     G = np.asarray(_named(data, "frf"))
-    frequency = (
-        np.asarray(data["freq_rad"]) / (2 * np.pi) if "freq_rad" in data else np.asarray(_named(data, "freq"))
-    )
+    frequency = np.asarray(data["freq_rad"]) / (2 * np.pi) if "freq_rad" in data else np.asarray(_named(data, "freq"))
     G = G[None] if G.ndim == 1 else G
     G = G[:, None] if G.ndim == 2 else G
     if G.ndim != 3 or frequency.ndim != 1 or G.shape[-1] != len(frequency):
@@ -52,9 +50,7 @@ def from_sdypy(data, *, conjugated: bool = False) -> FRF:
             "Transpose it.",
         )
     G = G.conj() if conjugated else G
-    return frf_from_arrays(
-        np.moveaxis(G, -1, 0), frequency, y_quantity=_form(data), warnings=_backwards(G, frequency)
-    )
+    return frf_from_arrays(np.moveaxis(G, -1, 0), frequency, y_quantity=_form(data), warnings=_backwards(G, frequency))
 
 
 def from_sep005(
@@ -166,9 +162,7 @@ def _backwards(G: np.ndarray, frequency: np.ndarray) -> tuple[str, ...]:
 
 def _named(mapping: Mapping, name: str):
     if name not in mapping:
-        raise input_error(
-            "dictionary", f"the keys {', '.join(map(str, mapping))}", f"a key {name!r}", "Add it."
-        )
+        raise input_error("dictionary", f"the keys {', '.join(map(str, mapping))}", f"a key {name!r}", "Add it.")
     return mapping[name]
 
 
@@ -190,9 +184,7 @@ def _quantity(by_name: Mapping[str, Mapping], names: Sequence[str]) -> str:
 
 def _channel(by_name: Mapping[str, Mapping], name: str) -> Mapping:
     if name not in by_name:
-        raise input_error(
-            "channels", f"no {name!r} among {', '.join(by_name)}", "a channel of that name", "Check it."
-        )
+        raise input_error("channels", f"no {name!r} among {', '.join(by_name)}", "a channel of that name", "Check it.")
     return by_name[name]
 
 
@@ -211,7 +203,5 @@ def _stack(by_name: Mapping[str, Mapping], names: Sequence[str]) -> np.ndarray:
     columns = [np.asarray(_named(by_name[name], "data")) for name in names]
     shapes = {c.shape for c in columns}
     if len(shapes) > 1 or columns[0].ndim != 1:
-        raise input_error(
-            "data", f"shapes {sorted(shapes)}", "one-dimensional channels of equal length", "Cut them."
-        )
+        raise input_error("data", f"shapes {sorted(shapes)}", "one-dimensional channels of equal length", "Cut them.")
     return np.stack(columns, axis=-1)

@@ -46,9 +46,7 @@ def confidence_radius(frf: FRF, level: float = 0.95) -> Float[Array, "pos freq o
     Source: Pintelon & Schoukens 2012, System Identification, ch. 2.
     """
     if not 0 < level < 1:
-        raise input_error(
-            "confidence", f"{level}", "a probability between 0 and 1", "Give 0.95, or None for no band."
-        )
+        raise input_error("confidence", f"{level}", "a probability between 0 and 1", "Give 0.95, or None for no band.")
     dof = np.asarray(frf.dof, float)
     quantile = scipy.stats.f.ppf(level, 2, 2 * np.where(dof > 0, dof, np.nan))
     return np.asarray(frf.std) * np.sqrt(quantile)[..., None, None]
@@ -103,9 +101,7 @@ def bode(
         figure, axes = _given(axes, cells)
     frequency = np.concatenate([np.asarray(f.frequency) for f in frfs])
     for row, row_of_cells in enumerate(cells):
-        curves = [
-            [_curve(f, r, position, cell) for f, r in zip(frfs, radii, strict=True)] for cell in row_of_cells
-        ]
+        curves = [[_curve(f, r, position, cell) for f, r in zip(frfs, radii, strict=True)] for cell in row_of_cells]
         limits = _style.decibel_limits(*(c.magnitude for column in curves for c in column))
         for column, cell in enumerate(row_of_cells):
             pair = axes[row, column]
@@ -170,9 +166,7 @@ def _draw(pair, curves: Sequence[_Curve]) -> None:
 
 def _draw_magnitude(axis, curve: _Curve, colour: str) -> None:
     above = curve.magnitude + _style.decibel(1 + curve.relative)
-    down = np.where(
-        curve.relative < 1, _style.decibel(1 - curve.relative), -_ENDLESS * np.sign(curve.relative)
-    )
+    down = np.where(curve.relative < 1, _style.decibel(1 - curve.relative), -_ENDLESS * np.sign(curve.relative))
     drawn = np.stack([curve.frequency, curve.magnitude, curve.magnitude + down, above])
     _draw_runs(axis, [drawn[:, run] for run in _style.pieces(curve.frequency, curve.sound)], colour)
 
@@ -224,9 +218,7 @@ def _check(frfs: Sequence[FRF], labels: Sequence[str], elements, position: int) 
     if not frfs:
         raise input_error("frfs", "none", "at least one FRF", "Estimate one first.")
     if len(labels) != len(frfs):
-        raise input_error(
-            "labels", f"{len(labels)}", f"one for each of the {len(frfs)} estimates", "Name them all."
-        )
+        raise input_error("labels", f"{len(labels)}", f"one for each of the {len(frfs)} estimates", "Name them all.")
     for f in frfs:
         if (f.n_out, f.n_in, f.y_quantity) != (frfs[0].n_out, frfs[0].n_in, frfs[0].y_quantity):
             raise input_error(
@@ -265,9 +257,7 @@ def _new(cells, handles, note: str, title: str, size):
     full_height = size[1] if size else header + down + rows * _HEIGHTS.get(rows, _SMALLEST)
     width, height = (full_width - across) / columns, (full_height - header - down) / rows
     if min(width, height) <= 0:
-        raise input_error(
-            "size", f"{size} inches", "room for every element", "Leave it out, or choose elements."
-        )
+        raise input_error("size", f"{size} inches", "room for every element", "Leave it out, or choose elements.")
     figure = _style.new_figure(full_width, full_height)
     axes = np.full((rows, columns, 2), None, object)
     for row, row_of_cells in enumerate(cells):
@@ -290,9 +280,7 @@ def _given(axes, cells):
     shape = (len(cells), len(cells[0]), 2)
     axes = np.asarray(axes, object)
     if axes.size != np.prod(shape):
-        raise input_error(
-            "axes", f"{axes.size} axes", f"an array of shape {shape} (magnitude, phase)", "Make them."
-        )
+        raise input_error("axes", f"{axes.size} axes", f"an array of shape {shape} (magnitude, phase)", "Make them.")
     axes = axes.reshape(shape)
     return axes[0, 0, 0].figure, axes
 
@@ -321,9 +309,7 @@ def _legend(frfs, labels, radii, confidence, position: int) -> list:
         colour, marker = _style.look(k)
         handles.append(lines.Line2D([], [], color=colour, marker=marker, ms=3.4, lw=0.7, label=label))
     if any(r is not None and np.isfinite(r).any() for r in radii):
-        band = patches.Patch(
-            color=_style.DOUBTFUL, alpha=0.35, lw=0, label=f"{100 * confidence:g} % confidence"
-        )
+        band = patches.Patch(color=_style.DOUBTFUL, alpha=0.35, lw=0, label=f"{100 * confidence:g} % confidence")
         handles.append(band)
     if any((np.asarray(f.status[position]) & int(_SERIOUS)).any() for f in frfs):
         style = {"ls": "none", "marker": "o", "ms": 3.4, "mfc": "white", "mec": _style.DOUBTFUL}

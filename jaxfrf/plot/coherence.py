@@ -43,9 +43,7 @@ def coherence(
     frequency, values = np.asarray(frequency), _values(coherence, len(frequency), position)
     labels = [f"$y_{{{k + 1}}}$" for k in range(values.shape[1])] if labels is None else list(labels)
     if len(labels) != values.shape[1]:
-        raise input_error(
-            "labels", f"{len(labels)}", f"one for each of the {values.shape[1]} outputs", "Name them."
-        )
+        raise input_error("labels", f"{len(labels)}", f"one for each of the {values.shape[1]} outputs", "Name them.")
     if axes is None:
         handles = _legend(labels) if len(labels) > 1 else []
         axes = _new(handles, title)

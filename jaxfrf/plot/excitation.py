@@ -29,16 +29,12 @@ def multisine(reference: Reference, *, experiment: int = 0, channels=None, axes=
 
 def _check(reference: Reference, experiment: int, channels) -> None:
     if not 0 <= experiment < reference.n_exp:
-        raise input_error(
-            "experiment", f"{experiment}", f"0 to {reference.n_exp - 1}", "Choose one that is there."
-        )
+        raise input_error("experiment", f"{experiment}", f"0 to {reference.n_exp - 1}", "Choose one that is there.")
     if not channels:
         raise input_error("channels", "none", "at least one input", "Leave it out to see all.")
     for channel in channels:
         if not 0 <= channel < reference.n_in:
-            raise input_error(
-                "channels", f"{channel}", f"0 to {reference.n_in - 1}", "Choose inputs that are there."
-            )
+            raise input_error("channels", f"{channel}", f"0 to {reference.n_in - 1}", "Choose inputs that are there.")
 
 
 def _new_axes():

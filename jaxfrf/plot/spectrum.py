@@ -67,9 +67,7 @@ def spectrum(
     if not channels or min(channels) < 0 or max(channels) >= most:
         raise input_error("channels", f"{channels}", f"some of 0 to {most - 1}", "Count from 0.")
     panels = [[_levels(spectra, unexcited, s, c, position) for c in channels] for s in signals]
-    looks = [
-        look for look in (_EXCITED, _ODD, _EVEN, _NOISE) if any(look in p for row in panels for p in row if p)
-    ]
+    looks = [look for look in (_EXCITED, _ODD, _EVEN, _NOISE) if any(look in p for row in panels for p in row if p)]
     shape = (len(signals), len(channels))
     if axes is None:
         figure, axes = _new(shape, looks, title)
@@ -130,9 +128,7 @@ def _draw(axis, panel: dict, n_lines: int) -> None:
         points = {"ls": "none", "marker": look.marker, "ms": size, "mec": "none", "color": look.colour}
         if look is _NOISE:
             runs = _style.pieces(frequency, np.isfinite(level))
-            axis.plot(
-                *_style.polyline(frequency, level, runs), color=look.colour, lw=0.6, alpha=0.6, zorder=1
-            )
+            axis.plot(*_style.polyline(frequency, level, runs), color=look.colour, lw=0.6, alpha=0.6, zorder=1)
         axis.plot(frequency, level, zorder=1.5 if look is _NOISE else 3, **points)
 
 
@@ -149,8 +145,7 @@ def _finish(axis, band, limits, bottom: bool) -> None:
 def _new(shape: tuple[int, int], looks: Sequence[_Look], title: str):
     lines = require("matplotlib.lines", "plot")
     handles = [
-        lines.Line2D([], [], ls="none", color=x.colour, marker=x.marker, ms=4, mec="none", label=x.label)
-        for x in looks
+        lines.Line2D([], [], ls="none", color=x.colour, marker=x.marker, ms=4, mec="none", label=x.label) for x in looks
     ]
     rows, columns = shape
     panel = _WIDTHS.get(columns, _SMALLEST)
@@ -169,8 +164,6 @@ def _new(shape: tuple[int, int], looks: Sequence[_Look], title: str):
 def _given(axes, shape: tuple[int, int]):
     axes = np.asarray(axes, object)
     if axes.size != np.prod(shape):
-        raise input_error(
-            "axes", f"{axes.size} axes", f"an array of shape {shape} (signal, channel)", "Make them."
-        )
+        raise input_error("axes", f"{axes.size} axes", f"an array of shape {shape} (signal, channel)", "Make them.")
     axes = axes.reshape(shape)
     return axes[0, 0].figure, axes
