@@ -185,8 +185,9 @@ def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
     """The lines that the reference (or, without one, the input) excites, found from its power.
 
     A line counts when *every* channel carries power there (a slow sine on one axis does not make a line), and when it
-    stands above the largest gap in the sorted power of all lines (at most 80 dB below the strongest), or, where no gap
-    of 10 dB exists, within 40 dB of the strongest line. The gap can be wrong for weak or smoothly decaying spectra: give `lines` then.
+    stands above the largest gap in the sorted power of all lines (at most 80 dB below the strongest), or, where there
+    is no gap of 10 dB, within 40 dB of the strongest line. The gap can be wrong for weak or smoothly decaying spectra:
+    give `lines` then.
     """
     k = np.arange(1, (data.period - 1) // 2 + 1)
     strength = _strength(data, k)
