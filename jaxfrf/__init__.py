@@ -11,7 +11,6 @@ __version__ = "0.1.0"
 # Every public name and the module that holds it; submodules that are namespaces of their own stand in _NAMESPACES.
 _PUBLIC = {
     "InputError": "_errors",
-    "InputWarning": "_errors",
     "Status": "_status",
     "Multisine": "excitation",
     "SlowSine": "excitation",
@@ -74,7 +73,6 @@ if TYPE_CHECKING:
     from . import excitation as excitation, frf as frf, io as io, plot as plot, robot as robot
     from ._errors import (
         InputError as InputError,
-        InputWarning as InputWarning,
     )
     from ._status import (
         Status as Status,

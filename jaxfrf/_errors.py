@@ -1,12 +1,8 @@
-"""What jaxfrf says when the input is wrong or suspicious."""
+"""What jaxfrf says when the input is wrong."""
 
 
 class InputError(ValueError):
     """The input cannot be used. The message says what was found, what was expected and what to do."""
-
-
-class InputWarning(UserWarning):
-    """The input can be used but looks wrong. The same text stands in the `warnings` of every result."""
 
 
 def input_error(what: str, found: str, expected: str, do: str) -> InputError:
