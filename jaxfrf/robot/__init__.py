@@ -15,6 +15,7 @@ from .chain import (
     gravity_forces as gravity_forces,
     inverse_dynamics as inverse_dynamics,
     mass_and_bias as mass_and_bias,
+    mass_and_bias_columns as mass_and_bias_columns,
     mass_matrix as mass_matrix,
     potential_energy as potential_energy,
 )
@@ -57,6 +58,7 @@ from .robot import (
     Robot as Robot,
     arm_inertia as arm_inertia,
     arm_inertia_and_bias as arm_inertia_and_bias,
+    arm_inertia_and_bias_columns as arm_inertia_and_bias_columns,
     chain_angles as chain_angles,
     deflections as deflections,
     drive_forces as drive_forces,

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import Array
-from .chain import Chain, mass_and_bias, mass_matrix, potential_energy
+from .chain import Chain, mass_and_bias, mass_and_bias_columns, mass_matrix, potential_energy
 from .drive import AbstractSpring, Drives
 
 
@@ -142,13 +142,19 @@ def chain_angles(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, 
 
 def _arm_matrix(robot: Robot, matrix):
     """Chain inertia in the order [q_a, q_e], with the rotors of rigid transmissions on the diagonal."""
-    order = np.array(robot.arm_joints)
-    reflected = np.zeros(len(order))
-    reflected[: robot.n_axes] = 1.0
-    reflected[list(robot.flexible_axes)] = 0.0
-    rotor = jnp.square(robot.drives.gear_ratio) * robot.drives.motor_inertia
-    rotor = jnp.concatenate([rotor, jnp.zeros(robot.n_elastic)]) * reflected
-    return matrix[..., order[:, None], order] + jnp.diag(rotor)
+    order, rotor = np.array(robot.arm_joints), _reflected_rotors(robot)
+    matrix = matrix[..., order[:, None], order]
+    return matrix if rotor is None else matrix + jnp.diag(rotor)
+
+
+def _reflected_rotors(robot: Robot):
+    """Inertia of the rotors that turn with the arm, on the arm side, (arm,); `None` where all gears are flexible."""
+    if robot.n_motors == robot.n_axes:
+        return None
+    rigid = np.ones(robot.n_axes)
+    rigid[list(robot.flexible_axes)] = 0.0
+    rotor = rigid * jnp.square(robot.drives.gear_ratio) * robot.drives.motor_inertia
+    return jnp.concatenate([rotor, jnp.zeros(robot.n_elastic)])
 
 
 @eqx.filter_jit
@@ -162,6 +168,16 @@ def arm_inertia_and_bias(robot: Robot, arm: Float[Array, "*batch arm"], rate: Fl
     """M_ae and c_ae + g_ae from one pass over the kinematics: what changes slowly within a control sample."""
     matrix, bias = mass_and_bias(robot.chain, chain_angles(robot, arm), chain_angles(robot, rate))
     return _arm_matrix(robot, matrix), bias[..., np.array(robot.arm_joints)]
+
+
+def arm_inertia_and_bias_columns(robot: Robot, arm: Float[Array, "arm run"], rate: Float[Array, "arm run"]):
+    """`arm_inertia_and_bias` of many runs with the runs last, (arm, arm, run) and (arm, run): for simulations."""
+    order = np.array(robot.arm_joints)
+    angles, rates = chain_angles(robot, arm.T).T, chain_angles(robot, rate.T).T
+    matrix, bias = mass_and_bias_columns(robot.chain, angles, rates)
+    rotor = _reflected_rotors(robot)
+    matrix = matrix[order[:, None], order]
+    return (matrix if rotor is None else matrix + jnp.diag(rotor)[..., None]), bias[order]
 
 
 def motor_inertia(robot: Robot) -> Float[Array, "motor"]:

@@ -1,0 +1,1 @@
+"""Experiments on simulated robots: robot, effects and excitation in, records out."""
