@@ -1,1 +1,4 @@
 """Experiments on simulated robots: robot, effects and excitation in, records out."""
+
+from .experiment import simulate as simulate
+from .positions import random_positions as random_positions

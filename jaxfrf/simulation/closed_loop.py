@@ -74,7 +74,7 @@ def _normal(key, time, like):
     return jax.vmap(draw, out_axes=-1)(key).astype(like.dtype)
 
 
-@eqx.filter_jit
+@jax.jit
 def play(
     loop: ClosedLoop,
     state: LoopState,
