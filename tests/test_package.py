@@ -158,7 +158,9 @@ EXCITATION = BASE | {"excitation"}
 EXPERIMENT = EXCITATION | {"experiment"}
 SPECTRA = EXPERIMENT | {"spectra"}
 FRF = SPECTRA | {"frf"}
-IO = FRF | {"screening", "io"}
+ROBOT = BASE | {"effects", "robot"}
+SIMULATION = EXPERIMENT | ROBOT | {"simulation"}
+IO = FRF | ROBOT | {"screening", "io"}
 
 MAY_IMPORT = {
     **{name: {"_errors"} for name in BASE},
@@ -168,6 +170,9 @@ MAY_IMPORT = {
     "screening": BASE | {"experiment", "spectra"},
     "frf": FRF - {"excitation"},
     "example": EXPERIMENT,
+    "effects": BASE | {"effects"},
+    "robot": ROBOT,
+    "simulation": SIMULATION,
     "io": IO,
     "plot": IO | {"plot"},
     "pipeline": IO,
