@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from jaxfrf import InputError
-from jaxfrf import excitation as ex
+from jaxfrf import InputError, excitation as ex
 from jaxfrf.io.designs import read_design
 from jaxfrf.io.references import read_reference, write_reference
 

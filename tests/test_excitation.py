@@ -6,11 +6,9 @@ import jax
 import jax.random as jr
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from jaxfrf import InputError
-from jaxfrf import excitation as ex
+from jaxfrf import InputError, excitation as ex
 
 PAPER_LINES = (112, 2240, 366)
 QUICK = settings(max_examples=25, deadline=None)

@@ -11,8 +11,7 @@ import pymatreader
 import pytest
 import scipy.io
 import xarray
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 import jaxfrf as jf
 from jaxfrf.io import _matlab

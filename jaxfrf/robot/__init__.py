@@ -36,6 +36,7 @@ from .jacobian import (
 from .linearise import (
     LinearRobot as LinearRobot,
     OperatingPoint as OperatingPoint,
+    describing_friction as describing_friction,
     gravity_stiffness as gravity_stiffness,
     linearise as linearise,
     local_stiffness as local_stiffness,
@@ -54,7 +55,6 @@ from .response import (
 )
 from .robot import (
     Controller as Controller,
-    EffectTable as EffectTable,
     Robot as Robot,
     arm_inertia as arm_inertia,
     arm_inertia_and_bias as arm_inertia_and_bias,

@@ -7,6 +7,8 @@
 2014).
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,6 +16,9 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import Array
+from ..effects import AbstractArmTorque, AbstractEffect, AbstractFriction, AbstractStructure
+from ..effects._place import axis_of
+from ..effects.acting import groups
 from .chain import Chain, mass_and_bias, mass_and_bias_columns, mass_matrix, potential_energy
 from .drive import AbstractSpring, Drives
 
@@ -34,14 +39,6 @@ class Controller(eqx.Module):
     feedforward: bool = eqx.field(static=True, default=True)
 
 
-class EffectTable(eqx.Module):
-    """An `[[effect]]` table of a robot's file; `joint` is "" where the effect has none."""
-
-    name: str = eqx.field(static=True)
-    joint: str = eqx.field(static=True, default="")
-    parameters: tuple[tuple[str, float | tuple[float, ...]], ...] = eqx.field(static=True, default=())
-
-
 class Robot(eqx.Module):
     """Chain, drive trains and springs; immutable, differentiable in every array.
 
@@ -56,7 +53,8 @@ class Robot(eqx.Module):
     - `springs`: of the flexible transmissions, then of the compliant elastic joints.
     - `joint_names`: of all joints, base to tip. `driven`: whether a joint has a motor (elastic otherwise).
     - `stiff`: whether its transmission is rigid (driven), or it is locked (elastic).
-    - `controller`, `effects`, `sampling_frequency` (Hz): what the file says for the simulation.
+    - `controller`, `sampling_frequency` (Hz): for the simulation.
+    - `effects`: that act beside the robot's own laws; see `with_effects`.
     """
 
     chain: Chain
@@ -66,7 +64,7 @@ class Robot(eqx.Module):
     driven: tuple[bool, ...] = eqx.field(static=True)
     stiff: tuple[bool, ...] = eqx.field(static=True)
     controller: Controller | None = None
-    effects: tuple[EffectTable, ...] = ()
+    effects: tuple[AbstractEffect, ...] = ()
     name: str = eqx.field(static=True, default="robot")
     sampling_frequency: float = eqx.field(static=True, default=2000.0)
 
@@ -81,6 +79,23 @@ class Robot(eqx.Module):
             raise ValueError(
                 f"motor_inertia has shape {np.shape(self.drives.motor_inertia)}; expected ({self.n_axes},)."
             )
+
+    def with_effects(self, *effects: AbstractEffect) -> "Robot":
+        """The same robot with more effects (`jaxfrf.effects`), in the simulation and in the linearisation.
+
+        An effect on the robot's own numbers or joints (`AbstractStructure`) becomes part of them; the others stand
+        in `effects`.
+
+        **Raises:** `jaxfrf.InputError` where an effect names a joint that the robot does not have.
+        """
+        robot = self
+        for effect in effects:
+            if isinstance(effect, AbstractStructure):
+                robot = effect.apply(robot)
+            else:
+                axis_of(robot, effect.joint)
+                robot = dataclasses.replace(robot, effects=(*robot.effects, effect))
+        return robot
 
     @property
     def n_axes(self) -> int:
@@ -241,8 +256,38 @@ def drive_forces(
 ) -> Float[Array, "*batch dof"]:
     """The fast part of the dynamics: motors, friction and springs, B (u - tau_fm) - W tau_spring; N m."""
     spring = robot.springs.torque(deflections(robot, z), deflections(robot, rate))
-    friction = robot.drives.friction.torque(motor_values(robot, rate))
-    return (torque - friction) @ motor_directions(robot).T - spring @ spring_directions(robot).T
+    speed = motor_values(robot, rate)
+    friction = robot.drives.friction.torque(speed)
+    forces = -spring @ spring_directions(robot).T
+    if robot.effects:
+        friction = friction + friction_effects(robot, speed, gear_load(robot, spring, torque))
+        arm = slice(robot.n_motors, robot.n_motors + robot.n_axes)
+        forces = forces.at[..., arm].add(-arm_torques(robot, z[..., arm], rate[..., arm]))
+    return forces + (torque - friction) @ motor_directions(robot).T
+
+
+def gear_load(robot: Robot, spring, torque) -> Float[Array, "*batch axis"]:
+    """Torque in every gear on the motor side: of its spring, or of the motor where the transmission is rigid; N m."""
+    flexible = np.array(robot.flexible_axes, int)
+    return torque.at[..., flexible].set(spring[..., : robot.n_motors] / robot.drives.gear_ratio[flexible])
+
+
+def friction_effects(robot: Robot, speed, load) -> Float[Array, "*batch axis"]:
+    """Torque against the motors by the robot's effects, motor side; speed in rad/s, load as `gear_load`; N m."""
+    return _effects_torque(robot, AbstractFriction, speed, load)
+
+
+def arm_torques(robot: Robot, angle, rate) -> Float[Array, "*batch axis"]:
+    """Torque against the driven joints by the robot's effects, arm side; N m."""
+    return _effects_torque(robot, AbstractArmTorque, angle, rate)
+
+
+def _effects_torque(robot: Robot, kind, *signals):
+    signals = [jnp.moveaxis(x, -1, 0) for x in jnp.broadcast_arrays(*signals)]
+    total = jnp.zeros_like(signals[0])
+    for group in groups(robot, kind):
+        total = group.added(total, group(lambda effect, *x: effect.torque(*x), *signals))
+    return jnp.moveaxis(total, 0, -1)
 
 
 @eqx.filter_jit

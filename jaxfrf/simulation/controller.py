@@ -52,5 +52,3 @@ class Cascade(eqx.Module):
         integral = state.integral + self.integral_rate * error
         torque = jnp.clip(self.velocity_gain * (error + integral), -self.limit, self.limit)
         return torque, ControllerState(position, integral)
-
-

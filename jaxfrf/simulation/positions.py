@@ -39,7 +39,9 @@ def read_positions(path: str | os.PathLike, axes: int) -> Float[np.ndarray, "pos
     try:
         q = np.array([[float(x) for x in row] for row in rows])
     except ValueError as error:
-        raise input_error(f"{path}", f"{error}", "numbers", "Write one row of angles, rad, for each position.") from None
+        raise input_error(
+            f"{path}", f"{error}", "numbers", "Write one row of angles, rad, for each position."
+        ) from None
     if q.ndim != 2 or q.shape[1] != axes or not np.isfinite(q).all():
         raise input_error(
             f"{path}", f"numbers of shape {q.shape}", f"(position, {axes}), finite", "Write one row for each position."
