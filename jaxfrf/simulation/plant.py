@@ -3,6 +3,7 @@
 Arrays are component first and runs last, (dof, run): one instruction then works on many runs.
 """
 
+import dataclasses
 import functools
 import operator
 
@@ -13,6 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import Array
+from ..effects import AbstractArmTorque, AbstractFriction, AbstractMotorTorque
+from ..effects.acting import Group, groups
 from ..robot import Robot, arm_inertia_and_bias_columns
 
 Columns = Float[Array, "row run"]
@@ -65,12 +68,23 @@ class Plant(eqx.Module):
     springs: eqx.Module
     friction: eqx.Module
     wiring: Wiring
+    rubbing: tuple[Group[AbstractFriction], ...]
+    pulling: tuple[Group[AbstractArmTorque], ...]
+    rippling: tuple[Group[AbstractMotorTorque], ...]
 
     @classmethod
     def of(cls, robot: Robot) -> "Plant":
         drives = columns(robot.drives)
         return cls(
-            robot, drives.gear_ratio, drives.motor_inertia, columns(robot.springs), drives.friction, Wiring.of(robot)
+            dataclasses.replace(robot, effects=(), controller=None),
+            drives.gear_ratio,
+            drives.motor_inertia,
+            columns(robot.springs),
+            drives.friction,
+            Wiring.of(robot),
+            groups(robot, AbstractFriction),
+            groups(robot, AbstractArmTorque),
+            groups(robot, AbstractMotorTorque),
         )
 
     def motor(self, z: Columns) -> Columns:
@@ -98,12 +112,27 @@ class Plant(eqx.Module):
         """z'' under a motor torque, (axis, run), with the slow part held."""
         w = self.wiring
         spring = self.springs.torque(self.deflection(z), self.deflection(rate))
-        net = torque - self.friction.torque(self.motor(rate))
+        speed = self.motor(rate)
+        net = torque - self.friction.torque(speed)
         gears = spring[: w.motors]
+        if self.rubbing:
+            load = w.interleave(gears / w.pick(self.gear, w.flexible), w.pick(torque, w.rigid))
+            for group in self.rubbing:
+                net = group.added(net, -group(lambda e, v, x: e.torque(v, x), speed, load))
         motor = (w.pick(net, w.flexible) - gears / w.pick(self.gear, w.flexible)) / w.pick(self.inertia, w.flexible)
         arm = w.interleave(gears, w.pick(self.gear * net, w.rigid))
+        for group in self.pulling:
+            row = slice(w.motors, w.motors + w.axes)
+            arm = group.added(arm, -group(lambda e, q, v: e.torque(q, v), z[row], rate[row]))
         force = jnp.concatenate([arm, spring[w.motors :]]) - slow.bias
         return jnp.concatenate([motor, product(slow.inverse, force)])
+
+
+    def ripple(self, angle: Columns, torque: Columns) -> Columns:
+        """Motor torque with what depends on the motor's angle."""
+        for group in self.rippling:
+            torque = group.added(torque, group(lambda e, x: e.torque(x), angle))
+        return torque
 
 
 def product(matrix, vector):
@@ -131,10 +160,15 @@ def inverse_columns(matrix: Float[Array, "row row run"]) -> Float[Array, "row ro
 
 
 def advance(plant: Plant, z: Columns, rate: Columns, slow: Slow, torques, step: float) -> tuple[Columns, Columns]:
-    """One control sample in as many classical Runge-Kutta steps as `torques`, (fine step, axis, run), has rows."""
+    """One control sample in as many classical Runge-Kutta steps as `torques`, (fine step, axis, run), has rows.
+
+    Ripple, which costs sines, is evaluated once a step, at the motor angle in its middle.
+    """
 
     def fine(state, torque):
         z, v = state
+        if plant.rippling:
+            torque = plant.ripple(plant.motor(z) + 0.5 * step * plant.motor(v), torque)
         f = lambda z, v: plant.acceleration(slow, z, v, torque)
         a1 = f(z, v)
         v2 = v + 0.5 * step * a1
