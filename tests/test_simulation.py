@@ -263,18 +263,16 @@ class TestCommand:
 @pytest.mark.slow
 @pytest.mark.parametrize("stiction", [False, True], ids=["R3X", "R3X-stiction"])
 def test_all_positions_are_stable(stiction):
-    """49 positions under the paper's motion: no run diverges, and the torque stays off its limits."""
+    """49 positions at the paper's amplitudes: the motion repeats from period to period, the torque is off its limits."""
     robot = jf.robot.r3x()
     if stiction:
         level = {"joint4": 0.22, "joint5": 0.38, "joint6": 0.11}
         robot = jf.robot.with_parameters(robot, {f"{name}.coulomb_friction": x for name, x in level.items()})
-    slow = jf.SlowSine([3, 3, 3, 4, 4, 4], [30.0, 30.0, 30.0, 40.0, 40.0, 40.0])
-    plan = jf.Multisine(2000.0, 8000, jf.log_odd_lines(17, 320, 60), rms=RMS, slow=slow)
-    data = jf.simulate(robot, plan, jf.random_positions(49, jr.key(0)), key=KEY)
-    limit = np.asarray(robot.drives.torque_limit)
-    assert np.mean(np.abs(data.u) >= limit) < 1e-3
+    slow = jf.SlowSine([2, 2, 2, 3, 3, 3], [30.0, 30.0, 30.0, 40.0, 40.0, 40.0])
+    plan = jf.Multisine(2000.0, 4000, np.arange(9, 160, 6), rms=RMS, slow=slow, periods=2)
+    data = jf.simulate(robot, plan, jf.random_positions(49, jr.key(0)), key=KEY, noise=0.0)
     speed = np.diff(data.y, axis=2) * 2000
-    error = np.sqrt(np.mean((speed - data.r[:, :, :-1]) ** 2, axis=(0, 1, 2))) / np.sqrt(
-        np.mean(data.r**2, axis=(0, 1, 2))
-    )
-    assert error.max() < 0.3
+    change = speed[:, :, 4000:] - speed[:, :, :3999]
+    rms = lambda x: np.sqrt(np.mean(x**2, axis=2))
+    assert np.all(rms(change) < 1e-2 * rms(speed))
+    assert np.mean(np.abs(data.u) >= np.asarray(robot.drives.torque_limit)) < 1e-3

@@ -5,6 +5,7 @@ import math
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -158,7 +159,8 @@ def _about(v):
 class ExtraFlexibility(AbstractStructure):
     """Another elastic joint, across a transmission: the link before `joint` bends or twists about `axis`.
 
-    The joint sits at the origin of `joint`'s frame, just before it; it adds a coordinate q_e.
+    The joint sits at the origin of `joint`'s frame, just before it; it adds a coordinate q_e. There is no mass between
+    the two: its axis must not be parallel to the joint's own, or the inertia is singular.
 
     **Arguments:** `axis`: of the new joint, (3,), in the frame of `joint` at zero. `stiffness`: N m/rad, above 0.
     `damping`: N m s/rad.
@@ -188,6 +190,7 @@ class ExtraFlexibility(AbstractStructure):
         if name in robot.joint_names:
             raise input_error(f"{robot.name}", f"an elastic joint {name!r} already", "one", "Change that one.")
         chain, axis = robot.chain, jnp.asarray(self.axis, float)
+        _check_across(axis, chain.axis[at], robot.joint_names[at])
         insert = lambda x, row: jnp.insert(jnp.asarray(x), at, row, axis=0)
         chain = dataclasses.replace(
             chain,
@@ -217,6 +220,20 @@ class ExtraFlexibility(AbstractStructure):
             joint_names=put(robot.joint_names, name),
             driven=put(robot.driven, False),
             stiff=put(robot.stiff, False),
+        )
+
+
+def _check_across(axis, own, name: str) -> None:
+    """Refuse an axis along the joint's own, where the values are known (they are not while being differentiated)."""
+    if isinstance(axis, jax.core.Tracer) or isinstance(own, jax.core.Tracer):
+        return
+    across = np.linalg.norm(np.cross(np.asarray(axis), np.asarray(own)))
+    if not across > 1e-3 * np.linalg.norm(axis):
+        raise input_error(
+            "extra_flexibility: axis",
+            f"{np.asarray(axis).tolist()}, along the axis of {name} or zero",
+            "an axis across it",
+            "There is no mass between the two joints; along its own axis change the joint's stiffness.",
         )
 
 
