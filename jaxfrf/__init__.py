@@ -64,13 +64,23 @@ _PUBLIC = {
     "Feature": "frf",
     "describe_method": "frf",
     "concatenate_positions": "frf",
+    "simulate": "simulation",
+    "random_positions": "simulation",
 }
-_NAMESPACES = ("excitation", "frf", "io", "plot", "robot")
+_NAMESPACES = ("effects", "excitation", "frf", "io", "plot", "robot", "simulation")
 
 __all__ = ["__version__", *_PUBLIC, *_NAMESPACES]
 
 if TYPE_CHECKING:
-    from . import excitation as excitation, frf as frf, io as io, plot as plot, robot as robot
+    from . import (
+        effects as effects,
+        excitation as excitation,
+        frf as frf,
+        io as io,
+        plot as plot,
+        robot as robot,
+        simulation as simulation,
+    )
     from ._errors import (
         InputError as InputError,
     )
@@ -129,6 +139,10 @@ if TYPE_CHECKING:
     )
     from .screening import (
         screen as screen,
+    )
+    from .simulation import (
+        random_positions as random_positions,
+        simulate as simulate,
     )
     from .spectra import (
         Spectra as Spectra,

@@ -157,7 +157,9 @@ EXCITATION = BASE | {"excitation"}
 EXPERIMENT = EXCITATION | {"experiment"}
 SPECTRA = EXPERIMENT | {"spectra"}
 FRF = SPECTRA | {"frf"}
-IO = FRF | {"screening", "robot", "io"}
+ROBOT = BASE | {"effects", "robot"}
+SIMULATION = EXPERIMENT | ROBOT | {"simulation"}
+IO = FRF | ROBOT | {"screening", "io"}
 
 MAY_IMPORT = {
     **{name: {"errors"} for name in BASE},
@@ -167,7 +169,9 @@ MAY_IMPORT = {
     "screening": BASE | {"experiment", "spectra"},
     "frf": FRF - {"excitation"},
     "examples": EXPERIMENT,
-    "robot": BASE | {"robot"},
+    "effects": BASE | {"effects"},
+    "robot": ROBOT,
+    "simulation": SIMULATION,
     "io": IO,
     "plot": IO | {"plot"},
     "pipeline": IO,

@@ -49,13 +49,18 @@ class TestToml:
         assert robot.chain.mass.sum() == 1 + 56.5 + 26.4 + 28.7 + 5.2 + 10
 
     def test_round_trip(self, tmp_path, table):
-        table["effect"] = [{"name": "torque_ripple", "joint": "joint2", "amplitude": 0.03, "orders": [1.0, 2.0]}]
+        table["effect"] = [
+            {"name": "torque_ripple", "joint": "joint2", "amplitude": [0.03, 0.02], "order": [1, 2]},
+            {"name": "torque_delay", "joint": "joint4", "delay": 3e-4},
+            {"name": "backlash", "joint": "joint5", "gap": 1e-4},
+        ]
         table["controller"] |= {"feedforward": False, "integral_time": np.inf}
         table["joint"][0]["stiffness"] = table["joint"][3]["stiffness"] = np.inf
         for key in ("stiffness_low", "stiffness_knee"):
             del table["joint"][0][key]
         robot = jr.robot_from_table(table)
-        assert robot.effects[0].parameters == (("amplitude", 0.03), ("orders", (1.0, 2.0)))
+        assert robot.effects[0].name == "torque_ripple" and robot.effects[0].order == (1, 2)
+        assert robot.effects[1].delay == 3e-4 and robot.springs.backlash[3] == 1e-4
         write_robot(robot, tmp_path / "robot.toml")
         assert same(read_robot(tmp_path / "robot.toml"), robot)
         write_robot(jr.r3x(), tmp_path / "robot.toml")
@@ -127,7 +132,11 @@ def changed(table, path, value):
         (("controller",), 3.0, r"\[controller\]: found 3.0; expected a table"),
         (("effect",), [{"name": "coulomb_friction", "joint": "jiont3"}], r"joint: found 'jiont3'.*'joint3'"),
         (("effect",), [{"joint": "joint3"}], r"effect 1: name: found nothing"),
-        (("effect",), [{"name": "delay", "delay": "long"}], r"effect 1: delay: found 'long'"),
+        (("effect",), [{"name": "torque_delay", "joint": "joint1", "delay": "long"}], r"effect 1: delay: found 'long'"),
+        (("effect",), [{"name": "delay", "joint": "joint1"}], r"effect 1: name: found 'delay'.*'torque_delay'"),
+        (("effect",), [{"name": "torque_delay", "joint": "joint1"}], r"effect 1: delay: found nothing"),
+        (("effect",), [{"name": "torque_delay", "delay": 1e-4}], r"effect 1: joint: found nothing"),
+        (("effect",), [{"name": "payload", "mas": 1.0}], r"effect 1: found the unknown key 'mas'.*'mass'"),
     ],
 )  # fmt: skip
 def test_wrong_tables(table, path, value, message):

@@ -15,6 +15,7 @@ from .chain import (
     gravity_forces as gravity_forces,
     inverse_dynamics as inverse_dynamics,
     mass_and_bias as mass_and_bias,
+    mass_and_bias_columns as mass_and_bias_columns,
     mass_matrix as mass_matrix,
     potential_energy as potential_energy,
 )
@@ -35,6 +36,7 @@ from .jacobian import (
 from .linearise import (
     LinearRobot as LinearRobot,
     OperatingPoint as OperatingPoint,
+    describing_friction as describing_friction,
     gravity_stiffness as gravity_stiffness,
     linearise as linearise,
     local_stiffness as local_stiffness,
@@ -53,10 +55,10 @@ from .response import (
 )
 from .robot import (
     Controller as Controller,
-    EffectTable as EffectTable,
     Robot as Robot,
     arm_inertia as arm_inertia,
     arm_inertia_and_bias as arm_inertia_and_bias,
+    arm_inertia_and_bias_columns as arm_inertia_and_bias_columns,
     chain_angles as chain_angles,
     deflections as deflections,
     drive_forces as drive_forces,

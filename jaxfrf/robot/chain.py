@@ -126,6 +126,12 @@ def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "
     return matrix, _rows(_newton_euler(chain, bodies, rates, jnp.zeros_like(angles)), batch)
 
 
+def mass_and_bias_columns(chain: Chain, q: Float[Array, "joint run"], rate: Float[Array, "joint run"]):
+    """`mass_and_bias` of many runs with the runs last, (joint, joint, run) and (joint, run)."""
+    bodies = _bodies(chain, q)
+    return _mass_matrix(bodies), _newton_euler(chain, bodies, rate, jnp.zeros_like(q))
+
+
 @eqx.filter_jit
 def potential_energy(chain: Chain, q: Angles) -> Float[Array, "*batch"]:
     """Energy of the links in gravity, -sum_i m_i gravity . c_i(q); (*batch,), J."""

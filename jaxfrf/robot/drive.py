@@ -44,27 +44,55 @@ class Spring(AbstractSpring):
     - `stiffness`: k, N m/rad, at high deflection.
     - `damping`: d, N m s/rad.
     - `stiffness_ratio`: rho. `stiffness_knee`: x0, rad; not zero even where the ratio is 1.
+    - `backlash`: b, rad, or `None` where no gear has play. x is then what is left of the deflection beyond
+      +-b/2, with corners rounded over b/20; a thousandth of the deflection inside the gap keeps the point of rest
+      of an unloaded joint defined. The damper acts as the spring does.
     """
 
     stiffness: Float[Array, "spring"]
     damping: Float[Array, "spring"]
     stiffness_ratio: Float[Array, "spring"]
     stiffness_knee: Float[Array, "spring"]
+    backlash: Float[Array, "spring"] | None = None
 
     def torque(self, deflection, rate):
+        if self.backlash is not None:
+            deflection, slope = _beyond_play(deflection, self.backlash)
+            rate = slope * rate
         knee = self.stiffness_knee
         shape = deflection - (1.0 - self.stiffness_ratio) * knee * jnp.tanh(deflection / knee)
         return self.stiffness * shape + self.damping * rate
 
     def tangent(self, deflection):
+        slope = 1.0
+        if self.backlash is not None:
+            deflection, slope = _beyond_play(deflection, self.backlash)
         bend = 1.0 - jnp.square(jnp.tanh(deflection / self.stiffness_knee))
-        return self.stiffness * (1.0 - (1.0 - self.stiffness_ratio) * bend)
+        return self.stiffness * (1.0 - (1.0 - self.stiffness_ratio) * bend) * slope
 
     def energy(self, deflection):
+        if self.backlash is not None:
+            raise NotImplementedError("The energy of springs with play has no closed form here.")
         x = jnp.abs(deflection / self.stiffness_knee)
         log_cosh = x + jnp.log1p(jnp.exp(-2.0 * x)) - jnp.log(2.0)
         soft = (1.0 - self.stiffness_ratio) * jnp.square(self.stiffness_knee) * log_cosh
         return jnp.sum(self.stiffness * (0.5 * jnp.square(deflection) - soft), axis=-1)
+
+
+_INSIDE = 1e-3  # of the stiffness, inside the gap
+_CORNER = 0.05  # of the gap
+
+
+def _beyond_play(x, gap):
+    """The deflection beyond +-gap/2, and its slope; x itself where the gap is zero."""
+    open_gap = gap > 0.0
+    corner = jnp.where(open_gap, _CORNER * gap, 1.0)
+    right, left = (x + 0.5 * gap) / corner, (x - 0.5 * gap) / corner
+    log_cosh = lambda y: jnp.abs(y) + jnp.log1p(jnp.exp(-2.0 * jnp.abs(y)))
+    inside = 0.5 * corner * (log_cosh(right) - log_cosh(left))  # clip(x, -gap/2, gap/2) with round corners
+    slope = 0.5 * (jnp.tanh(right) - jnp.tanh(left))
+    keep = 1.0 - _INSIDE
+    return jnp.where(open_gap, x - keep * inside, x), jnp.where(open_gap, 1.0 - keep * slope, 1.0)
 
 
 class AbstractFriction(eqx.Module):

@@ -7,7 +7,7 @@ from jaxtyping import Complex, Float
 
 from .._types import Array
 from .linearise import LinearRobot, gravity_stiffness, linearise, local_stiffness, operating_point
-from .response import ZeroOrderHold, aliases, high_frequency, motion, sampling
+from .response import ZeroOrderHold, actuated_sampling, aliases, high_frequency, motion
 from .robot import Robot, arm_inertia, spring_directions
 
 
@@ -54,8 +54,8 @@ def frf_and_jacobian(
 @eqx.filter_jit
 def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quantity, hold, swing):
     omega = 2.0 * jnp.pi * frequency
-    factor, corrections = sampling(omega, quantity, hold, delay)
     model, slopes = _with_slopes(robot, arm_angles.reshape(-1, arm_angles.shape[-1]), friction, swing)
+    factor, corrections = actuated_sampling(model, omega, quantity, hold, delay)
     motor, partners = model.motor, model.partners
 
     def at(position):

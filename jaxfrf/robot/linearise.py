@@ -1,5 +1,7 @@
 """Operating point under gravity, and small motions about it."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,10 +9,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .._types import Array
+from ..effects import AbstractActuator, AbstractFriction
+from ..effects.acting import Group, groups
 from .chain import gravity_forces
-from .drive import ViscousFriction
+from .drive import ViscousFriction, effective_friction
 from .robot import (
     Robot,
+    arm_torques,
     chain_angles,
     drive_forces,
     inertia,
@@ -43,6 +48,7 @@ class LinearRobot(eqx.Module):
     **Fields:** `mass`, `damping`, `stiffness`: (*batch, dof, dof). `motor`: B, (dof, axis).
     `partners`: of each of the leading coordinates that are tied to one other coordinate only (a motor to its
     joint), that coordinate; the FRF eliminates them first. Empty where nothing is known.
+    `actuators`: effects between command and motor torque; the FRF multiplies by their response.
     """
 
     mass: Float[Array, "*batch dof dof"]
@@ -50,6 +56,7 @@ class LinearRobot(eqx.Module):
     stiffness: Float[Array, "*batch dof dof"]
     motor: Float[Array, "dof axis"]
     partners: tuple[int, ...] = eqx.field(static=True, default=())
+    actuators: tuple[Group, ...] = ()
 
 
 @eqx.filter_jit
@@ -66,10 +73,12 @@ def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> Op
     if arm_angles.shape[-1:] != (robot.n_axes,):
         raise ValueError(f"arm_angles have shape {arm_angles.shape}; expected (*batch, {robot.n_axes}).")
     n_gears, flexible = robot.n_motors, np.array(robot.flexible_axes, int)
+    held = arm_torques(robot, arm_angles, jnp.zeros_like(arm_angles)) if robot.effects else None
 
     def load(deflection):
-        """Gravity torque on [q_a, q_e]."""
-        return _gravity(robot, jnp.concatenate([arm_angles, -deflection[..., n_gears:]], axis=-1))
+        """Torque of gravity, and of effects on the arm, on [q_a, q_e]."""
+        torque = _gravity(robot, jnp.concatenate([arm_angles, -deflection[..., n_gears:]], axis=-1))
+        return torque if held is None else torque.at[..., : robot.n_axes].add(held)
 
     def residual(deflection):
         torque = load(deflection)
@@ -143,7 +152,11 @@ def linearise(
       stiffness at rest.
     """
     viscous = ViscousFriction(robot.drives.friction.viscous if friction is None else jnp.asarray(friction))
-    smooth = eqx.tree_at(lambda r: r.drives.friction, robot, viscous)
+    smooth = dataclasses.replace(
+        robot,
+        drives=dataclasses.replace(robot.drives, friction=viscous),
+        effects=tuple(e for e in robot.effects if not isinstance(e, AbstractFriction)),
+    )
     z, rest, motors = point.z, jnp.zeros_like(point.z), robot.n_motors
     stiffness = -_jacobian(lambda x: drive_forces(smooth, x, rest, point.torque), z)
     damping = -_jacobian(lambda x: drive_forces(smooth, z, x, point.torque), rest)
@@ -153,7 +166,28 @@ def linearise(
         springs = spring_directions(robot)
         stiffness = stiffness + jnp.einsum("is,...s,js->...ij", springs, more, springs)
     partners = tuple(motors + axis for axis in robot.flexible_axes)
-    return LinearRobot(inertia(robot, z), damping, stiffness, motor_directions(robot), partners)
+    actuators = groups(robot, AbstractActuator)
+    return LinearRobot(inertia(robot, z), damping, stiffness, motor_directions(robot), partners, actuators)
+
+
+def describing_friction(
+    robot: Robot,
+    amplitude: Float[Array, "axis"] | float,
+    load: Float[Array, "axis"] | float = 0.0,
+) -> Float[Array, "axis"]:
+    """Viscous coefficient of all friction, the robot's own and its effects', for small motion on a slow sine.
+
+    Own friction as in `effective_friction`, effects by the mean slope of their law over the sine: what `linearise`
+    and `frf_and_jacobian` take as `friction`. It fails where the small motion is not small against the slow one.
+
+    **Arguments:** `amplitude`: of the slow sine, motor side, (axis,) or a number, rad/s. `load`: torque in the gears
+    on the motor side, as `OperatingPoint.torque`, (axis,) or a number, N m. **Returns:** (axis,), N m s/rad.
+    """
+    amplitude, load = (jnp.broadcast_to(jnp.asarray(x, float), (robot.n_axes,)) for x in (amplitude, load))
+    total = effective_friction(robot.drives.friction, amplitude)
+    for group in groups(robot, AbstractFriction):
+        total = group.added(total, group(lambda effect, a, l: effect.gain(a, l), amplitude, load))
+    return total
 
 
 def gravity_stiffness(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:

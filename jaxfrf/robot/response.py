@@ -3,6 +3,7 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
@@ -66,7 +67,7 @@ def frf(
 def _frf(model: LinearRobot, frequency, quantity: str, hold: ZeroOrderHold | None, delay):
     omega = 2.0 * jnp.pi * frequency
     position = model.motor.T @ motion(model, omega)
-    factor, corrections = sampling(omega, quantity, hold, delay)
+    factor, corrections = actuated_sampling(model, omega, quantity, hold, delay)
     return position * factor + aliases(model, hold, corrections)
 
 
@@ -127,6 +128,21 @@ def sampling(omega, quantity: str, hold: ZeroOrderHold | None, delay):
     chain = _held_integrators(s, T, delay, first + hold.order - 1)[first - 1 :]
     corrections = [held_power - held * s**-p for p, held_power in enumerate(chain, first)]
     return held * measured * differentiate, jnp.stack(corrections) * differentiate
+
+
+def actuated_sampling(model: LinearRobot, omega, quantity: str, hold: ZeroOrderHold | None, delay):
+    """`sampling` with the robot's actuators: their delays beside `delay`, their responses as factors."""
+    if not model.actuators:
+        return sampling(omega, quantity, hold, delay)
+    s, axes = 1j * omega, model.motor.shape[1]
+    total = jnp.broadcast_to(jnp.asarray(delay, omega.dtype), (axes,))
+    gain = jnp.ones((axes, omega.size), s.dtype)
+    for group in model.actuators:
+        total = group.added(total, jax.vmap(lambda e: jnp.asarray(e.dead_time(), omega.dtype))(group.effects))
+        gain = group.replaced(gain, group.pick(gain) * jax.vmap(lambda e: e.response(s))(group.effects))
+    factor, corrections = sampling(omega, quantity, hold, total)
+    gain = gain.T[:, None]
+    return factor * gain, None if corrections is None else corrections * gain
 
 
 def _held_integrators(s, T: float, delay, count: int):

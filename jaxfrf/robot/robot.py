@@ -7,6 +7,8 @@
 2014).
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,7 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import Array
-from .chain import Chain, mass_and_bias, mass_matrix, potential_energy
+from ..effects import AbstractArmTorque, AbstractEffect, AbstractFriction, AbstractStructure
+from ..effects._place import axis_of
+from ..effects.acting import groups
+from .chain import Chain, mass_and_bias, mass_and_bias_columns, mass_matrix, potential_energy
 from .drive import AbstractSpring, Drives
 
 
@@ -34,14 +39,6 @@ class Controller(eqx.Module):
     feedforward: bool = eqx.field(static=True, default=True)
 
 
-class EffectTable(eqx.Module):
-    """An `[[effect]]` table of a robot's file; `joint` is "" where the effect has none."""
-
-    name: str = eqx.field(static=True)
-    joint: str = eqx.field(static=True, default="")
-    parameters: tuple[tuple[str, float | tuple[float, ...]], ...] = eqx.field(static=True, default=())
-
-
 class Robot(eqx.Module):
     """Chain, drive trains and springs; immutable, differentiable in every array.
 
@@ -56,7 +53,8 @@ class Robot(eqx.Module):
     - `springs`: of the flexible transmissions, then of the compliant elastic joints.
     - `joint_names`: of all joints, base to tip. `driven`: whether a joint has a motor (elastic otherwise).
     - `stiff`: whether its transmission is rigid (driven), or it is locked (elastic).
-    - `controller`, `effects`, `sampling_frequency` (Hz): what the file says for the simulation.
+    - `controller`, `sampling_frequency` (Hz): for the simulation.
+    - `effects`: that act beside the robot's own laws; see `with_effects`.
     """
 
     chain: Chain
@@ -66,7 +64,7 @@ class Robot(eqx.Module):
     driven: tuple[bool, ...] = eqx.field(static=True)
     stiff: tuple[bool, ...] = eqx.field(static=True)
     controller: Controller | None = None
-    effects: tuple[EffectTable, ...] = ()
+    effects: tuple[AbstractEffect, ...] = ()
     name: str = eqx.field(static=True, default="robot")
     sampling_frequency: float = eqx.field(static=True, default=2000.0)
 
@@ -81,6 +79,23 @@ class Robot(eqx.Module):
             raise ValueError(
                 f"motor_inertia has shape {np.shape(self.drives.motor_inertia)}; expected ({self.n_axes},)."
             )
+
+    def with_effects(self, *effects: AbstractEffect) -> "Robot":
+        """The same robot with more effects (`jaxfrf.effects`), in the simulation and in the linearisation.
+
+        An effect on the robot's own numbers or joints (`AbstractStructure`) becomes part of them; the others stand
+        in `effects`.
+
+        **Raises:** `jaxfrf.InputError` where an effect names a joint that the robot does not have.
+        """
+        robot = self
+        for effect in effects:
+            if isinstance(effect, AbstractStructure):
+                robot = effect.apply(robot)
+            else:
+                axis_of(robot, effect.joint)
+                robot = dataclasses.replace(robot, effects=(*robot.effects, effect))
+        return robot
 
     @property
     def n_axes(self) -> int:
@@ -142,13 +157,19 @@ def chain_angles(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, 
 
 def _arm_matrix(robot: Robot, matrix):
     """Chain inertia in the order [q_a, q_e], with the rotors of rigid transmissions on the diagonal."""
-    order = np.array(robot.arm_joints)
-    reflected = np.zeros(len(order))
-    reflected[: robot.n_axes] = 1.0
-    reflected[list(robot.flexible_axes)] = 0.0
-    rotor = jnp.square(robot.drives.gear_ratio) * robot.drives.motor_inertia
-    rotor = jnp.concatenate([rotor, jnp.zeros(robot.n_elastic)]) * reflected
-    return matrix[..., order[:, None], order] + jnp.diag(rotor)
+    order, rotor = np.array(robot.arm_joints), _reflected_rotors(robot)
+    matrix = matrix[..., order[:, None], order]
+    return matrix if rotor is None else matrix + jnp.diag(rotor)
+
+
+def _reflected_rotors(robot: Robot):
+    """Inertia of the rotors that turn with the arm, on the arm side, (arm,); `None` where all gears are flexible."""
+    if robot.n_motors == robot.n_axes:
+        return None
+    rigid = np.ones(robot.n_axes)
+    rigid[list(robot.flexible_axes)] = 0.0
+    rotor = rigid * jnp.square(robot.drives.gear_ratio) * robot.drives.motor_inertia
+    return jnp.concatenate([rotor, jnp.zeros(robot.n_elastic)])
 
 
 @eqx.filter_jit
@@ -162,6 +183,16 @@ def arm_inertia_and_bias(robot: Robot, arm: Float[Array, "*batch arm"], rate: Fl
     """M_ae and c_ae + g_ae from one pass over the kinematics: what changes slowly within a control sample."""
     matrix, bias = mass_and_bias(robot.chain, chain_angles(robot, arm), chain_angles(robot, rate))
     return _arm_matrix(robot, matrix), bias[..., np.array(robot.arm_joints)]
+
+
+def arm_inertia_and_bias_columns(robot: Robot, arm: Float[Array, "arm run"], rate: Float[Array, "arm run"]):
+    """`arm_inertia_and_bias` of many runs with the runs last, (arm, arm, run) and (arm, run): for simulations."""
+    order = np.array(robot.arm_joints)
+    angles, rates = chain_angles(robot, arm.T).T, chain_angles(robot, rate.T).T
+    matrix, bias = mass_and_bias_columns(robot.chain, angles, rates)
+    rotor = _reflected_rotors(robot)
+    matrix = matrix[order[:, None], order]
+    return (matrix if rotor is None else matrix + jnp.diag(rotor)[..., None]), bias[order]
 
 
 def motor_inertia(robot: Robot) -> Float[Array, "motor"]:
@@ -225,8 +256,38 @@ def drive_forces(
 ) -> Float[Array, "*batch dof"]:
     """The fast part of the dynamics: motors, friction and springs, B (u - tau_fm) - W tau_spring; N m."""
     spring = robot.springs.torque(deflections(robot, z), deflections(robot, rate))
-    friction = robot.drives.friction.torque(motor_values(robot, rate))
-    return (torque - friction) @ motor_directions(robot).T - spring @ spring_directions(robot).T
+    speed = motor_values(robot, rate)
+    friction = robot.drives.friction.torque(speed)
+    forces = -spring @ spring_directions(robot).T
+    if robot.effects:
+        friction = friction + friction_effects(robot, speed, gear_load(robot, spring, torque))
+        arm = slice(robot.n_motors, robot.n_motors + robot.n_axes)
+        forces = forces.at[..., arm].add(-arm_torques(robot, z[..., arm], rate[..., arm]))
+    return forces + (torque - friction) @ motor_directions(robot).T
+
+
+def gear_load(robot: Robot, spring, torque) -> Float[Array, "*batch axis"]:
+    """Torque in every gear on the motor side: of its spring, or of the motor where the transmission is rigid; N m."""
+    flexible = np.array(robot.flexible_axes, int)
+    return torque.at[..., flexible].set(spring[..., : robot.n_motors] / robot.drives.gear_ratio[flexible])
+
+
+def friction_effects(robot: Robot, speed, load) -> Float[Array, "*batch axis"]:
+    """Torque against the motors by the robot's effects, motor side; speed in rad/s, load as `gear_load`; N m."""
+    return _effects_torque(robot, AbstractFriction, speed, load)
+
+
+def arm_torques(robot: Robot, angle, rate) -> Float[Array, "*batch axis"]:
+    """Torque against the driven joints by the robot's effects, arm side; N m."""
+    return _effects_torque(robot, AbstractArmTorque, angle, rate)
+
+
+def _effects_torque(robot: Robot, kind, *signals):
+    signals = [jnp.moveaxis(x, -1, 0) for x in jnp.broadcast_arrays(*signals)]
+    total = jnp.zeros_like(signals[0])
+    for group in groups(robot, kind):
+        total = group.added(total, group(lambda effect, *x: effect.torque(*x), *signals))
+    return jnp.moveaxis(total, 0, -1)
 
 
 @eqx.filter_jit

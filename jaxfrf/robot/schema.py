@@ -13,9 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError, input_error
+from ..effects import AbstractEffect, Backlash, effect_from_table, effect_to_table
+from ..effects._place import axis_of
 from .chain import Chain
 from .drive import Drives, Friction, Spring
-from .robot import Controller, EffectTable, Robot
+from .robot import Controller, Robot
 
 _KNEE = 2.9e-4  # rad, one minute of arc: the knee of a linear spring, where it has no effect
 
@@ -70,10 +72,9 @@ def robot_from_table(table: Mapping[str, Any], source: str = "robot") -> Robot:
         driven=driven,
         stiff=stiff,
         controller=_controller(top, drives),
-        effects=_effects(top, names),
         name=top.text("name", default="robot"),
         sampling_frequency=top.number("sampling_frequency", default=2000.0, positive=True),
-    )
+    ).with_effects(*_effects(top, names))
 
 
 def table_from_robot(robot: Robot) -> dict[str, Any]:
@@ -98,7 +99,7 @@ def table_from_robot(robot: Robot) -> dict[str, Any]:
             **({} if robot.controller.feedforward else {"feedforward": False}),
         }
     table["friction"] = {"smoothing": _plain(robot.drives.friction.smoothing)}
-    effects = [{"name": e.name, "joint": e.joint, **{k: _plain(v) for k, v in e.parameters}} for e in robot.effects]
+    effects = [effect_to_table(e, robot.axis_names[axis_of(robot, e.joint)]) for e in (*robot.effects, *_play(robot))]
     return {**table, **({"effect": effects} if effects else {})}
 
 
@@ -278,23 +279,24 @@ def _controller(top: _Table, joints: list[_Table]) -> Controller | None:
     )
 
 
-def _effects(top: _Table, names: tuple[str, ...]) -> tuple[EffectTable, ...]:
-    return tuple(
-        _effect(_Table(table, f"{top.where}: effect {i + 1}", None), table, names)
-        for i, table in enumerate(top.tables("effect"))
-    )
+def _effects(top: _Table, names: tuple[str, ...]) -> tuple[AbstractEffect, ...]:
+    tables = enumerate(top.tables("effect"), 1)
+    return tuple(_effect(_Table(table, f"{top.where}: effect {i}", None), table, names) for i, table in tables)
 
 
-def _effect(checked: _Table, table: Mapping[str, Any], names: tuple[str, ...]) -> EffectTable:
+def _effect(checked: _Table, table: Mapping[str, Any], names: tuple[str, ...]) -> AbstractEffect:
     joint = checked.text("joint", default="")
     if joint and joint not in names:
         raise checked.error("joint", f"one of {', '.join(names)}", f"Did you mean {_nearest(joint, names)!r}?")
-    values = {key: value for key, value in table.items() if key not in ("name", "joint")}
-    parameters = tuple(
-        (key, tuple(checked.vector(key, len(value))) if isinstance(value, list) else checked.number(key))
-        for key, value in values.items()
-    )
-    return EffectTable(name=checked.text("name"), joint=joint, parameters=parameters)
+    return effect_from_table(table, checked.where)
+
+
+def _play(robot: Robot) -> list[Backlash]:
+    """The gears with play: springs have no key for it."""
+    if robot.springs.backlash is None:
+        return []
+    gaps = robot.springs.backlash[: robot.n_motors]
+    return [Backlash(axis, gap) for axis, gap in zip(robot.flexible_axes, gaps, strict=True) if gap > 0.0]
 
 
 def _joint_table(robot: Robot, i: int) -> dict[str, Any]:

@@ -1,0 +1,50 @@
+"""Effects that a robot model may lack: friction, delay, ripple, play and others, each one module.
+
+    truth = robot.with_effects(jaxfrf.effects.CoulombFriction("joint3", level=0.2))
+
+`library()` lists them by name; the base classes say where an effect acts and how it appears in the linearised robot.
+"""
+
+from .actuator import (
+    CurrentLoopLag as CurrentLoopLag,
+    TorqueConstant as TorqueConstant,
+    TorqueDelay as TorqueDelay,
+    TorqueRipple as TorqueRipple,
+    TorqueSaturation as TorqueSaturation,
+)
+from .catalogue import (
+    effect_from_table as effect_from_table,
+    effect_to_table as effect_to_table,
+    library as library,
+)
+from .effect import (
+    AbstractActuator as AbstractActuator,
+    AbstractArmTorque as AbstractArmTorque,
+    AbstractEffect as AbstractEffect,
+    AbstractFriction as AbstractFriction,
+    AbstractMotorTorque as AbstractMotorTorque,
+    AbstractSensor as AbstractSensor,
+    AbstractStatelessActuator as AbstractStatelessActuator,
+    AbstractStructure as AbstractStructure,
+)
+from .friction import (
+    ArmViscousFriction as ArmViscousFriction,
+    CoulombFriction as CoulombFriction,
+    FrictionAsymmetry as FrictionAsymmetry,
+    LoadDependentFriction as LoadDependentFriction,
+    StribeckFriction as StribeckFriction,
+    ViscousFriction as ViscousFriction,
+)
+from .sensor import (
+    EncoderQuantisation as EncoderQuantisation,
+    ResolverRipple as ResolverRipple,
+)
+from .structure import (
+    Backlash as Backlash,
+    Counterbalance as Counterbalance,
+    DressPack as DressPack,
+    ExtraFlexibility as ExtraFlexibility,
+    MotorInertia as MotorInertia,
+    Payload as Payload,
+    StiffnessHardening as StiffnessHardening,
+)

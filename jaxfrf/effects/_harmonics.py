@@ -1,0 +1,39 @@
+"""Sums of sines at whole orders of an angle."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import input_error
+
+
+def checked(name: str, amplitude, order, phase):
+    """Amplitudes, whole orders and phases, as many of each."""
+    order = tuple(int(h) for h in np.atleast_1d(order))
+    amplitude = jnp.atleast_1d(jnp.asarray(amplitude, float))
+    phase = jnp.zeros_like(amplitude) if phase is None else jnp.atleast_1d(jnp.asarray(phase, float))
+    if amplitude.shape != (len(order),) or phase.shape != (len(order),):
+        raise input_error(
+            f"{name}: amplitude, order and phase",
+            f"{amplitude.size}, {len(order)} and {phase.size} values",
+            "as many of each",
+            "Complete the shorter list.",
+        )
+    return amplitude, order, phase
+
+
+def harmonics(amplitude, order: tuple[int, ...], phase, angle):
+    """sum_h amplitude_h sin(order_h angle + phase_h), by powers of e^{j angle}: one sine for all whole orders."""
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    powers = {0: (jnp.ones_like(angle), jnp.zeros_like(angle)), 1: (cosine, sine)}
+
+    def power(n: int):
+        if n not in powers:
+            (a, b), (c, d) = power(n // 2), power(n - n // 2)
+            powers[n] = (a * c - b * d, a * d + b * c)
+        return powers[n]
+
+    total = jnp.zeros_like(angle)
+    for i, h in enumerate(order):
+        c, s = power(h)
+        total = total + amplitude[i] * (s * jnp.cos(phase[i]) + c * jnp.sin(phase[i]))
+    return total

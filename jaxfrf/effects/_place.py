@@ -1,0 +1,53 @@
+"""Where on a robot an effect acts, and the change of one of its arrays."""
+
+import difflib
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._errors import input_error
+
+
+def axis_of(robot, joint: int | str) -> int:
+    """The axis (driven joint, counted from 0) that `joint` names.
+
+    **Raises:** `jaxfrf.InputError` for a joint that the robot does not have or that has no motor.
+    """
+    names = robot.axis_names
+    if isinstance(joint, str) and joint in names:
+        return names.index(joint)
+    if isinstance(joint, int) and not isinstance(joint, bool) and 0 <= joint < len(names):
+        return joint
+    near = difflib.get_close_matches(str(joint), names, n=1, cutoff=0.0)
+    raise input_error(
+        f"joint of an effect on {robot.name}",
+        repr(joint),
+        f"a driven joint, {', '.join(names)} or 0 to {len(names) - 1}",
+        f"Did you mean {near[0] if near else names[0]!r}?",
+    )
+
+
+def spring_of(robot, joint: int | str) -> int:
+    """The place in the robot's springs of the transmission of `joint`.
+
+    **Raises:** `jaxfrf.InputError` where the transmission is rigid.
+    """
+    axis = axis_of(robot, joint)
+    if axis not in robot.flexible_axes:
+        raise input_error(
+            f"{robot.axis_names[axis]} of {robot.name}",
+            "a rigid transmission",
+            "a flexible one: the effect acts on its spring",
+            "Give the joint a finite stiffness, or choose another joint.",
+        )
+    return robot.flexible_axes.index(axis)
+
+
+def changed(robot, where, change):
+    """The robot with `change` of the array that `where` picks."""
+    return eqx.tree_at(where, robot, change(jnp.asarray(where(robot))))
+
+
+def own(robot, joint, values, least: float):
+    """The joint's own value, or `least` where it is lower: a robot may state no friction at all."""
+    return jnp.maximum(values[axis_of(robot, joint)], least)

@@ -1,0 +1,103 @@
+"""The library of effects by name; effects from and to tables of a robot's file."""
+
+import difflib
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .._errors import input_error
+from .actuator import CurrentLoopLag, TorqueConstant, TorqueDelay, TorqueRipple, TorqueSaturation
+from .effect import AbstractEffect
+from .friction import (
+    ArmViscousFriction,
+    CoulombFriction,
+    FrictionAsymmetry,
+    LoadDependentFriction,
+    StribeckFriction,
+    ViscousFriction,
+)
+from .sensor import EncoderQuantisation, ResolverRipple
+from .structure import (
+    Backlash,
+    Counterbalance,
+    DressPack,
+    ExtraFlexibility,
+    MotorInertia,
+    Payload,
+    StiffnessHardening,
+)
+
+_ALL: tuple[type[AbstractEffect], ...] = (
+    CoulombFriction,
+    ViscousFriction,
+    ArmViscousFriction,
+    StribeckFriction,
+    FrictionAsymmetry,
+    LoadDependentFriction,
+    TorqueRipple,
+    ResolverRipple,
+    TorqueDelay,
+    CurrentLoopLag,
+    Backlash,
+    StiffnessHardening,
+    TorqueConstant,
+    MotorInertia,
+    Payload,
+    Counterbalance,
+    ExtraFlexibility,
+    TorqueSaturation,
+    EncoderQuantisation,
+    DressPack,
+)
+
+
+def library() -> dict[str, type[AbstractEffect]]:
+    """Every effect by its name; `library()[name].typical(robot, joint)` is one at a just visible magnitude."""
+    return {kind.name: kind for kind in _ALL}
+
+
+def effect_from_table(table: Mapping[str, Any], where: str = "effect") -> AbstractEffect:
+    """The effect that a table {name, joint, parameters} describes.
+
+    **Raises:** `jaxfrf.InputError` for an unknown name or parameter, with the nearest known one, a parameter that
+    is missing, and a value that is no number.
+    """
+    name = table.get("name")
+    if name not in library():
+        near = difflib.get_close_matches(str(name), library(), n=1, cutoff=0.0)[0]
+        raise input_error(
+            f"{where}: name", "nothing" if name is None else repr(name), ", ".join(library()), f"Did you mean {near!r}?"
+        )
+    kind, given = library()[name], {k: v for k, v in table.items() if k not in ("name", "joint")}
+    for key in given:
+        if key not in kind.units:
+            near = difflib.get_close_matches(key, kind.units, n=1, cutoff=0.0)[0]
+            raise input_error(
+                where, f"the unknown key {key!r}", f"keys among {', '.join(kind.units)}", f"Did you mean {near!r}?"
+            )
+    arguments = {key: _number(f"{where}: {key}", value) for key, value in given.items()}
+    options = inspect.signature(kind).parameters
+    for key in kind.units:
+        if key not in arguments and options[key].default is inspect.Parameter.empty:
+            raise input_error(f"{where}: {key}", "nothing", f"a value, {kind.units[key]}", f"Add {key} = ... there.")
+    joint = table.get("joint", "")
+    if joint == "" and options["joint"].default is inspect.Parameter.empty:
+        raise input_error(f"{where}: joint", "nothing", "the name of a driven joint", 'Add joint = "..." there.')
+    return kind(joint=joint, **arguments)
+
+
+def effect_to_table(effect: AbstractEffect, joint: str) -> dict[str, Any]:
+    """The table of an effect on the joint of this name: `effect_from_table` of it gives the same effect."""
+    values = {key: getattr(effect, key) for key in effect.units}
+    plain = {key: np.asarray(value).tolist() for key, value in values.items() if value is not None}
+    return {"name": effect.name, "joint": joint, **plain}
+
+
+def _number(where: str, value) -> Any:
+    numbers = value if isinstance(value, list) else [value]
+    plain = all(isinstance(x, int | float) and not isinstance(x, bool) and np.isfinite(x) for x in numbers)
+    if not plain or not numbers:
+        raise input_error(where, repr(value), "a number, or a list of numbers", "Write it in SI units.")
+    return np.asarray(value) if isinstance(value, list) else float(value)

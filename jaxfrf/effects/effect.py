@@ -1,0 +1,144 @@
+"""What an effect is, and the places where one can act.
+
+An effect is one module: the truth in a simulation and the candidate in a diagnosis are the same object. Its base
+class is its point of insertion; that also settles how it appears in the linearised robot:
+
+| base class | acts on | in the linearised robot |
+|---|---|---|
+| `AbstractStructure` | the robot's own numbers and joints | exactly: it is part of the robot then |
+| `AbstractArmTorque` | torque on a driven joint, arm side | exactly: stiffness and damping by derivative |
+| `AbstractFriction` | torque against the motor | by a describing gain, a viscous coefficient |
+| `AbstractActuator` | torque from command to motor | exactly where linear, as a factor of a column of G |
+| `AbstractMotorTorque` | torque on the motor, by its angle | not at all: it is a disturbance |
+| `AbstractSensor` | the measured motor position | not at all: it is a disturbance |
+
+The laws see one joint and the signals of all runs, (run,), and return the same; they are traced, so that parameters
+can be differentiated.
+"""
+
+import abc
+from typing import ClassVar, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Complex, Float, PyTree
+
+from .._types import Array
+
+Signal = Float[Array, "*run"]
+Joint = int | str
+
+_PHASES = 4096  # of one period of the slow sine; exact for a smoothing down to a hundredth of the amplitude
+
+
+class AbstractEffect(eqx.Module):
+    """One effect on one joint.
+
+    **Class attributes:**
+
+    - `name`: as files and reports call it.
+    - `units`: of every parameter. `bounds`: lowest and highest plausible value of every parameter, which also say
+      its allowed sign.
+    - `signature`: what it does to data. `confusable`: names of effects that look alike, each with what separates
+      the two.
+
+    `joint` is a driven joint's name, or its number counted from 0; "" where the effect has none.
+    """
+
+    name: ClassVar[str]
+    units: ClassVar[dict[str, str]]
+    bounds: ClassVar[dict[str, tuple[float, float]]]
+    signature: ClassVar[str]
+    confusable: ClassVar[dict[str, str]]
+
+    joint: eqx.AbstractVar[Joint]
+
+    @classmethod
+    @abc.abstractmethod
+    def typical(cls, robot, joint: Joint) -> Self:
+        """The effect on this joint of this robot at a magnitude that is just visible: where a search starts."""
+
+
+class AbstractStructure(AbstractEffect):
+    """An effect that changes the robot's own numbers or joints."""
+
+    @abc.abstractmethod
+    def apply(self, robot):
+        """The robot with the effect in it."""
+
+
+class AbstractArmTorque(AbstractEffect):
+    """A torque on a driven joint, on the arm side, that depends on its angle and rate."""
+
+    @abc.abstractmethod
+    def torque(self, angle: Signal, rate: Signal) -> Signal:
+        """Torque against the joint, rad and rad/s; N m."""
+
+
+class AbstractFriction(AbstractEffect):
+    """A torque against the motor, on the motor side, that depends on its speed and on the gear's load."""
+
+    @abc.abstractmethod
+    def torque(self, speed: Signal, load: Signal) -> Signal:
+        """Torque against the motor at this speed, rad/s, and load (gear torque on the motor side, N m); N m."""
+
+    def gain(self, amplitude: Float[Array, ""] | float, load: Float[Array, ""] | float = 0.0) -> Float[Array, ""]:
+        """Describing gain, N m s/rad: the mean slope of the torque over a slow sine of this speed amplitude, rad/s,
+        which is what a small motion on top of it feels. It fails where the small motion is not small."""
+        speed = amplitude * jnp.sin(2.0 * jnp.pi * (jnp.arange(_PHASES) + 0.5) / _PHASES)
+        slope = jax.vmap(jax.grad(lambda v: self.torque(v, jnp.asarray(load, speed.dtype))))(speed)
+        return jnp.mean(slope)
+
+
+class AbstractMotorTorque(AbstractEffect):
+    """A torque on the motor that depends on its angle."""
+
+    @abc.abstractmethod
+    def torque(self, angle: Signal) -> Signal:
+        """Torque that drives the motor, motor side, at this motor angle, rad; N m."""
+
+
+class AbstractActuator(AbstractEffect):
+    """What becomes of the commanded torque on its way to the motor.
+
+    A control sample is cut into fine steps; torques are (step, run), constant within a step.
+    """
+
+    @abc.abstractmethod
+    def start(self, torque: Signal, step: float) -> PyTree:
+        """The state after a torque that has been constant for ever; `step` is the length of a fine step, s."""
+
+    @abc.abstractmethod
+    def advance(self, state: PyTree, torque: Float[Array, "step *run"], step: float):
+        """Torque in the fine steps of one control sample, and the next state."""
+
+    @abc.abstractmethod
+    def response(self, s: Complex[Array, "*freq"]) -> Complex[Array, "*freq"]:
+        """Factor of the motor's column of G at s = j omega, without its `dead_time`."""
+
+    def dead_time(self) -> Float[Array, ""] | float:
+        """Pure delay, s: kept apart, for the FRF between samples treats it exactly."""
+        return 0.0
+
+
+class AbstractStatelessActuator(AbstractActuator):
+    """An actuator without memory: `drive` says all."""
+
+    @abc.abstractmethod
+    def drive(self, torque: Signal) -> Signal:
+        """Motor torque of a commanded torque, N m."""
+
+    def start(self, torque, step):
+        return ()
+
+    def advance(self, state, torque, step):
+        return self.drive(torque), state
+
+
+class AbstractSensor(AbstractEffect):
+    """What the measured motor position is of the true one."""
+
+    @abc.abstractmethod
+    def measured(self, angle: Signal) -> Signal:
+        """Measured motor position of a true one, rad."""

@@ -1,0 +1,186 @@
+"""Friction of motors and joints."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from .._types import Array
+from ._place import axis_of, changed, own
+from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Joint
+
+Number = Float[Array, ""] | float
+
+
+class CoulombFriction(AbstractStructure):
+    """More (or less) Coulomb friction of a motor, tau = level tanh(v/eps); eps is the robot's smoothing.
+
+    **Arguments:** `level`: N m, motor side, added to the robot's own; 0.2 Fc is visible, -Fc to 2 Fc plausible.
+
+    In data: the torque residual steps with the sign of the speed; damping in G falls with amplitude, 2 level/(pi A)
+    on a slow sine of speed A; odd distortion. In the linearised robot: by that gain, see
+    `jaxfrf.robot.describing_friction`.
+    """
+
+    name: ClassVar = "coulomb_friction"
+    units: ClassVar = {"level": "N m"}
+    bounds: ClassVar = {"level": (-1.0, 2.0)}
+    signature: ClassVar = "the torque residual steps with the sign of the speed; odd distortion"
+    confusable: ClassVar = {"viscous_friction": "another amplitude of the slow motion"}
+
+    joint: Joint = eqx.field(static=True)
+    level: Number
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 0.2 * own(robot, joint, robot.drives.friction.coulomb, 0.1))
+
+    def apply(self, robot):
+        axis = axis_of(robot, self.joint)
+        return changed(robot, lambda r: r.drives.friction.coulomb, lambda x: x.at[axis].add(self.level))
+
+
+class ViscousFriction(AbstractStructure):
+    """More (or less) viscous friction of a motor, tau = coefficient v.
+
+    **Arguments:** `coefficient`: N m s/rad, motor side, added to the robot's own; 0.5 Fv is visible, up to 10 Fv
+    plausible.
+
+    In data: a torque residual that is linear in the speed. In the linearised robot: exactly.
+    """
+
+    name: ClassVar = "viscous_friction"
+    units: ClassVar = {"coefficient": "N m s/rad"}
+    bounds: ClassVar = {"coefficient": (0.0, 2e-2)}
+    signature: ClassVar = "a torque residual linear in the motor's speed"
+    confusable: ClassVar = {
+        "arm_viscous_friction": "depth of the antiresonances; more positions",
+        "coulomb_friction": "another amplitude of the slow motion",
+    }
+
+    joint: Joint = eqx.field(static=True)
+    coefficient: Number
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 0.5 * own(robot, joint, robot.drives.friction.viscous, 1e-3))
+
+    def apply(self, robot):
+        axis = axis_of(robot, self.joint)
+        return changed(robot, lambda r: r.drives.friction.viscous, lambda x: x.at[axis].add(self.coefficient))
+
+
+class ArmViscousFriction(AbstractArmTorque):
+    """Viscous friction of the arm's bearing, tau = coefficient q_a'.
+
+    **Arguments:** `coefficient`: N m s/rad, arm side, 0 or more; 0.5 Fv n^2 is visible.
+
+    In data: antiresonances fill up. In the linearised robot: exactly.
+    """
+
+    name: ClassVar = "arm_viscous_friction"
+    units: ClassVar = {"coefficient": "N m s/rad"}
+    bounds: ClassVar = {"coefficient": (0.0, 200.0)}
+    signature: ClassVar = "antiresonances fill up"
+    confusable: ClassVar = {
+        "viscous_friction": "depth of the antiresonances; more positions",
+        "structural_damping": "positions with other mode frequencies",
+    }
+
+    joint: Joint = eqx.field(static=True)
+    coefficient: Number
+
+    @classmethod
+    def typical(cls, robot, joint):
+        gear = robot.drives.gear_ratio[axis_of(robot, joint)]
+        return cls(joint, 0.5 * own(robot, joint, robot.drives.friction.viscous, 1e-3) * gear**2)
+
+    def torque(self, angle, rate):
+        return self.coefficient * rate
+
+
+class StribeckFriction(AbstractFriction):
+    """Friction that rises at low speed, tau = level exp(-(v/width)^2) tanh(v/smoothing); level = Fs - Fc.
+
+    **Arguments:** `level`: N m, motor side, 0 or more; 0.3 Fc is visible. `width`: v_s, 1-10 rad/s. `smoothing`:
+    eps, rad/s.
+
+    In data: a hump of the torque residual near zero speed. In the linearised robot: by the describing gain, which
+    vanishes for slow sines much faster than `width` (rise and fall cancel).
+    """
+
+    name: ClassVar = "stribeck_friction"
+    units: ClassVar = {"level": "N m", "width": "rad/s", "smoothing": "rad/s"}
+    bounds: ClassVar = {"level": (0.0, 1.0), "width": (1.0, 10.0), "smoothing": (0.01, 1.0)}
+    signature: ClassVar = "a hump of the torque residual near zero speed"
+    confusable: ClassVar = {"coulomb_friction": "slow runs", "gear_hysteresis": "slow runs"}
+
+    joint: Joint = eqx.field(static=True)
+    level: Number
+    width: Number = 2.0
+    smoothing: Number = 0.2
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 0.3 * own(robot, joint, robot.drives.friction.coulomb, 0.1))
+
+    def torque(self, speed, load):
+        return self.level * jnp.exp(-jnp.square(speed / self.width)) * jnp.tanh(speed / self.smoothing)
+
+
+class FrictionAsymmetry(AbstractFriction):
+    """Friction that differs by direction, tau = offset + level tanh(v/smoothing).
+
+    Forward it is level + offset, backward level - offset.
+
+    **Arguments:** `offset`: N m, motor side, either sign; 0.1 Fc is visible. `level`: N m. `smoothing`: rad/s.
+
+    In data: a constant torque residual and *even* distortion. In the linearised robot: by the describing gain, to
+    which the offset adds nothing.
+    """
+
+    name: ClassVar = "friction_asymmetry"
+    units: ClassVar = {"offset": "N m", "level": "N m", "smoothing": "rad/s"}
+    bounds: ClassVar = {"offset": (-0.5, 0.5), "level": (-0.5, 0.5), "smoothing": (0.01, 1.0)}
+    signature: ClassVar = "a constant torque residual; even distortion"
+    confusable: ClassVar = {"counterbalance": "positions: gravity varies with the arm angle"}
+
+    joint: Joint = eqx.field(static=True)
+    offset: Number
+    level: Number = 0.0
+    smoothing: Number = 0.2
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 0.1 * own(robot, joint, robot.drives.friction.coulomb, 0.1))
+
+    def torque(self, speed, load):
+        return self.offset + self.level * jnp.tanh(speed / self.smoothing)
+
+
+class LoadDependentFriction(AbstractFriction):
+    """Friction that grows with the gear's load, tau = coefficient |tau_g|/n tanh(v/smoothing).
+
+    **Arguments:** `coefficient`: mu, 0-0.15; 0.02 is visible. `smoothing`: rad/s.
+
+    In data: the torque residual's step at zero speed grows with the gear torque. In the linearised robot: by the
+    describing gain at the load of gravity. With a rigid transmission the motor torque stands for the load.
+    """
+
+    name: ClassVar = "load_dependent_friction"
+    units: ClassVar = {"coefficient": "1", "smoothing": "rad/s"}
+    bounds: ClassVar = {"coefficient": (0.0, 0.15), "smoothing": (0.01, 1.0)}
+    signature: ClassVar = "the step of the torque residual at zero speed grows with the gear torque"
+    confusable: ClassVar = {"coulomb_friction": "regress the step on |gear torque|: positions with other loads"}
+
+    joint: Joint = eqx.field(static=True)
+    coefficient: Number
+    smoothing: Number = 0.2
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 0.02)
+
+    def torque(self, speed, load):
+        return self.coefficient * jnp.abs(load) * jnp.tanh(speed / self.smoothing)

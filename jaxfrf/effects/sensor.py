@@ -1,0 +1,71 @@
+"""Errors of the measured motor position."""
+
+import math
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from .._types import Array
+from ._harmonics import checked, harmonics
+from .effect import AbstractSensor, Joint
+
+
+class ResolverRipple(AbstractSensor):
+    """An error of the resolver that repeats with the motor's turn, sum_h amplitude_h sin(order_h theta + phase_h).
+
+    **Arguments:** `amplitude`: (order,), rad, motor side; 5e-4 is visible. `order`: per motor turn, whole numbers.
+    `phase`: (order,), rad; 0 by default.
+
+    In data: an apparent acceleration of about amplitude h^2 v^2 at orders of the motor's angle; the controller acts
+    on it too. In the linearised robot: not at all.
+    """
+
+    name: ClassVar = "resolver_ripple"
+    units: ClassVar = {"amplitude": "rad", "order": "1", "phase": "rad"}
+    bounds: ClassVar = {"amplitude": (0.0, 5e-3), "order": (1.0, 50.0), "phase": (-math.pi, math.pi)}
+    signature: ClassVar = "orders of the motor's angle, an acceleration that grows with the square of the speed"
+    confusable: ClassVar = {"torque_ripple": "amplitude against speed"}
+
+    joint: Joint = eqx.field(static=True)
+    amplitude: Float[Array, "order"]
+    order: tuple[int, ...] = eqx.field(static=True)
+    phase: Float[Array, "order"]
+
+    def __init__(self, joint: Joint, amplitude, order=(1, 2), phase=None):
+        self.joint = joint
+        self.amplitude, self.order, self.phase = checked(self.name, amplitude, order, phase)
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, [5e-4, 1e-3])
+
+    def measured(self, angle):
+        return angle + harmonics(self.amplitude, self.order, self.phase, angle)
+
+
+class EncoderQuantisation(AbstractSensor):
+    """The encoder counts, round(theta/resolution) resolution.
+
+    **Arguments:** `resolution`: rad, motor side; 2 pi/2^13 is visible. It has no derivative.
+
+    In data: noise that grows as f^2 in the acceleration, without structure in G. In the linearised robot: not at
+    all.
+    """
+
+    name: ClassVar = "encoder_quantisation"
+    units: ClassVar = {"resolution": "rad"}
+    bounds: ClassVar = {"resolution": (0.0, 1e-2)}
+    signature: ClassVar = "noise that grows as f^2, no structure in G"
+    confusable: ClassVar = {"noise": "its distribution at standstill"}
+
+    joint: Joint = eqx.field(static=True)
+    resolution: Float[Array, ""] | float
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 2 * math.pi / 2**13)
+
+    def measured(self, angle):
+        return jnp.round(angle / self.resolution) * self.resolution

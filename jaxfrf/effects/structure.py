@@ -1,0 +1,290 @@
+"""Changes of the robot itself: springs, masses, joints, and torques on the arm."""
+
+import dataclasses
+import math
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._errors import input_error
+from .._types import Array
+from ._place import axis_of, changed, spring_of
+from .effect import AbstractArmTorque, AbstractStructure, Joint
+
+Number = Float[Array, ""] | float
+
+
+class StiffnessHardening(AbstractStructure):
+    """A transmission that is softer about zero deflection, tau = k x - k (1 - ratio) knee tanh(x/knee).
+
+    **Arguments:** `ratio`: stiffness at zero over stiffness k at high deflection, up to 1; 0.6 is visible. `knee`:
+    rad, arm side. They take the place of the robot's own; k stays.
+
+    In data: mode frequencies rise with load and amplitude. In the linearised robot: exactly, by the tangent at the
+    point of rest (or its mean over a `swing`).
+    """
+
+    name: ClassVar = "stiffness_hardening"
+    units: ClassVar = {"ratio": "1", "knee": "rad"}
+    bounds: ClassVar = {"ratio": (0.1, 1.0), "knee": (3e-5, 3e-3)}
+    signature: ClassVar = "mode frequencies rise with load and amplitude"
+    confusable: ClassVar = {"backlash": "positions with preload", "payload": "another amplitude"}
+
+    joint: Joint = eqx.field(static=True)
+    ratio: Number
+    knee: Number = 2.9e-4
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 0.6)
+
+    def apply(self, robot):
+        spring = spring_of(robot, self.joint)
+        robot = changed(robot, lambda r: r.springs.stiffness_ratio, lambda x: x.at[spring].set(self.ratio))
+        return changed(robot, lambda r: r.springs.stiffness_knee, lambda x: x.at[spring].set(self.knee))
+
+
+class Backlash(AbstractStructure):
+    """Play in the gear: no torque while |x| < gap/2, then the spring's from the flank on; corners rounded.
+
+    **Arguments:** `gap`: b, rad, arm side, 0 or more; 1 arc minute (2.9e-4) is visible.
+
+    In data: only where the gear carries no load; the resonance falls at low amplitude; odd distortion. In the
+    linearised robot: exactly, by the tangent at the point of rest, a thousandth of k inside the gap.
+    """
+
+    name: ClassVar = "backlash"
+    units: ClassVar = {"gap": "rad"}
+    bounds: ClassVar = {"gap": (0.0, 9e-4)}
+    signature: ClassVar = "unloaded joints and positions only: the resonance falls at low amplitude; odd distortion"
+    confusable: ClassVar = {"stiffness_hardening": "positions with preload, where it vanishes"}
+
+    joint: Joint = eqx.field(static=True)
+    gap: Number
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 2.9e-4)
+
+    def apply(self, robot):
+        spring = spring_of(robot, self.joint)
+        play = robot.springs.backlash
+        play = jnp.zeros_like(robot.springs.stiffness) if play is None else play
+        return eqx.tree_at(
+            lambda r: r.springs.backlash, robot, play.at[spring].set(self.gap), is_leaf=lambda x: x is None
+        )
+
+
+class MotorInertia(AbstractStructure):
+    """An error of the motor's inertia.
+
+    **Arguments:** `increase`: kg m^2, motor side, either sign; 3 % is visible.
+
+    In data: gain at high frequency on the motor's own diagonal. In the linearised robot: exactly.
+    """
+
+    name: ClassVar = "motor_inertia"
+    units: ClassVar = {"increase": "kg m^2"}
+    bounds: ClassVar = {"increase": (-1e-3, 1e-2)}
+    signature: ClassVar = "gain at high frequency on one diagonal element"
+    confusable: ClassVar = {"torque_constant": "high against low frequencies"}
+
+    joint: Joint = eqx.field(static=True)
+    increase: Number
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 0.03 * robot.drives.motor_inertia[axis_of(robot, joint)])
+
+    def apply(self, robot):
+        axis = axis_of(robot, self.joint)
+        return changed(robot, lambda r: r.drives.motor_inertia, lambda x: x.at[axis].add(self.increase))
+
+
+class Payload(AbstractStructure):
+    """A mass that is fixed to a link: the last one, or the one after `joint`.
+
+    A point mass: mass, centre of mass and inertia of the link follow together.
+
+    **Arguments:** `mass`: kg, either sign; 5 % of the payload is visible. `place`: in the link's frame, (3,), m; the
+    link's own centre of mass where it is `None`. `joint`: any joint's name or number in the chain; "" = the last.
+
+    In data: coherent over axes and positions; static torque. In the linearised robot: exactly.
+    """
+
+    name: ClassVar = "payload"
+    units: ClassVar = {"mass": "kg", "place": "m"}
+    bounds: ClassVar = {"mass": (-20.0, 50.0), "place": (-1.0, 1.0)}
+    signature: ClassVar = "coherent over axes and positions; static torque"
+    confusable: ClassVar = {"payload": "mass against centre of mass: several positions"}
+
+    mass: Number
+    place: Float[Array, "3"] | None = None
+    joint: Joint = eqx.field(static=True, default="")
+
+    @classmethod
+    def typical(cls, robot, joint=""):
+        return cls(0.05 * jnp.maximum(robot.chain.mass[-1], 1.0), None, joint)
+
+    def apply(self, robot):
+        chain = robot.chain
+        link = _link_of(robot, self.joint)
+        mass, com, inertia = (jnp.asarray(x) for x in (chain.mass, chain.com, chain.inertia))
+        place = com[link] if self.place is None else jnp.asarray(self.place)
+        total = mass[link] + self.mass
+        centre = (mass[link] * com[link] + self.mass * place) / total
+        more = mass[link] * _about(com[link] - centre) + self.mass * _about(place - centre)
+        values = mass.at[link].set(total), com.at[link].set(centre), inertia.at[link].add(more)
+        return eqx.tree_at(lambda r: (r.chain.mass, r.chain.com, r.chain.inertia), robot, values)
+
+
+def _link_of(robot, joint: Joint) -> int:
+    if joint == "":
+        return robot.chain.n_joints - 1
+    if isinstance(joint, str) and joint in robot.joint_names:
+        return robot.joint_names.index(joint)
+    return robot.driven_joints[axis_of(robot, joint)]
+
+
+def _about(v):
+    """Inertia Ixx, Iyy, Izz, Ixy, Ixz, Iyz of a unit point mass at v."""
+    x, y, z = v
+    return jnp.stack([y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z])
+
+
+class ExtraFlexibility(AbstractStructure):
+    """Another elastic joint, across a transmission: the link before `joint` bends or twists about `axis`.
+
+    The joint sits at the origin of `joint`'s frame, just before it; it adds a coordinate q_e. There is no mass between
+    the two: its axis must not be parallel to the joint's own, or the inertia is singular.
+
+    **Arguments:** `axis`: of the new joint, (3,), in the frame of `joint` at zero. `stiffness`: N m/rad, above 0.
+    `damping`: N m s/rad.
+
+    In data: one more pair of antiresonance and resonance in a narrow band. In the linearised robot: exactly.
+    """
+
+    name: ClassVar = "extra_flexibility"
+    units: ClassVar = {"axis": "1", "stiffness": "N m/rad", "damping": "N m s/rad"}
+    bounds: ClassVar = {"axis": (-1.0, 1.0), "stiffness": (1e3, 1e8), "damping": (0.0, 1e4)}
+    signature: ClassVar = "one more pair of antiresonance and resonance in a narrow band"
+    confusable: ClassVar = {"stiffness error": "number of modes"}
+
+    joint: Joint = eqx.field(static=True)
+    axis: Float[Array, "3"]
+    stiffness: Number
+    damping: Number = 50.0
+
+    @classmethod
+    def typical(cls, robot, joint):
+        across = np.roll(np.abs(np.round(np.asarray(robot.chain.axis[robot.driven_joints[axis_of(robot, joint)]]))), 1)
+        return cls(joint, across, 5e5, 100.0)
+
+    def apply(self, robot):
+        at = robot.driven_joints[axis_of(robot, self.joint)]
+        name = f"{robot.joint_names[at]}_flexibility"
+        if name in robot.joint_names:
+            raise input_error(f"{robot.name}", f"an elastic joint {name!r} already", "one", "Change that one.")
+        chain, axis = robot.chain, jnp.asarray(self.axis, float)
+        _check_across(axis, chain.axis[at], robot.joint_names[at])
+        insert = lambda x, row: jnp.insert(jnp.asarray(x), at, row, axis=0)
+        chain = dataclasses.replace(
+            chain,
+            axis=insert(chain.axis, axis / jnp.linalg.norm(axis)),
+            # The new joint takes over the way to `joint`, which then sits at its origin.
+            offset=insert(chain.offset, chain.offset[at]).at[at + 1].set(0.0),
+            mass=insert(chain.mass, 0.0),
+            com=insert(chain.com, jnp.zeros(3)),
+            inertia=insert(chain.inertia, jnp.zeros(6)),
+        )
+        before = sum(1 for joint in robot.elastic_joints if joint < at)
+        spring = robot.n_motors + before
+        springs, add = robot.springs, lambda x, v: jnp.insert(jnp.asarray(x), spring, v)
+        springs = dataclasses.replace(
+            springs,
+            stiffness=add(springs.stiffness, self.stiffness),
+            damping=add(springs.damping, self.damping),
+            stiffness_ratio=add(springs.stiffness_ratio, 1.0),
+            stiffness_knee=add(springs.stiffness_knee, 2.9e-4),
+            backlash=None if springs.backlash is None else add(springs.backlash, 0.0),
+        )
+        put = lambda x, value: (*x[:at], value, *x[at:])
+        return dataclasses.replace(
+            robot,
+            chain=chain,
+            springs=springs,
+            joint_names=put(robot.joint_names, name),
+            driven=put(robot.driven, False),
+            stiff=put(robot.stiff, False),
+        )
+
+
+def _check_across(axis, own, name: str) -> None:
+    """Refuse an axis along the joint's own, where the values are known (they are not while being differentiated)."""
+    if isinstance(axis, jax.core.Tracer) or isinstance(own, jax.core.Tracer):
+        return
+    across = np.linalg.norm(np.cross(np.asarray(axis), np.asarray(own)))
+    if not across > 1e-3 * np.linalg.norm(axis):
+        raise input_error(
+            "extra_flexibility: axis",
+            f"{np.asarray(axis).tolist()}, along the axis of {name} or zero",
+            "an axis across it",
+            "There is no mass between the two joints; along its own axis change the joint's stiffness.",
+        )
+
+
+class Counterbalance(AbstractArmTorque):
+    """A spring that carries part of the arm's weight, tau = stiffness (q_a - rest).
+
+    **Arguments:** `stiffness`: N m/rad, arm side. `rest`: rad.
+
+    In data: static torque against position, little change of G. In the linearised robot: exactly.
+    """
+
+    name: ClassVar = "counterbalance"
+    units: ClassVar = {"stiffness": "N m/rad", "rest": "rad"}
+    bounds: ClassVar = {"stiffness": (-500.0, 2000.0), "rest": (-math.pi, math.pi)}
+    signature: ClassVar = "static torque against position, little change of G"
+    confusable: ClassVar = {"friction_asymmetry": "positions", "dress_pack": "which joints"}
+
+    joint: Joint = eqx.field(static=True)
+    stiffness: Number
+    rest: Number = 0.0
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 20.0)
+
+    def torque(self, angle, rate):
+        return self.stiffness * (angle - self.rest)
+
+
+class DressPack(AbstractArmTorque):
+    """Hoses and cables along a joint, tau = stiffness (q_a - rest) + damping q_a'.
+
+    **Arguments:** `stiffness`: N m/rad, arm side, 0 or more; 50 is visible. `rest`: rad. `damping`: N m s/rad.
+
+    In data: static torque that is linear in the angles of joints 1, 4 and 6. In the linearised robot: exactly.
+    """
+
+    name: ClassVar = "dress_pack"
+    units: ClassVar = {"stiffness": "N m/rad", "rest": "rad", "damping": "N m s/rad"}
+    bounds: ClassVar = {"stiffness": (0.0, 500.0), "rest": (-math.pi, math.pi), "damping": (0.0, 100.0)}
+    signature: ClassVar = "static torque linear in the angles of joints 1, 4 and 6"
+    confusable: ClassVar = {"counterbalance": "which joints; a damping of its own"}
+
+    joint: Joint = eqx.field(static=True)
+    stiffness: Number
+    rest: Number = 0.0
+    damping: Number = 0.0
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 50.0)
+
+    def torque(self, angle, rate):
+        return self.stiffness * (angle - self.rest) + self.damping * rate

@@ -1,0 +1,181 @@
+"""The robot between two control samples: what changes slowly once, springs, motors and friction in fine steps.
+
+Arrays are component first and runs last, (dof, run): one instruction then works on many runs.
+"""
+
+import dataclasses
+import functools
+import operator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._types import Array
+from ..effects import AbstractArmTorque, AbstractFriction, AbstractMotorTorque
+from ..effects.acting import Group, groups
+from ..robot import Robot, arm_inertia_and_bias_columns
+
+Columns = Float[Array, "row run"]
+
+
+def columns(laws):
+    """The same module for (joint, run) arrays: a trailing axis on every parameter. Its laws must be element-wise."""
+    return jax.tree.map(lambda x: jnp.asarray(x)[..., None] if eqx.is_array_like(x) else x, laws)
+
+
+class Wiring(eqx.Module):
+    """Which motor drives which joint over which spring, as index arrays."""
+
+    motors: int = eqx.field(static=True)
+    axes: int = eqx.field(static=True)
+    flexible: tuple[int, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, robot: Robot) -> "Wiring":
+        return cls(robot.n_motors, robot.n_axes, robot.flexible_axes)
+
+    def interleave(self, flexible, rigid):
+        """Rows of the flexible and of the rigid axes in the order of the axes."""
+        if self.motors == self.axes:
+            return flexible
+        order = np.argsort([*self.flexible, *self.rigid])
+        return jnp.concatenate([flexible, rigid])[order]
+
+    def pick(self, rows, which: tuple[int, ...]):
+        return rows if which == tuple(range(self.axes)) else rows[np.array(which, int)]
+
+    @property
+    def rigid(self) -> tuple[int, ...]:
+        return tuple(i for i in range(self.axes) if i not in self.flexible)
+
+
+class Slow(eqx.Module):
+    """What is held during one sample: inverse of M_ae, (arm, arm, run), and c_ae + g_ae, (arm, run)."""
+
+    inverse: Float[Array, "arm arm run"]
+    bias: Columns
+
+
+class Plant(eqx.Module):
+    """A robot made ready for stepping many runs at once; `robot` keeps plain parameters, the laws have columns."""
+
+    robot: Robot
+    gear: Columns
+    inertia: Columns
+    springs: eqx.Module
+    friction: eqx.Module
+    wiring: Wiring
+    rubbing: tuple[Group[AbstractFriction], ...]
+    pulling: tuple[Group[AbstractArmTorque], ...]
+    rippling: tuple[Group[AbstractMotorTorque], ...]
+
+    @classmethod
+    def of(cls, robot: Robot) -> "Plant":
+        drives = columns(robot.drives)
+        return cls(
+            dataclasses.replace(robot, effects=(), controller=None),
+            drives.gear_ratio,
+            drives.motor_inertia,
+            columns(robot.springs),
+            drives.friction,
+            Wiring.of(robot),
+            groups(robot, AbstractFriction),
+            groups(robot, AbstractArmTorque),
+            groups(robot, AbstractMotorTorque),
+        )
+
+    def motor(self, z: Columns) -> Columns:
+        """Motor angles of all axes (or speeds, from rates), motor side."""
+        w = self.wiring
+        if not w.rigid:
+            return z[: w.motors]
+        arm = z[w.motors : w.motors + w.axes]
+        return w.interleave(z[: w.motors], w.pick(self.gear * arm, w.rigid))
+
+    def deflection(self, z: Columns) -> Columns:
+        """Of every spring, arm side: q_m/n - q_a, then -q_e."""
+        w = self.wiring
+        arm, elastic = z[w.motors : w.motors + w.axes], z[w.motors + w.axes :]
+        gears = z[: w.motors] / w.pick(self.gear, w.flexible) - w.pick(arm, w.flexible)
+        return jnp.concatenate([gears, -elastic])
+
+    def slow(self, z: Columns, rate: Columns) -> Slow:
+        """M_ae^{-1} and c_ae + g_ae at one state."""
+        motors = self.wiring.motors
+        matrix, bias = arm_inertia_and_bias_columns(self.robot, z[motors:], rate[motors:])
+        return Slow(inverse_columns(matrix), bias)
+
+    def acceleration(self, slow: Slow, z: Columns, rate: Columns, torque: Columns) -> Columns:
+        """z'' under a motor torque, (axis, run), with the slow part held."""
+        w = self.wiring
+        spring = self.springs.torque(self.deflection(z), self.deflection(rate))
+        speed = self.motor(rate)
+        net = torque - self.friction.torque(speed)
+        gears = spring[: w.motors]
+        if self.rubbing:
+            load = w.interleave(gears / w.pick(self.gear, w.flexible), w.pick(torque, w.rigid))
+            for group in self.rubbing:
+                net = group.added(net, -group(lambda e, v, x: e.torque(v, x), speed, load))
+        motor = (w.pick(net, w.flexible) - gears / w.pick(self.gear, w.flexible)) / w.pick(self.inertia, w.flexible)
+        arm = w.interleave(gears, w.pick(self.gear * net, w.rigid))
+        for group in self.pulling:
+            row = slice(w.motors, w.motors + w.axes)
+            arm = group.added(arm, -group(lambda e, q, v: e.torque(q, v), z[row], rate[row]))
+        force = jnp.concatenate([arm, spring[w.motors :]]) - slow.bias
+        return jnp.concatenate([motor, product(slow.inverse, force)])
+
+    def ripple(self, angle: Columns, torque: Columns) -> Columns:
+        """Motor torque with what depends on the motor's angle."""
+        for group in self.rippling:
+            torque = group.added(torque, group(lambda e, x: e.torque(x), angle))
+        return torque
+
+
+def product(matrix, vector):
+    """Matrix times vector with the runs last: (row, column, run) and (column, run)."""
+    return functools.reduce(operator.add, (matrix[:, j] * vector[j] for j in range(vector.shape[0])))
+
+
+def inverse_columns(matrix: Float[Array, "row row run"]) -> Float[Array, "row row run"]:
+    """Inverse of symmetric positive definite matrices with the runs last, by sweeps (Gauss-Jordan, no pivoting).
+
+    Array operations over all runs, no LAPACK: several times faster for many small matrices, and no thread waits.
+    """
+    index = np.arange(matrix.shape[0])
+
+    def sweep(k, A):
+        column = jax.lax.dynamic_index_in_dim(A, k, 0, keepdims=False)
+        pivot = jax.lax.dynamic_index_in_dim(column, k, 0, keepdims=False)
+        here = (index == k)[:, None]
+        scaled = column / pivot
+        inside = A - scaled[:, None] * column[None]
+        A = jnp.where(here[:, None], scaled[None], jnp.where(here[None], scaled[:, None], inside))
+        return jnp.where(here[:, None] & here[None], -1.0 / pivot, A)
+
+    return -jax.lax.fori_loop(0, matrix.shape[0], sweep, matrix)
+
+
+def advance(plant: Plant, z: Columns, rate: Columns, slow: Slow, torques, step: float) -> tuple[Columns, Columns]:
+    """One control sample in as many classical Runge-Kutta steps as `torques`, (fine step, axis, run), has rows.
+
+    Ripple, which costs sines, is evaluated once a step, at the motor angle in its middle.
+    """
+
+    def fine(state, torque):
+        z, v = state
+        if plant.rippling:
+            torque = plant.ripple(plant.motor(z) + 0.5 * step * plant.motor(v), torque)
+        f = lambda z, v: plant.acceleration(slow, z, v, torque)
+        a1 = f(z, v)
+        v2 = v + 0.5 * step * a1
+        a2 = f(z + 0.5 * step * v, v2)
+        v3 = v + 0.5 * step * a2
+        a3 = f(z + 0.5 * step * v2, v3)
+        v4 = v + step * a3
+        a4 = f(z + step * v3, v4)
+        return (z + step / 6 * (v + 2 * v2 + 2 * v3 + v4), v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)), None
+
+    return jax.lax.scan(fine, (z, rate), torques)[0]

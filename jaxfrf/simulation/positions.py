@@ -1,0 +1,49 @@
+"""Arm configurations at which a robot is measured."""
+
+import os
+import pathlib
+
+import jax.random as jr
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from .._errors import input_error
+
+_LOW = np.array([-150.0, -60.0, 20.0, -150.0, 25.0, -150.0])  # degrees
+_HIGH = np.array([150.0, 60.0, 150.0, 150.0, 100.0, 150.0])
+
+
+def random_positions(n: int, key: PRNGKeyArray, axes: int = 6) -> Float[np.ndarray, "pos axis"]:
+    """Arm angles of a six-axis elbow robot, (n, 6), rad: uniform, within reach of its payload.
+
+    In degrees, 1: +-150, 2: -60..60, 3: 20..150, 4: +-150, 5: +-(25..100), 6: +-150; joint 5 keeps clear of
+    zero, where axes 4 and 6 are in line. A robot of another number of axes gets +-90 degrees on all of them.
+    A position does not depend on how many are drawn.
+    """
+    elbow = axes == len(_LOW)
+    low, high = (_LOW, _HIGH) if elbow else (np.full(axes, -90.0), np.full(axes, 90.0))
+    draw = np.array([np.asarray(jr.uniform(jr.fold_in(key, i), (axes + 1,))) for i in range(n)]).reshape(n, axes + 1)
+    q = low + (high - low) * draw[:, :axes]
+    if elbow:
+        q[:, 4] *= np.where(draw[:, axes] < 0.5, -1.0, 1.0)
+    return np.deg2rad(q)
+
+
+def read_positions(path: str | os.PathLike, axes: int) -> Float[np.ndarray, "pos axis"]:
+    """Arm angles from a text file, one row of rad for each position, separated by commas or blanks; # comments.
+
+    **Raises:** `jaxfrf.InputError` naming the file and what is wrong with it. `OSError` if it cannot be opened.
+    """
+    rows = [line.split("#")[0].replace(",", " ").split() for line in pathlib.Path(path).read_text().splitlines()]
+    rows = [row for row in rows if row]
+    try:
+        q = np.array([[float(x) for x in row] for row in rows])
+    except ValueError as error:
+        raise input_error(
+            f"{path}", f"{error}", "numbers", "Write one row of angles, rad, for each position."
+        ) from None
+    if q.ndim != 2 or q.shape[1] != axes or not np.isfinite(q).all():
+        raise input_error(
+            f"{path}", f"numbers of shape {q.shape}", f"(position, {axes}), finite", "Write one row for each position."
+        )
+    return q
