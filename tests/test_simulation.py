@@ -263,7 +263,7 @@ class TestCommand:
 @pytest.mark.slow
 @pytest.mark.parametrize("stiction", [False, True], ids=["R3X", "R3X-stiction"])
 def test_all_positions_are_stable(stiction):
-    """49 positions at the paper's amplitudes: the motion repeats from period to period, the torque is off its limits."""
+    """49 positions at the paper's amplitudes: the motion repeats from period to period, torques off their limits."""
     robot = jf.robot.r3x()
     if stiction:
         level = {"joint4": 0.22, "joint5": 0.38, "joint6": 0.11}
