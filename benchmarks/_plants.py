@@ -2,8 +2,9 @@
 
 import dataclasses
 
-import jaxfrf as jf
 import numpy as np
+
+import jaxfrf as jf
 
 FS = 2000.0
 PERIOD = 56000

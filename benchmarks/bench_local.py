@@ -5,7 +5,8 @@
 Six inputs and outputs, R = 2, windows of 34 lines, 336 lines, 12 experiments, each estimated on its own unless the
 case says "stacked". Every measurement runs in a process of its own that is pinned to its cores and has as many BLAS
 threads. Contenders take turns, and ratios are taken turn by turn, so that other load on the machine hits all of them;
-the time of compilation is told apart. The baselines compute G alone, jaxfrf its covariance too.
+the time of compilation is told apart. "Processor" is the same ratio in processor time, which other load hardly
+touches. The baselines compute G alone, jaxfrf its covariance too.
 """
 
 import argparse
@@ -49,7 +50,7 @@ def main() -> None:
     rounds = 3 if arguments.quick else 7
     for case in arguments.cases:
         for cores in arguments.cores:
-            found = _run(cores, measure="speed", case=case, rounds=rounds, quick=arguments.quick)
+            found = _run(cores, measure="speed", case=case, rounds=rounds)
             result["speed"].append(found)
             print(_speed_table(found), flush=True)
     for contender in (LOOP, NORMAL, INNER, FULL):
@@ -107,7 +108,7 @@ def _run(cores: int, **request):
     return {"cores": cores, **json.loads(done.stdout)}
 
 
-def _measure_speed(case: str, rounds: int, quick: bool) -> dict:
+def _measure_speed(case: str, rounds: int) -> dict:
     estimate, problem, contenders = _contenders(case)
     began = time.perf_counter()
     estimate()
@@ -117,8 +118,13 @@ def _measure_speed(case: str, rounds: int, quick: bool) -> dict:
     turns = [{name: _time(f) for name, f in contenders.items()} for _ in range(rounds)]
     rows = [_summary(name, turns, problem.n_windows) | {"difference": results[name]} for name in contenders]
     compile_time = first - statistics.median(turn[INNER][0] for turn in turns)
-    rows_of_window = problem.width * problem.X.shape[1]
-    return {"case": case, "windows": problem.n_windows, "rows": rows_of_window, "compile_s": compile_time, "rows_": rows}
+    return {
+        "case": case,
+        "windows": problem.n_windows,
+        "rows": problem.width * problem.X.shape[1],
+        "compile_s": compile_time,
+        "contenders": rows,
+    }
 
 
 def _summary(name: str, turns, n_windows: int) -> dict:
@@ -159,7 +165,7 @@ def _measure_growth(sizes) -> dict:
         for stacked in (True, False):
             spectra = _spectra(n_pos, n_exp)
             rows.append(_grown(spectra if stacked else _one_by_one(spectra), n_pos, n_exp, stacked))
-    return {"rows_": rows}
+    return {"sizes": rows}
 
 
 def _grown(spectra, n_pos: int, n_exp: int, stacked: bool) -> dict:
@@ -217,8 +223,9 @@ def _contenders(case: str):
     spectra = _spectra(1, N_EXP)
     spectra = spectra if case == "stacked" else _one_by_one(spectra)
     import _baselines as baselines
-    import jaxfrf as jf
     import numpy as np
+
+    import jaxfrf as jf
 
     options = {"order": ORDER, "width": WIDTH}
     method = {
@@ -292,9 +299,10 @@ def _speed_table(found: dict) -> str:
     lines = [
         f"\n{CASES[found['case']]}: {found['windows']} windows of {found['rows']} rows, {cores}; "
         f"compiled in {found['compile_s']:.1f} s",
-        f"  {'':28}{'us/window':>10}{'windows/s':>11}{'times the loop (min-max)':>27}{'processor':>11}{'difference':>12}",
+        f"  {'':28}{'us/window':>10}{'windows/s':>11}{'times the loop (min-max)':>27}"
+        f"{'processor':>11}{'difference':>12}",
     ]
-    for row in found["rows_"]:
+    for row in found["contenders"]:
         ratio = f"{row['ratio']:.2f} ({row['ratio_min']:.2f}-{row['ratio_max']:.2f})"
         lines.append(
             f"  {row['name']:28}{row['us_per_window']:10.1f}{row['windows_per_s']:11.0f}{ratio:>27}"
@@ -314,9 +322,10 @@ def _memory_table(rows) -> str:
 def _growth_table(name: str, found: dict) -> str:
     lines = [
         f"\nGrowth with {name}, LRM, {found['cores']} cores (the peak is that of the process so far)",
-        f"  {'positions':>9}{'experiments':>13}{'':12}{'windows':>9}{'ms':>9}{'us/window':>11}{'compile s':>11}{'peak MB':>9}",
+        f"  {'positions':>9}{'experiments':>13}{'':12}{'windows':>9}{'ms':>9}{'us/window':>11}"
+        f"{'compile s':>11}{'peak MB':>9}",
     ]
-    for row in found["rows_"]:
+    for row in found["sizes"]:
         kind = "stacked" if row["stacked"] else "one by one"
         lines.append(
             f"  {row['positions']:9}{row['experiments']:13}{kind:>12}{row['windows']:9}{row['ms']:9.1f}"
