@@ -127,7 +127,6 @@ class Plant(eqx.Module):
         force = jnp.concatenate([arm, spring[w.motors :]]) - slow.bias
         return jnp.concatenate([motor, product(slow.inverse, force)])
 
-
     def ripple(self, angle: Columns, torque: Columns) -> Columns:
         """Motor torque with what depends on the motor's angle."""
         for group in self.rippling:
