@@ -128,7 +128,7 @@ def beside_mujoco():
         )
         wall, cpu = timed(run, 2)
         report(f"MuJoCo {name}, {0.5 / steps:.2g} ms, error {error(found['angle']):.1e}", wall, cpu, 2000)
-    print("  (of which the controller in Python takes some 15 us a sample)")
+    print("  (with the controller in Python; the difference between two numbers of steps is that of the steps alone)")
     references = np.stack([velocity, position], axis=1)[..., None]
     for steps in (5, 2):
         for count in (32, 1):
