@@ -162,6 +162,21 @@ class TestParts:
             u, state = ours.torque(state, reading[:, None], position[:, None], velocity[:, None])
             np.testing.assert_allclose(u[:, 0], theirs(reading, position, velocity), rtol=1e-9, atol=1e-12)
 
+    def test_steps(self):
+        """Three for R3X; more for friction that is stiff at rest or a fast mode; an end to it."""
+        robot, q = jf.robot.r3x(), jf.random_positions(2, KEY)
+        count = lambda r: jf.simulation.fine_steps(r, jf.robot.operating_point(r, q))
+        assert count(robot) == 3
+        rubbing = jf.robot.with_parameters(robot, {"joint6.coulomb_friction": 0.3})
+        assert count(rubbing) == np.ceil(5e-4 * (0.3 / 0.2 + 8e-5) / 4.3e-5 / 2.2)
+        with_effect = robot.with_effects(jf.effects.StribeckFriction(5, 0.275, 2.0, 0.2))
+        assert count(with_effect) == count(rubbing)
+        stiff = jf.robot.with_parameters(robot, {"joint4.stiffness": 3e7})
+        # Motor 4 alone against its spring: sqrt(k/J)/n, a little less than the mode.
+        assert count(stiff) >= np.ceil(5e-4 * np.sqrt(3e7 / 1.6e-4) / 99 / 0.35)
+        with pytest.raises(jf.InputError, match=r"friction that stops .* smoothing"):
+            count(jf.robot.with_parameters(robot, {"joint6.coulomb_friction": 3.0}))
+
     def test_random_positions(self):
         q = np.rad2deg(jf.random_positions(200, jr.key(0)))
         assert np.all(np.abs(q[:, [0, 3, 5]]) <= 150) and np.all(np.abs(q[:, 1]) <= 60)
@@ -195,6 +210,7 @@ class TestTrouble:
             r"R3X: controller: found none",
         ),
         "run_in": (lambda r, d, q: (r, d, q), {"run_in": -1.0}, "run_in: found -1.0"),
+        "steps": (lambda r, d, q: (r, d, q), {"steps": 0}, "steps: found 0"),
         "chunk": (lambda r, d, q: (r, d, q), {"chunk": 0}, "chunk: found 0"),
         "weight": (
             lambda r, d, q: (r.with_effects(jf.effects.Payload(300.0)), d, q),
@@ -263,7 +279,7 @@ class TestCommand:
 @pytest.mark.slow
 @pytest.mark.parametrize("stiction", [False, True], ids=["R3X", "R3X-stiction"])
 def test_all_positions_are_stable(stiction):
-    """49 positions at the paper's amplitudes: the motion repeats from period to period, torques off their limits."""
+    """49 positions at the paper's amplitudes: the motion repeats with the period, below the torque limits."""
     robot = jf.robot.r3x()
     if stiction:
         level = {"joint4": 0.22, "joint5": 0.38, "joint6": 0.11}

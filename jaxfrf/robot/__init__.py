@@ -64,6 +64,7 @@ from .robot import (
     drive_forces as drive_forces,
     energy as energy,
     forward_dynamics as forward_dynamics,
+    friction_effects as friction_effects,
     generalised_forces as generalised_forces,
     inertia as inertia,
     motor_directions as motor_directions,

@@ -186,7 +186,7 @@ def arm_inertia_and_bias(robot: Robot, arm: Float[Array, "*batch arm"], rate: Fl
 
 
 def arm_inertia_and_bias_columns(robot: Robot, arm: Float[Array, "arm run"], rate: Float[Array, "arm run"]):
-    """`arm_inertia_and_bias` of many runs with the runs last, (arm, arm, run) and (arm, run): for simulations."""
+    """As `arm_inertia_and_bias`, of many runs with the runs last, (arm, arm, run) and (arm, run): for simulations."""
     order = np.array(robot.arm_joints)
     angles, rates = chain_angles(robot, arm.T).T, chain_angles(robot, rate.T).T
     matrix, bias = mass_and_bias_columns(robot.chain, angles, rates)

@@ -13,7 +13,7 @@ from .quantity import derivatives
 
 
 class StateSpace(eqx.Module):
-    """x' = A x + B u, y = C x + D u (`sample_time` 0), or x(k+1) = A x(k) + B u(k) (`sample_time` in s).
+    """State space x' = A x + B u, y = C x + D u (`sample_time` 0), or x(k+1) = A x(k) + B u(k) (`sample_time` in s).
 
     **Fields:** `A`: (*batch, state, state). `B`: (*batch, state, in). `C`: (*batch, out, state). `D`:
     (*batch, out, in).

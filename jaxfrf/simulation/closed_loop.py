@@ -51,7 +51,7 @@ class ClosedLoop(eqx.Module):
     fs: float = eqx.field(static=True)
 
     @classmethod
-    def of(cls, robot: Robot, noise: float = 5e-5, steps: int = 5) -> "ClosedLoop":
+    def of(cls, robot: Robot, noise: float = 5e-5, steps: int = 3) -> "ClosedLoop":
         return cls(
             Plant.of(robot),
             Cascade.of(robot),

@@ -1,6 +1,7 @@
 """From a design to the record of a simulated experiment."""
 
 import concurrent.futures
+import itertools
 import math
 import os
 from collections.abc import Callable, Iterator
@@ -19,6 +20,7 @@ from ..excitation.signals import one_period
 from ..experiment import Experiment
 from ..robot import OperatingPoint, Robot, operating_point
 from .closed_loop import ClosedLoop, LoopState, Runs, play
+from .steps import fine_steps
 
 _SEGMENT = 2000  # samples between two looks at the runs: bounds the memory and finds divergence early
 _ASTRAY = 0.3  # rad on the arm side between reference and motion, which no working controller lets happen
@@ -34,7 +36,7 @@ def simulate(
     key: PRNGKeyArray,
     run_in: float | None = 5.0,
     noise: float = 5e-5,
-    steps: int = 5,
+    steps: int | None = None,
     chunk: int = 32,
     progress: Progress | None = None,
 ) -> Experiment:
@@ -53,7 +55,7 @@ def simulate(
     - `run_in`: seconds of the periodic motion before the first recorded sample, faded in from rest; the record
       then holds steady periods only. `None`: the transient periods of the design are played and recorded.
     - `noise`: standard deviation of white noise on the measured motor position, rad.
-    - `steps`: Runge-Kutta steps in a control sample.
+    - `steps`: Runge-Kutta steps in a control sample; as many as `fine_steps` finds necessary by default.
     - `chunk`: runs that are computed together on one core; it changes speed and memory, not the result.
     - `progress`: called with the part that is done, from 0 to 1.
 
@@ -64,7 +66,9 @@ def simulate(
     positions = _check(robot, design, positions)
     point = _equilibria(robot, positions)
     signals = _Signals(design, run_in, robot.sampling_frequency)
-    loop = ClosedLoop.of(robot, noise=noise, steps=steps)
+    if steps is not None and not (steps == int(steps) and steps >= 1):
+        raise input_error("steps", f"{steps}", "a whole number, 1 or more, or None", "None finds it.")
+    loop = ClosedLoop.of(robot, noise=noise, steps=fine_steps(robot, point) if steps is None else int(steps))
     study = _Study(loop, signals, point, key, design.n_exp)
     u, y = study.run(_blocks(len(positions) * design.n_exp, chunk), progress)
     shape = (len(positions), design.n_exp, *u.shape[1:])
@@ -205,33 +209,35 @@ class _Study:
         n_runs, kept = blocks[-1].max() + 1, self.signals.n_time - self.signals.run_in
         shape = (n_runs, kept, self.loop.plant.wiring.axes)
         u, y = np.empty(shape), np.empty(shape)
-        state, runs = self._start(blocks[0])
-        compiled = play.lower(self.loop, state, runs, jnp.asarray(0), self.signals.stretch(0)).compile()
         lost: dict[int, float] = {}
-        total, done = len(blocks) * math.ceil(self.signals.n_time / _SEGMENT), 0
+        total, done = len(blocks) * math.ceil(self.signals.n_time / _SEGMENT), itertools.count(1)
+
+        def advance_progress():
+            if progress is not None:
+                progress(min(next(done) / total, 1.0))
 
         def work(block):
-            for start, stretch in self._segments(block, compiled, lost):
+            for start, stretch in self._segments(block, lost):
                 _store(u, y, block, start - self.signals.run_in, stretch)
                 yield
 
+        jobs = [work(block) for block in blocks]
+        if next(jobs[0], _END) is not _END:  # compiled once, before the threads start
+            advance_progress()
         # One thread per core, each with its own block: a block's arrays stay in its core's cache.
         with concurrent.futures.ThreadPoolExecutor(_cores()) as pool:
-            queue: list = [work(block) for block in blocks]
-            waiting = {pool.submit(next, job, _END): job for job in queue[: _cores()]}
-            del queue[: _cores()]
+            waiting = {pool.submit(next, job, _END): job for job in jobs[: _cores()]}
+            queue = jobs[_cores() :]
             while waiting:
                 finished, _ = concurrent.futures.wait(waiting, return_when=concurrent.futures.FIRST_COMPLETED)
                 for future in finished:
                     job = waiting.pop(future)
-                    if future.result() is _END:
-                        if not queue:
-                            continue
+                    if future.result() is not _END:
+                        advance_progress()
+                    elif queue:
                         job = queue.pop(0)
                     else:
-                        done += 1
-                        if progress is not None:
-                            progress(min(done / total, 1.0))
+                        continue
                     waiting[pool.submit(next, job, _END)] = job
         if lost:
             raise self._diverged(lost)
@@ -244,11 +250,11 @@ class _Study:
         keys = fold(block // self.n_exp, block % self.n_exp)
         return state, Runs(jnp.asarray(block % self.n_exp), self.loop.plant.motor(state.z), keys)
 
-    def _segments(self, block: np.ndarray, compiled, lost: dict[int, float]) -> Iterator:
+    def _segments(self, block: np.ndarray, lost: dict[int, float]) -> Iterator:
         state, runs = self._start(block)
         for start in range(0, self.signals.n_time, _SEGMENT):
             references = self.signals.stretch(start)
-            state, *stretch = compiled(self.loop, state, runs, jnp.asarray(start), references)
+            state, *stretch = play(self.loop, state, runs, jnp.asarray(start), references)
             torque, reading = (np.asarray(x) for x in stretch)
             left = min(_SEGMENT, self.signals.n_time - start)
             astray = self._astray(reading[:left], references[:left, 1], runs)
