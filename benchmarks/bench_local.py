@@ -47,7 +47,7 @@ def main() -> None:
         return
     result = {"machine": _machine(), "seed": SEED, "speed": [], "memory": [], "growth": {}}
     print(_describe(result["machine"]))
-    rounds = 3 if arguments.quick else 7
+    rounds = 3 if arguments.quick else 5
     for case in arguments.cases:
         for cores in arguments.cores:
             found = _run(cores, measure="speed", case=case, rounds=rounds)
