@@ -1,6 +1,7 @@
 """From records to spectra: steady periods, Fourier coefficients at the excited lines, noise between periods."""
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import numpy as np
@@ -307,34 +308,21 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
             "Widen the band.",
         )
 
-    def cut(x):
-        return None if x is None else x[:, :, inside]
-
-    return dataclasses.replace(
-        spectra,
-        U=cut(spectra.U),
-        Y=cut(spectra.Y),
-        R=cut(spectra.R),
-        noise=cut(spectra.noise),
-        lines=spectra.lines[inside],
-        frequency=spectra.frequency[inside],
-    )
+    signals = changed_signals(spectra, lambda x: x[:, :, inside])
+    return dataclasses.replace(spectra, **signals, lines=spectra.lines[inside], frequency=spectra.frequency[inside])
 
 
 def select_positions(spectra: Spectra, positions) -> Spectra:
     """The same spectra at some operating points only (a slice or a list of indices)."""
 
-    def cut(x):
-        return None if x is None else x[positions]
+    q = None if spectra.q is None else spectra.q[positions]
+    return dataclasses.replace(spectra, **changed_signals(spectra, lambda x: x[positions]), q=q)
 
-    return dataclasses.replace(
-        spectra,
-        U=cut(spectra.U),
-        Y=cut(spectra.Y),
-        R=cut(spectra.R),
-        noise=cut(spectra.noise),
-        q=cut(spectra.q),
-    )
+
+def changed_signals(spectra: Spectra, change: Callable[[Array], Array]) -> dict[str, Array]:
+    """`change` applied to U, Y, R and the noise covariance, as far as they are there, by field name."""
+    names = [name for name in ("U", "Y", "R", "noise") if getattr(spectra, name) is not None]
+    return {name: change(getattr(spectra, name)) for name in names}
 
 
 def differentiate(X, omega, times: int):

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from .._types import Array
-from ..spectra import Spectra
+from ..spectra import Spectra, changed_signals
 
 
 class KroneckerSum(eqx.Module):
@@ -78,16 +78,7 @@ def split_blocks(spectra: Spectra, size: int) -> Spectra:
     n_block = spectra.n_exp // size
 
     def split(x):
-        if x is None:
-            return None
         x = np.asarray(x)[:, : n_block * size]
         return x.reshape(-1, size, *x.shape[2:])
 
-    return dataclasses.replace(
-        spectra,
-        U=split(spectra.U),
-        Y=split(spectra.Y),
-        R=split(spectra.R),
-        noise=split(spectra.noise),
-        q=None,
-    )
+    return dataclasses.replace(spectra, **changed_signals(spectra, split), q=None)
