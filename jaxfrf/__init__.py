@@ -64,10 +64,25 @@ _PUBLIC = {
     "Feature": "frf",
     "describe_method": "frf",
     "concatenate_positions": "frf",
+    "replay": "simulation",
     "simulate": "simulation",
     "random_positions": "simulation",
+    "Parameter": "graybox",
+    "AbstractModel": "graybox",
+    "GrayBox": "graybox",
+    "RobotModel": "graybox",
+    "Weights": "graybox",
+    "LevenbergMarquardt": "graybox",
+    "BFGS": "graybox",
+    "Fit": "graybox",
+    "fit": "graybox",
+    "ThroughFit": "graybox",
+    "fit_through_experiment": "graybox",
+    "position_information": "graybox",
+    "d_optimal": "graybox",
+    "expected_accuracy": "graybox",
 }
-_NAMESPACES = ("effects", "excitation", "frf", "io", "plot", "robot", "simulation")
+_NAMESPACES = ("effects", "excitation", "frf", "graybox", "io", "plot", "robot", "simulation")
 
 __all__ = ["__version__", *_PUBLIC, *_NAMESPACES]
 
@@ -76,6 +91,7 @@ if TYPE_CHECKING:
         effects as effects,
         excitation as excitation,
         frf as frf,
+        graybox as graybox,
         io as io,
         plot as plot,
         robot as robot,
@@ -137,11 +153,28 @@ if TYPE_CHECKING:
         levels as levels,
         multiple_coherence as multiple_coherence,
     )
+    from .graybox import (
+        BFGS as BFGS,
+        AbstractModel as AbstractModel,
+        Fit as Fit,
+        GrayBox as GrayBox,
+        LevenbergMarquardt as LevenbergMarquardt,
+        Parameter as Parameter,
+        RobotModel as RobotModel,
+        ThroughFit as ThroughFit,
+        Weights as Weights,
+        d_optimal as d_optimal,
+        expected_accuracy as expected_accuracy,
+        fit as fit,
+        fit_through_experiment as fit_through_experiment,
+        position_information as position_information,
+    )
     from .screening import (
         screen as screen,
     )
     from .simulation import (
         random_positions as random_positions,
+        replay as replay,
         simulate as simulate,
     )
     from .spectra import (

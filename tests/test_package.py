@@ -159,7 +159,8 @@ SPECTRA = EXPERIMENT | {"spectra"}
 FRF = SPECTRA | {"frf"}
 ROBOT = BASE | {"effects", "robot"}
 SIMULATION = EXPERIMENT | ROBOT | {"simulation"}
-IO = FRF | ROBOT | {"screening", "io"}
+GRAYBOX = FRF | SIMULATION | {"graybox"}
+IO = GRAYBOX | {"screening", "io"}
 
 MAY_IMPORT = {
     **{name: {"errors"} for name in BASE},
@@ -172,6 +173,7 @@ MAY_IMPORT = {
     "effects": BASE | {"effects"},
     "robot": ROBOT,
     "simulation": SIMULATION,
+    "graybox": GRAYBOX,
     "io": IO,
     "plot": IO | {"plot"},
     "pipeline": IO,

@@ -47,7 +47,7 @@ from .parameters import (
     parameters as parameters,
     with_parameters as with_parameters,
 )
-from .r3x import r3x as r3x
+from .r3x import r3x as r3x, r3x_ripple as r3x_ripple
 from .response import (
     ZeroOrderHold as ZeroOrderHold,
     frf as frf,

@@ -3,6 +3,9 @@
 import importlib.resources
 import tomllib
 
+import numpy as np
+
+from ..effects import AbstractEffect, ResolverRipple, TorqueRipple
 from .robot import Robot
 from .schema import robot_from_table
 
@@ -16,3 +19,15 @@ def r3x() -> Robot:
     """
     text = importlib.resources.files(__package__).joinpath("r3x.toml").read_text(encoding="utf-8")
     return robot_from_table(tomllib.loads(text), "r3x.toml")
+
+
+_RIPPLE = (0.03, 0.02, 0.05, 0.03)  # N m, orders 1, 2, 6, 18 of the motor angle
+_RIPPLE_SCALE = (1.0, 1.0, 1.0, 0.2, 0.2, 0.07)
+_RESOLVER = (5e-4, 1e-3)  # rad, orders 1 and 2
+
+
+def r3x_ripple() -> tuple[AbstractEffect, ...]:
+    """Torque ripple and resolver ripple of R3X, for `r3x().with_effects(*r3x_ripple())`; proposed values."""
+    torque = (TorqueRipple(axis, scale * np.array(_RIPPLE)) for axis, scale in enumerate(_RIPPLE_SCALE))
+    resolver = (ResolverRipple(axis, list(_RESOLVER)) for axis in range(len(_RIPPLE_SCALE)))
+    return (*torque, *resolver)

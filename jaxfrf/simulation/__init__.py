@@ -1,6 +1,6 @@
 """Experiments on simulated robots: robot, effects and excitation in, records out."""
 
-from .experiment import simulate as simulate
+from .experiment import replay as replay, simulate as simulate
 from .positions import (
     random_positions as random_positions,
     read_positions as read_positions,

@@ -25,9 +25,9 @@ class LoopState(eqx.Module):
 
 
 class Runs(eqx.Module):
-    """What tells runs of a block apart: the experiment that each plays, its rest position, its random stream."""
+    """What tells runs of a block apart: which of the references each plays, its rest position, its random stream."""
 
-    experiment: Int[Array, "run"]
+    track: Int[Array, "run"]
     rest: Columns
     key: PRNGKeyArray
 
@@ -39,25 +39,26 @@ class ClosedLoop(eqx.Module):
     evaluated once, at the middle of the sample extrapolated from its start, and held; springs, motors and
     friction are integrated in `steps` classical Runge-Kutta steps.
 
-    **Arguments:** `noise`: standard deviation of the white noise on the measured motor position, rad.
+    **Arguments:** `noise`: standard deviation of the white noise on the measured motor position, rad; `None`
+    draws none, which is faster.
     """
 
     plant: Plant
     cascade: Cascade
     sensors: tuple[Group[AbstractSensor], ...]
     actuators: tuple[Group[AbstractActuator], ...]
-    noise: Float[Array, ""] | float
+    noise: Float[Array, ""] | float | None
     steps: int = eqx.field(static=True)
     fs: float = eqx.field(static=True)
 
     @classmethod
-    def of(cls, robot: Robot, noise: float = 5e-5, steps: int = 3) -> "ClosedLoop":
+    def of(cls, robot: Robot, noise: float | None = 5e-5, steps: int = 3) -> "ClosedLoop":
         return cls(
             Plant.of(robot),
             Cascade.of(robot),
             groups(robot, AbstractSensor),
             groups(robot, AbstractActuator),
-            noise,
+            noise or None,
             steps,
             robot.sampling_frequency,
         )
@@ -95,7 +96,9 @@ class ClosedLoop(eqx.Module):
 
     def sample(self, state: LoopState, time, reference, runs: Runs):
         """One control sample: measure, control, move. `reference` = (velocity, position), each (axis, run)."""
-        reading = self.measured(state.z) + self.noise * _normal(runs.key, time, runs.rest)
+        reading = self.measured(state.z)
+        if self.noise is not None:
+            reading = reading + self.noise * _normal(runs.key, time, runs.rest)
         velocity, position = reference
         torque, controller = self.cascade.torque(state.controller, reading, runs.rest + position, velocity)
         half = 0.5 / self.fs
@@ -118,7 +121,7 @@ def play(
     state: LoopState,
     runs: Runs,
     start: Int[Array, ""],
-    references: Float[Array, "time 2 axis exp"],
+    references: Float[Array, "time 2 axis track"],
 ) -> tuple[LoopState, Float[Array, "time axis run"], Float[Array, "time axis run"]]:
     """Play a stretch of the references: the last state, torque commands and measured positions.
 
@@ -127,7 +130,7 @@ def play(
 
     def step(state, now):
         time, reference = now
-        return loop.sample(state, time, reference[:, :, runs.experiment], runs)
+        return loop.sample(state, time, reference[:, :, runs.track], runs)
 
     times = start + jnp.arange(references.shape[0])
     state, (torque, reading) = jax.lax.scan(step, state, (times, references))

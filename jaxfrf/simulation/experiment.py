@@ -1,31 +1,17 @@
-"""From a design to the record of a simulated experiment."""
+"""From a design, or from what a record says was played, to the record of a simulated experiment."""
 
-import concurrent.futures
-import itertools
-import math
-import os
-from collections.abc import Callable, Iterator
-
-import jax
-import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from .._errors import input_error
 from .._types import Array, require_x64
-from ..excitation import Multisine, reference
-from ..excitation.multisine import reference_spectra
-from ..excitation.signals import one_period
+from ..excitation import Multisine
 from ..experiment import Experiment
-from ..robot import OperatingPoint, Robot, operating_point
-from .closed_loop import ClosedLoop, LoopState, Runs, play
-from .steps import fine_steps
-
-_SEGMENT = 2000  # samples between two looks at the runs: bounds the memory and finds divergence early
-_ASTRAY = 0.3  # rad on the arm side between reference and motion, which no working controller lets happen
-
-Progress = Callable[[float], None]
+from ..robot import Robot
+from .checks import check_fit, check_positions, loop_at_rest
+from .references import references_of_design, references_of_record
+from .runs import Progress, Study, record
 
 
 def simulate(
@@ -63,20 +49,15 @@ def simulate(
     diverge: it names positions and experiments, and nothing is recorded then.
     """
     require_x64("A simulation")
-    positions = _check(robot, design, positions)
-    point = _equilibria(robot, positions)
-    signals = _Signals(design, run_in, robot.sampling_frequency)
-    if steps is not None and not (steps == int(steps) and steps >= 1):
-        raise input_error("steps", f"{steps}", "a whole number, 1 or more, or None", "None finds it.")
-    loop = ClosedLoop.of(robot, noise=noise, steps=fine_steps(robot, point) if steps is None else int(steps))
-    study = _Study(loop, signals, point, key, design.n_exp)
-    u, y = study.run(_blocks(len(positions) * design.n_exp, chunk), progress)
-    shape = (len(positions), design.n_exp, *u.shape[1:])
-    recorded = signals.velocity[:, signals.run_in :]
+    check_fit(robot, design.fs, design.n_in, "design")
+    positions = check_positions(robot, positions)
+    references = references_of_design(design, run_in)
+    loop, point = loop_at_rest(robot, positions, noise, steps)
+    u, y = record(Study(loop, references, point, key, design.n_exp), chunk, progress)
     return Experiment(
-        u=u.reshape(shape),
-        y=y.reshape(shape),
-        r=np.broadcast_to(recorded, (len(positions), *recorded.shape)),
+        u=u,
+        y=y,
+        r=_at_every_position(np.tile(references.velocity, (1, u.shape[2] // references.velocity.shape[1], 1)), u),
         q=positions,
         fs=design.fs,
         period=design.period,
@@ -86,213 +67,78 @@ def simulate(
     )
 
 
-def _check(robot: Robot, design: Multisine, positions) -> np.ndarray:
-    if robot.controller is None:
-        raise input_error(
-            f"{robot.name}: controller",
-            "none",
-            "a [controller] table",
-            "Without its controller the robot cannot be simulated in closed loop: state position_gain, "
-            "integral_time and each joint's velocity_gain.",
-        )
-    if design.fs != robot.sampling_frequency:
-        raise input_error(
-            "fs of the design",
-            f"{design.fs:g} Hz",
-            f"{robot.sampling_frequency:g} Hz, the sampling_frequency of {robot.name}",
-            "Change one of them: the controller plays one reference value a sample.",
-        )
-    if design.n_in != robot.n_axes:
-        raise input_error(
-            "inputs of the design",
-            f"{design.n_in}",
-            f"{robot.n_axes}, one for each driven joint of {robot.name}",
-            "Set inputs, or complete rms and the slow sine.",
-        )
-    positions = np.asarray(positions, float)
-    if positions.ndim != 2 or positions.shape[1] != robot.n_axes or not len(positions):
-        raise input_error(
-            "positions",
-            f"an array of shape {positions.shape}",
-            f"(position, {robot.n_axes}), rad",
-            "Give one row of arm angles for each position.",
-        )
-    if not np.isfinite(positions).all():
-        raise input_error("positions", "NaN or Inf", "finite angles, rad", "Correct the file.")
-    return positions
+def replay(
+    robot: Robot,
+    data: Experiment,
+    *,
+    key: PRNGKeyArray | None = None,
+    noise: float = 0.0,
+    run_in: float = 5.0,
+    steps: int | None = None,
+    chunk: int = 32,
+    progress: Progress | None = None,
+) -> Experiment:
+    """Play the references of a record, measured or simulated, on a simulated robot in closed loop.
+
+    What the robot should have answered to the same experiment. Of a periodic record the mean of the steady
+    periods of `r` is played, periodically and faded in from rest as in `simulate`; the result holds one steady
+    period. The position reference is the zero-mean periodic integral of `r`, exact below half the sampling
+    frequency, about the motor position at rest in `data.q`. A mean of `r` below .01 rad (arm side) in a period
+    is an offset of the recording and removed; where `r` is a position, its mean *is* the position at rest.
+
+    A record that is not periodic (`period` 0) is played once, from rest at `data.q` at its first sample, whole
+    and without run-in: the position is the integral of the cubic spline through `r` (or the speed its derivative,
+    where `r` is a position): within 3e-5 up to a twenty-fifth of the sampling frequency, but for the derivative in
+    the first and last samples.
+
+    Without noise the result is deterministic. Robots that differ in the values of their parameters only share
+    what is compiled; say `steps` where these values could change what `fine_steps` finds.
+
+    **Arguments:**
+
+    - `robot`: with a controller and the sampling frequency of the record.
+    - `data`: with `r`, (pos, exp, time, axis), as velocity or position, and `q`, (pos, axis); its `u` and `y`
+      are not used. References may differ from position to position.
+    - `key`, `noise`: white noise on the measured motor position, standard deviation in rad; as in `simulate`.
+    - `run_in`: seconds of the periodic motion before the first recorded sample.
+    - `steps`, `chunk`, `progress`: as in `simulate`.
+
+    **Returns:** the record: `u` the torque command, `y` the measured motor *position* (`y_quantity`
+    "position"), `r` as played, in the quantity of `data.r`; `q`, `lines`, `fs` and `period` those of `data`.
+
+    **Raises:** `jaxfrf.InputError` without `r` or `q`, where the record does not fit the robot, where `r` has a
+    mean that lets the motors drift away, and where runs diverge.
+    """
+    require_x64("A simulation")
+    _check_record(data)
+    check_fit(robot, data.fs, data.r.shape[3], "record")
+    if noise and key is None:
+        raise input_error("key", "none", f"a key for a noise of {noise:g} rad", "Give key=jax.random.key(0).")
+    positions = check_positions(robot, data.q)
+    references = references_of_record(robot, data, run_in)
+    loop, point = loop_at_rest(robot, positions, noise, steps)
+    key = jr.key(0) if key is None else key
+    u, y = record(Study(loop, references, point, key, data.n_exp), chunk, progress)
+    played = references.velocity if data.r_quantity == "velocity" else references.position
+    return Experiment(
+        u=u,
+        y=y,
+        r=_at_every_position(played, u),
+        q=positions,
+        fs=data.fs,
+        period=data.period,
+        lines=data.lines,
+        r_quantity=data.r_quantity,
+        y_quantity="position",
+    )
 
 
-def _equilibria(robot: Robot, positions: np.ndarray) -> OperatingPoint:
-    point = operating_point(robot, positions)
-    lost = np.flatnonzero(~np.asarray(point.converged))
-    if lost.size:
-        raise input_error(
-            f"{robot.name}",
-            f"no equilibrium at position {lost[0]}, q = {np.round(positions[lost[0]], 3).tolist()}",
-            "springs that carry the arm's weight",
-            "Check stiffness, masses and the position.",
-        )
-    limit, torque = np.asarray(robot.drives.torque_limit), np.abs(np.asarray(point.torque))
-    for p, axis in np.argwhere(torque > limit)[:1]:
-        raise input_error(
-            f"{robot.name}: {robot.axis_names[axis]}",
-            f"{torque[p, axis]:.3g} N m to hold the arm at position {p}",
-            f"at most the torque_limit of {limit[axis]:.3g} N m",
-            "Lower the payload, or choose other positions.",
-        )
-    return point
+def _check_record(data: Experiment) -> None:
+    for name, what in (("r", "the references that were played"), ("q", "the arm configuration of every position")):
+        if getattr(data, name) is None:
+            raise input_error(name, "none", f"{what} to the robot", "Record it, or name its variable in --map.")
 
 
-class _Signals:
-    """References of all experiments from the first simulated sample on: (exp, time, axis), run-in included."""
-
-    def __init__(self, design: Multisine, run_in: float | None, fs: float):
-        self.run_in = 0 if run_in is None else _samples(run_in, fs)
-        if run_in is None:
-            made = reference(design)
-            self.velocity, self.position = made.r, made.position
-            return
-        periods = [one_period(design, X) for X in reference_spectra(design)]
-        index = np.arange(-self.run_in, design.periods * design.period) % design.period
-        self.velocity, self.position = (np.stack([x[index] for x in xs]) for xs in zip(*periods, strict=True))
-        _fade_in(self.velocity, self.position, self.run_in, fs)
-
-    def stretch(self, start: int) -> np.ndarray:
-        """Samples `start` to `start + _SEGMENT`, zero beyond the end: (time, 2, axis, exp)."""
-        part = np.stack([x[:, start : start + _SEGMENT] for x in (self.velocity, self.position)])
-        part = np.pad(part, ((0, 0), (0, 0), (0, _SEGMENT - part.shape[2]), (0, 0)))
-        return part.transpose(2, 0, 3, 1)
-
-    @property
-    def n_time(self) -> int:
-        return self.velocity.shape[1]
-
-
-def _samples(run_in: float, fs: float) -> int:
-    if not (math.isfinite(run_in) and run_in >= 0):
-        raise input_error("run_in", f"{run_in}", "seconds, 0 or more", "E.g. run_in=5.0, or None.")
-    return math.ceil(run_in * fs)
-
-
-def _fade_in(velocity, position, n: int, fs: float) -> None:
-    """Start from rest over the first 60 % of the run-in, in place: q -> w q, v -> w' q + w v, w a quintic."""
-    n = int(0.6 * n)
-    x = np.arange(n)[:, None] / max(n, 1)
-    weight, rate = x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2 * fs / max(n, 1)
-    velocity[:, :n] = rate * position[:, :n] + weight * velocity[:, :n]
-    position[:, :n] *= weight
-
-
-def _blocks(n_runs: int, chunk: int) -> list[np.ndarray]:
-    """Run numbers in blocks of one size, as many as the cores can share; the last is filled up with its last run."""
-    if chunk < 1:
-        raise input_error("chunk", f"{chunk}", "1 run or more", "The default suits most machines.")
-    count = math.ceil(n_runs / chunk)
-    if count > 1:
-        count = math.ceil(count / _cores()) * _cores()
-    size = math.ceil(n_runs / count)
-    return [np.minimum(np.arange(first, first + size), n_runs - 1) for first in range(0, n_runs, size)]
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-class _Study:
-    """All runs of a study; run number = position * n_exp + experiment."""
-
-    def __init__(self, loop: ClosedLoop, signals: _Signals, point: OperatingPoint, key, n_exp: int):
-        self.loop, self.signals, self.point, self.key, self.n_exp = loop, signals, point, key, n_exp
-
-    def run(self, blocks: list[np.ndarray], progress: Progress | None):
-        """Torque commands and measured positions, (run, time, axis)."""
-        n_runs, kept = blocks[-1].max() + 1, self.signals.n_time - self.signals.run_in
-        shape = (n_runs, kept, self.loop.plant.wiring.axes)
-        u, y = np.empty(shape), np.empty(shape)
-        lost: dict[int, float] = {}
-        total, done = len(blocks) * math.ceil(self.signals.n_time / _SEGMENT), itertools.count(1)
-
-        def advance_progress():
-            if progress is not None:
-                progress(min(next(done) / total, 1.0))
-
-        def work(block):
-            for start, stretch in self._segments(block, lost):
-                _store(u, y, block, start - self.signals.run_in, stretch)
-                yield
-
-        jobs = [work(block) for block in blocks]
-        if next(jobs[0], _END) is not _END:  # compiled once, before the threads start
-            advance_progress()
-        # One thread per core, each with its own block: a block's arrays stay in its core's cache.
-        with concurrent.futures.ThreadPoolExecutor(_cores()) as pool:
-            waiting = {pool.submit(next, job, _END): job for job in jobs[: _cores()]}
-            queue = jobs[_cores() :]
-            while waiting:
-                finished, _ = concurrent.futures.wait(waiting, return_when=concurrent.futures.FIRST_COMPLETED)
-                for future in finished:
-                    job = waiting.pop(future)
-                    if future.result() is not _END:
-                        advance_progress()
-                    elif queue:
-                        job = queue.pop(0)
-                    else:
-                        continue
-                    waiting[pool.submit(next, job, _END)] = job
-        if lost:
-            raise self._diverged(lost)
-        return u, y
-
-    def _start(self, block: np.ndarray) -> tuple[LoopState, Runs]:
-        point = jax.tree.map(lambda x: x[block // self.n_exp], self.point)
-        state = self.loop.at_rest(point)
-        fold = jax.vmap(lambda p, e: jr.fold_in(jr.fold_in(self.key, p), e))
-        keys = fold(block // self.n_exp, block % self.n_exp)
-        return state, Runs(jnp.asarray(block % self.n_exp), self.loop.plant.motor(state.z), keys)
-
-    def _segments(self, block: np.ndarray, lost: dict[int, float]) -> Iterator:
-        state, runs = self._start(block)
-        for start in range(0, self.signals.n_time, _SEGMENT):
-            references = self.signals.stretch(start)
-            state, *stretch = play(self.loop, state, runs, jnp.asarray(start), references)
-            torque, reading = (np.asarray(x) for x in stretch)
-            left = min(_SEGMENT, self.signals.n_time - start)
-            astray = self._astray(reading[:left], references[:left, 1], runs)
-            for run, when in zip(block, astray, strict=True):
-                if np.isfinite(when):
-                    lost.setdefault(int(run), (start + float(when)) / self.loop.fs)
-            yield start, (torque[:left], reading[:left])
-            if np.isfinite(astray).all():
-                return
-
-    def _astray(self, reading, references, runs: Runs) -> np.ndarray:
-        """First sample at which each run has left its reference, inf where it follows; (run,)."""
-        expected = references[:, :, np.asarray(runs.experiment)] + np.asarray(runs.rest)
-        limit = _ASTRAY * np.abs(np.asarray(self.loop.plant.gear))
-        gone = np.any(~(np.abs(reading - expected) <= limit), axis=1)
-        return np.where(gone.any(axis=0), gone.argmax(axis=0), np.inf)
-
-    def _diverged(self, lost: dict[int, float]):
-        named = [
-            f"position {run // self.n_exp}, experiment {run % self.n_exp} at {when:.3g} s"
-            for run, when in sorted(lost.items())
-        ]
-        more = f" and {len(named) - 5} more" if len(named) > 5 else ""
-        return input_error(
-            "simulation",
-            f"{len(named)} runs that leave their reference: {'; '.join(named[:5])}{more}",
-            "every motor within .3 rad (arm side) of its reference",
-            "Lower the controller's gains, shorten its sample, or soften friction (smoothing); a torque limit that "
-            "is reached does it too.",
-        )
-
-
-_END = object()
-
-
-def _store(u, y, block: np.ndarray, start: int, stretch) -> None:
-    """Keep what lies behind the run-in."""
-    torque, reading = (x[max(-start, 0) :] for x in stretch)
-    if len(torque):
-        span = slice(max(start, 0), max(start, 0) + len(torque))
-        u[block, span], y[block, span] = torque.transpose(2, 0, 1), reading.transpose(2, 0, 1)
+def _at_every_position(tracks: Float[np.ndarray, "track time axis"], like: np.ndarray) -> np.ndarray:
+    """(pos, exp, time, axis) as `like`; without copies where all positions share the tracks."""
+    return np.broadcast_to(tracks.reshape(-1, *like.shape[1:]), like.shape)

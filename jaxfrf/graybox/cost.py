@@ -1,0 +1,292 @@
+"""The weighted logarithmic cost between measured and modelled frequency responses.
+
+    V(theta) = sum_{pos, freq} E^H W E,   E = log(G_hat / G(theta)), element by element, phase by its principal value
+
+(Zimmermann & Moberg, eq. (22); Wernholt & Moberg, IFAC World Congress 2008).
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Complex, Float, PyTree
+
+from .._errors import input_error
+from .._types import Array
+from ..frf import FRF, features
+from .model import AbstractModel
+from .parameter import Coordinates
+
+
+class Weights(eqx.Module):
+    """What counts in the fit.
+
+    The weight of an element at a line is user weight / (var/|G|^2 + floor^2): the uncertainty of the FRF together with
+    what the model (and the estimator's bias) can be trusted to. Elements more uncertain than `reject` are left out.
+
+    **Arguments:**
+
+    - `floor`: relative error that the model itself may have.
+    - `off_diagonal`: user weight of off-diagonal elements beside 1 on the diagonal.
+    - `focus`: extra user weight of every row and column of an axis between .8 times the first antiresonance and 1.25
+      times the first resonance behind it, of its own diagonal element; 1 for none. Where no antiresonance is found,
+      none.
+    - `reject`: elements with var/|G|^2 above it are dropped: the logarithm of something that uncertain is biased.
+    - `elements`: user weight of every element, (out, in), or `None`: 1 and `off_diagonal`.
+    - `bands`: (lowest Hz, highest Hz, factor) of bands that count more, less (0: not at all).
+    - `correlated`: whiten with the full covariance of all elements of a line, instead of one by one.
+    """
+
+    floor: float = 0.03
+    off_diagonal: float = 0.2
+    focus: float = 4.0
+    reject: float = 0.25
+    elements: Float[Array, "out in"] | None = None
+    bands: tuple[tuple[float, float, float], ...] = eqx.field(static=True, default=())
+    correlated: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        if not self.floor >= 0 or not self.off_diagonal >= 0 or not self.focus > 0 or not self.reject > 0:
+            raise input_error(
+                "weights",
+                f"floor {self.floor}, off_diagonal {self.off_diagonal}, focus {self.focus}, reject {self.reject}",
+                "floor and off_diagonal of 0 or more, focus and reject above 0",
+                "Correct them.",
+            )
+
+
+class Target(eqx.Module):
+    """An FRF made ready for fitting.
+
+    **Fields:** `log_G`: log of the measured elements, (pos, freq, vec), columns stacked; 0 where left out.
+    `magnitude`, `phase`: square roots of the weights of Re E and Im E, (pos, freq, vec). `whitener`: matrix applied to
+    E before them, (pos, freq, vec, vec), or `None`. `cov`: covariance of E, (pos, freq, vec, vec), zero where unknown.
+    `overlap`: correlation between the estimates of two lines, (pos, freq, freq), or `None` for independent lines.
+    `points`: operating points, leading axis pos. `used`: (pos, freq, vec).
+    """
+
+    frequency: Float[Array, "freq"]
+    log_G: Complex[Array, "pos freq vec"]
+    magnitude: Float[Array, "pos freq vec"]
+    phase: Float[Array, "pos freq vec"]
+    whitener: Complex[Array, "pos freq vec vec"] | None
+    cov: Complex[Array, "pos freq vec vec"]
+    overlap: Float[Array, "pos freq freq"] | None
+    points: PyTree
+    used: Bool[Array, "pos freq vec"]
+
+    @property
+    def n_pos(self) -> int:
+        return self.log_G.shape[0]
+
+    @property
+    def n_terms(self) -> int:
+        """Real numbers that the cost compares."""
+        return 2 * int(np.count_nonzero(self.used))
+
+
+def vec(G):
+    """(..., out, in) to (..., out*in), columns stacked."""
+    return jnp.swapaxes(G, -1, -2).reshape(*G.shape[:-2], -1)
+
+
+def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
+    """An FRF with weights, ready for `fit`.
+
+    **Raises:** `jaxfrf.InputError` if weights have another shape, or nothing is left to fit.
+    """
+    G = np.asarray(frf.G)
+    g = G.swapaxes(-1, -2).reshape(*G.shape[:2], -1)
+    usable = np.isfinite(g) & (np.abs(g) > 0)
+    size = np.where(usable, g, 1.0)
+    known = np.isfinite(np.asarray(frf.cov)).all(axis=(-1, -2), keepdims=True)
+    relative = np.where(known, np.nan_to_num(np.asarray(frf.cov)), 0) / (size[..., :, None] * size.conj()[..., None, :])
+    variance = np.real(np.diagonal(relative, axis1=-2, axis2=-1))
+    user = _user_weights(frf, weights)
+    used = usable & (variance <= weights.reject) & (user > 0)
+    if not used.any():
+        raise input_error(
+            "FRF",
+            f"no element more certain than var/|G|^2 = {weights.reject:g} with a weight above 0",
+            "some elements to fit",
+            "More experiments, a wider window, another `reject`, or other weights.",
+        )
+    floor = max(weights.floor, 1e-6)
+    if weights.correlated:
+        whitener = _whitener(relative, used, floor)
+        root = np.sqrt(user) * used
+    else:
+        whitener = None
+        root = np.sqrt(user / (variance + floor**2)) * used
+    relative = np.where(used[..., :, None] & used[..., None, :], relative, 0)
+    return Target(
+        frequency=np.asarray(frf.frequency),
+        log_G=np.where(used, np.log(np.where(used, g, 1.0)), 0),
+        magnitude=root,
+        phase=root,
+        whitener=whitener,
+        cov=relative,
+        overlap=overlap(np.asarray(frf.window)),
+        points=points,
+        used=used,
+    )
+
+
+def _user_weights(frf: FRF, weights: Weights) -> np.ndarray:
+    """(pos, freq, vec)"""
+    shape = (frf.n_out, frf.n_in)
+    if weights.elements is None:
+        square = np.full(shape, weights.off_diagonal if min(shape) > 1 else 1.0)
+        np.fill_diagonal(square, 1.0)
+    else:
+        square = np.asarray(weights.elements, float)
+        if square.shape != shape or not np.all(square >= 0):
+            raise input_error(
+                "weights.elements", f"shape {square.shape}", f"{shape}, 0 or more", "One weight for each element."
+            )
+    user = np.broadcast_to(square, (frf.n_pos, len(frf.frequency), *shape)).copy()
+    if weights.focus != 1.0:
+        for pos in range(frf.n_pos):
+            for axis in range(min(shape)):
+                low, high = focus_band(frf, axis, pos)
+                inside = (frf.frequency >= low) & (frf.frequency <= high)
+                user[pos, inside, axis, axis] *= weights.focus
+    for low, high, factor in weights.bands:
+        user[:, (frf.frequency >= low) & (frf.frequency <= high)] *= factor
+    return user.swapaxes(-1, -2).reshape(*user.shape[:2], -1)
+
+
+def focus_band(frf: FRF, axis: int, position: int) -> tuple[float, float]:
+    """From .8 of the first antiresonance of a diagonal element to 1.25 of the resonance behind it, Hz."""
+    found = features(frf, axis, axis, position=position)
+    low = min((x.frequency for x in found if x.kind == "antiresonance"), default=np.inf)
+    high = min((x.frequency for x in found if x.kind == "resonance" and x.frequency > low), default=1.6 * low)
+    return 0.8 * low, 1.25 * high
+
+
+def _whitener(relative, used, floor: float):
+    """L^{-1} with L L^H = cov of E + floor^2 I among the used elements; zero rows elsewhere."""
+    both = used[..., :, None] & used[..., None, :]
+    eye = np.eye(used.shape[-1])
+    matrix = np.where(both, relative, 0) + eye * np.where(used, floor**2, 1.0)[..., None, :]
+    return np.linalg.inv(np.linalg.cholesky(matrix)) * used[..., :, None]
+
+
+def overlap(window) -> np.ndarray | None:
+    """Correlation between local estimates at two lines whose windows share data, (pos, freq, freq).
+
+    The correlation of two second-order local polynomial fits through windows of these widths that stand about (or, at
+    an end of the band, beside) their lines. `None` where every window is one line wide.
+    """
+    if np.all(window <= 1):
+        return None
+    kernels = {}
+    result = np.empty((*window.shape, window.shape[1]))
+    for pos, widths in enumerate(np.asarray(np.rint(window), int)):
+        key = widths.tobytes()
+        if key not in kernels:
+            rows = np.stack([_kernel(line, width, len(widths)) for line, width in enumerate(widths)])
+            product = rows @ rows.T
+            size = np.sqrt(np.diagonal(product))
+            kernels[key] = product / size[:, None] / size[None, :]
+        result[pos] = kernels[key]
+    return result
+
+
+def _kernel(line: int, width: int, count: int) -> np.ndarray:
+    """Weights that a second-order local fit gives to the lines of its window."""
+    width = min(max(width, 1), count)
+    first = min(max(line - (width - 1) // 2, 0), count - width)
+    row = np.zeros(count)
+    where = np.arange(first, first + width)
+    x = (where - line) / max(width, 1)
+    powers = np.stack([x**p for p in range(min(3, width))], axis=1)
+    row[where] = np.linalg.pinv(powers)[0]
+    return row
+
+
+class NormalEquations(eqx.Module):
+    """What Gauss-Newton needs at one point: `cost` V, `gradient` of V/2, `hessian` ~ J^T W J, all in coordinates x."""
+
+    cost: Float[Array, ""]
+    gradient: Float[Array, "parameter"]
+    hessian: Float[Array, "parameter parameter"]
+
+
+def log_error(target: Target, pos_log_G, G):
+    """E at one position, (freq, vec): the phase of the ratio by its principal value, never a difference of angles."""
+    ratio = jnp.exp(pos_log_G) / vec(G)
+    return jnp.log(jnp.abs(ratio)) + 1j * jnp.angle(ratio)
+
+
+def at_position(model: AbstractModel, coordinates: Coordinates, frequency, x, point):
+    """log G and d log G/dx at one operating point: (freq, vec), (freq, vec, parameter)."""
+    values = coordinates.values(x)
+    G, slopes = model.response_and_jacobian(frequency, values, point)
+    slope = jax.jacfwd(coordinates.values)(x)  # d value / d x, of every parameter
+    columns = sum(vec(slopes[name])[..., None] * slope[name] for name in slopes)
+    g = vec(G)
+    return g, columns / g[..., None]
+
+
+def weighted(magnitude, phase, whitener, E):
+    """Real residuals from complex errors E (freq, vec, ...): stacked along a leading axis of two."""
+    if whitener is not None:
+        E = jnp.einsum("fvw,fw...->fv...", whitener, E)
+    more = (...,) + (None,) * (E.ndim - 2)
+    return jnp.stack([magnitude[more] * E.real, phase[more] * E.imag])
+
+
+@eqx.filter_jit
+def gram(model: AbstractModel, coordinates: Coordinates, target: Target, x) -> Float[Array, "column column"]:
+    """[J r]^T [J r] of the weighted residuals r = sqrt(W) E and J = dr/dx: everything that least squares needs."""
+
+    def one(position):
+        log_G, magnitude, phase, whitener, point = position
+        g, slope = at_position(model, coordinates, target.frequency, x, point)
+        ratio = jnp.exp(log_G) / g
+        E = jnp.log(jnp.abs(ratio)) + 1j * jnp.angle(ratio)
+        columns = jnp.concatenate([-slope, E[..., None]], axis=-1)
+        a = weighted(magnitude, phase, whitener, columns).reshape(-1, coordinates.size + 1)
+        return a.T @ a
+
+    positions = (target.log_G, target.magnitude, target.phase, target.whitener, target.points)
+    return jnp.sum(jax.lax.map(one, positions), axis=0)
+
+
+@eqx.filter_jit
+def errors(
+    model: AbstractModel, coordinates: Coordinates, target: Target, x
+) -> tuple[Complex[Array, "pos freq vec"], Complex[Array, "pos freq vec parameter"]]:
+    """E and d log G/dx at every position: what diagnosis and uncertainty look at."""
+
+    def one(position):
+        log_G, point = position
+        g, slope = at_position(model, coordinates, target.frequency, x, point)
+        ratio = jnp.exp(log_G) / g
+        return jnp.log(jnp.abs(ratio)) + 1j * jnp.angle(ratio), slope
+
+    E, slope = jax.lax.map(one, (target.log_G, target.points))
+    return jnp.where(target.used, E, 0), slope
+
+
+def select(target: Target, positions=None, lines=None) -> Target:
+    """The same target at some positions and lines."""
+    positions = slice(None) if positions is None else np.asarray(positions)
+    lines = slice(None) if lines is None else np.asarray(lines)
+    cut = lambda x: None if x is None else np.asarray(x)[positions][:, lines]
+    whole = target.overlap
+    return dataclasses.replace(
+        target,
+        frequency=np.asarray(target.frequency)[lines],
+        log_G=cut(target.log_G),
+        magnitude=cut(target.magnitude),
+        phase=cut(target.phase),
+        whitener=cut(target.whitener),
+        cov=cut(target.cov),
+        used=cut(target.used),
+        overlap=None if whole is None else np.asarray(whole)[positions][:, lines][:, :, lines],
+        points=jax.tree.map(lambda x: np.asarray(x)[positions], target.points),
+    )

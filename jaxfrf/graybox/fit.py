@@ -1,0 +1,320 @@
+"""The verb of this package: a gray-box model and FRFs to parameters."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray, PyTree
+
+from .._errors import input_error
+from .._types import Array, require_x64
+from ..frf import FRF
+from .cost import Target, Weights, gram, select, target
+from .model import AbstractModel, fix
+from .parameter import Coordinates
+from .solver import AbstractSolver, Descent, LevenbergMarquardt, check_solver, descend
+from .uncertainty import Uncertainty, uncertainty, without_sensitivity
+
+_COARSE = 80  # lines that the search for the valley needs
+_SAME = 0.02  # two ends nearer than this, in x, are the same minimum
+_CLOSE = 1.01  # times the best cost
+_AGREE = 3  # starts that should come that close
+
+Progress = Callable[[int, int], None]
+
+
+class Start(eqx.Module):
+    """One start of a fit.
+
+    **Fields:** `x`: where it ended, (parameter,). `cost`: there, all lines. `path_x`, `path_cost`: every step, the
+    start first; the search uses a part of the lines, whose cost `path_cost` is, scaled to all of them. `polished`:
+    whether it was followed to the end with all lines; others were left in their valley (`x` of the search).
+    """
+
+    x: Float[np.ndarray, "parameter"]
+    cost: float
+    path_x: Float[np.ndarray, "step parameter"]
+    path_cost: Float[np.ndarray, "step"]
+    polished: bool = eqx.field(static=True)
+    converged: bool = eqx.field(static=True)
+
+
+class Fit(eqx.Module):
+    """The parameters of a gray-box model, and what is known about them.
+
+    **Fields:** `model`: with its parameters at the result. `coordinates`: of `x`. `x`: the result, (parameter,).
+    `uncertainty`: see there. `starts`: every start, in the order in which they were made. `target`: what was fitted.
+    `without_sensitivity`: parameters that did not change the response and were left at their start.
+    """
+
+    model: AbstractModel
+    coordinates: Coordinates
+    x: Float[np.ndarray, "parameter"]
+    uncertainty: Uncertainty
+    starts: tuple[Start, ...]
+    target: Target
+    without_sensitivity: tuple[str, ...] = eqx.field(static=True, default=())
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter of the model, fixed ones included."""
+        return {name: float(v) for name, v in self.coordinates.values(self.x).items()}
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviation of the fitted parameters, in their units."""
+        return scaled(self.coordinates, self.x, self.uncertainty.std)
+
+    def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Confidence interval of every fitted parameter; of a positive one symmetric in its logarithm."""
+        from scipy.stats import norm
+
+        reach = float(norm.ppf(0.5 + level / 2)) * self.uncertainty.std
+        low, high = (self.coordinates.values(self.x + sign * reach) for sign in (-1, 1))
+        return {n: (float(low[n]), float(high[n])) for n in self.coordinates.names}
+
+    @property
+    def cost(self) -> float:
+        return self.uncertainty.cost
+
+    @property
+    def close_starts(self) -> int:
+        """Starts whose cost came within 1 % of the best."""
+        best = min(s.cost for s in self.starts)
+        return sum(s.cost <= _CLOSE * best + _tiny(self.target) for s in self.starts)
+
+    @property
+    def verdict(self) -> str:
+        """`unimodal`, `multimodal`, `at a bound` or `not identifiable`: the most serious that holds."""
+        wanted = self.coordinates.wanted()
+        if not self.uncertainty.identifiable[wanted].all() or self.without_sensitivity:
+            return "not identifiable"
+        if set(self.coordinates.at_bound(self.x)) & set(np.array(self.coordinates.names)[wanted]):
+            return "at a bound"
+        return "unimodal" if self.close_starts >= min(_AGREE, len(self.starts)) else "multimodal"
+
+    def explain(self) -> list[str]:
+        """The verdict in words, the most important first."""
+        names, said = np.array(self.coordinates.names), []
+        for name in self.without_sensitivity:
+            said.append(f"{name} has no effect on the response: it was left at its start")
+        for name in names[~self.uncertainty.identifiable]:
+            said.append(f"{name} is not identifiable from these data (standard deviation above 50 %)")
+        said += self.uncertainty.directions()
+        for name in self.coordinates.at_bound(self.x):
+            said.append(f"{name} is at its bound: the data ask for no {name.rpartition('.')[2]}, or the model is wrong")
+        n, close = len(self.starts), self.close_starts
+        if n > 1 and close >= min(_AGREE, n):
+            said.append(f"{close} of {n} starts ended within 1 % of the best cost: one minimum")
+        elif n > 1:
+            said.append(
+                f"only {close} of {n} starts ended within 1 % of the best cost: more starts, or a better first guess, "
+                "may find a better minimum"
+            )
+        for (a, b), rho in self.uncertainty.correlations().items():
+            said.append(f"{a} and {b} are correlated ({rho:+.2f}): only a combination of them is well known")
+        if self.uncertainty.misfit > 2:
+            said.append(
+                f"residuals are {np.sqrt(self.uncertainty.misfit):.1f} times what the FRF's uncertainty explains: the "
+                "model lacks something, or the FRF is biased; intervals are widened by that factor"
+            )
+        return said
+
+
+def scaled(coordinates: Coordinates, x, std) -> dict[str, float]:
+    """Standard deviations in the units of the parameters from those in x."""
+    slope = jax.jacfwd(coordinates.values)(jnp.asarray(x))
+    return {n: float(abs(slope[n][i]) * std[i]) for i, n in enumerate(coordinates.names)}
+
+
+def _tiny(tg: Target) -> float:
+    return 1e-16 * float(np.sum(np.square(tg.magnitude)))
+
+
+def fit(
+    model: AbstractModel,
+    frf: FRF,
+    *,
+    weights: Weights | None = None,
+    solver: AbstractSolver | None = None,
+    starts: int | Sequence[Mapping[str, float]] = 20,
+    key: PRNGKeyArray | None = None,
+    points: PyTree | None = None,
+    keep: int | None = 5,
+    progress: Progress | None = None,
+) -> Fit:
+    """Fit the parameters of a gray-box model to frequency response functions.
+
+    Minimises the weighted logarithmic cost from several starts: every start descends on a part of the lines, ends that
+    are the same minimum are merged, and the `keep` best are followed to the end with all lines.
+
+    Biased where the FRF is: a local estimator smooths sharp resonances (damping comes out too high), friction and
+    nonlinear springs change the response with the amplitude. `fit_through_experiment` takes that out.
+
+    **Arguments:**
+
+    - `model`: e.g. `jaxfrf.RobotModel(robot)`, `jaxfrf.GrayBox(my_module, {"k": 1e5, "d": 10.0})`.
+    - `frf`: from `jaxfrf.estimate`; all its operating points are fitted together.
+    - `weights`: `jaxfrf.Weights()` by default. `solver`: `jaxfrf.LevenbergMarquardt()`, or `jaxfrf.BFGS()`.
+    - `starts`: how many; the first is the model's own, the others are drawn about it (`Parameter.spread`) with `key`
+      (default key 0). Or the starts themselves, as dictionaries of values.
+    - `points`: operating points, leading axis (pos); from the arm configurations q by default.
+    - `keep`: minima that are followed to the end; `None`: every start, by itself.
+    - `progress`: called with (descents done, of how many).
+
+    **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together, or no start gives a finite cost.
+    """
+    require_x64("fit")
+    solver = LevenbergMarquardt() if solver is None else solver
+    check_solver(solver)
+    points = model.points(frf.q, frf.n_pos) if points is None else points
+    tg = target(frf, Weights() if weights is None else weights, points)
+    coordinates = Coordinates(model.parameters)
+    _check_shape(model, coordinates, tg, frf)
+    return fit_target(model, tg, solver, starts, key, keep, progress)
+
+
+def fit_target(
+    model: AbstractModel,
+    tg: Target,
+    solver: AbstractSolver,
+    starts: int | Sequence[Mapping[str, float]] = 1,
+    key: PRNGKeyArray | None = None,
+    keep: int | None = 5,
+    progress: Progress | None = None,
+) -> Fit:
+    """`fit` for a target that is already made."""
+    model, blind = _without_blind(model, tg)
+    coordinates = Coordinates(model.parameters)
+    begin = _starts(coordinates, starts, jr.key(0) if key is None else key)
+    coarse, share = _coarse(tg)
+    ends, total = [], len(begin) + (len(begin) if keep is None else min(keep, len(begin)))
+    for i, x in enumerate(begin):
+        ends.append(_plain(descend(model, coordinates, coarse, jnp.asarray(x), solver, solver.max_steps)))
+        if progress is not None:
+            progress(i + 1, total)
+    made = [_searched(model, coordinates, tg, end, share) for end in ends]
+    chosen = _chosen(made, keep)
+    for done, (i, members) in enumerate(chosen.items()):
+        end = _plain(descend(model, coordinates, tg, jnp.asarray(made[i].x), solver, solver.max_steps))
+        for member in members:
+            made[member] = _polished(made[member], end, alone=member == i)
+        if progress is not None:
+            progress(len(begin) + done + 1, total)
+    if progress is not None:
+        progress(total, total)
+    best = min(made, key=lambda s: s.cost)
+    if not np.isfinite(best.cost):
+        raise input_error("fit", "no start with a finite cost", "a model that is finite at its start", "Check it.")
+    known = uncertainty(model, coordinates, tg, best.x)
+    return Fit(model, coordinates, best.x, known, tuple(made), tg, blind)
+
+
+def _check_shape(model, coordinates, tg: Target, frf: FRF) -> None:
+    point = jax.tree.map(lambda a: jnp.asarray(a)[0], tg.points)
+    found = jax.eval_shape(
+        lambda x: model.response(jnp.asarray(tg.frequency), coordinates.values(x), point), jnp.zeros(coordinates.size)
+    )
+    if found.shape[1:] != (frf.n_out, frf.n_in):
+        raise input_error(
+            "model",
+            f"a response of {found.shape[1]} outputs and {found.shape[2]} inputs",
+            f"{frf.n_out} and {frf.n_in} as in the FRF",
+            "Use the model of this machine, or records with the model's channels.",
+        )
+
+
+def _without_blind(model: AbstractModel, tg: Target) -> tuple[AbstractModel, tuple[str, ...]]:
+    """The model with parameters that do not change the response fixed, and their names."""
+    coordinates = Coordinates(model.parameters)
+    full = np.asarray(gram(model, coordinates, tg, jnp.asarray(coordinates.start())))
+    if not np.isfinite(full).all():
+        raise input_error(
+            "model", "a response that is not finite at its start", "finite numbers", "Correct the start values."
+        )
+    blind = without_sensitivity(coordinates, full[:-1, :-1])
+    if len(blind) == coordinates.size:
+        raise input_error("parameters", "none that changes the response", "at least one that does", "Free others.")
+    return (fix(model, blind) if blind else model), blind
+
+
+def _starts(coordinates: Coordinates, starts, key) -> list[np.ndarray]:
+    if not isinstance(starts, int):
+        return [coordinates.coordinates(values) for values in starts]
+    if starts < 1:
+        raise input_error("starts", f"{starts}", "1 or more", "20 show whether there is one minimum.")
+    first = coordinates.start()
+    draws = np.array(jr.normal(key, (starts, coordinates.size)))
+    draws[0] = 0.0
+    return [first + coordinates.spreads() * draw for draw in draws]
+
+
+def _coarse(tg: Target) -> tuple[Target, float]:
+    """Part of the lines, and how many times more all of them weigh."""
+    step = max(1, len(tg.frequency) // _COARSE)
+    part = select(tg, lines=np.arange(0, len(tg.frequency), step)) if step > 1 else tg
+    return part, float(np.sum(np.square(tg.magnitude)) / max(np.sum(np.square(part.magnitude)), 1e-300))
+
+
+def _plain(end: Descent) -> Descent:
+    return jax.tree.map(np.asarray, end)
+
+
+def _searched(model, coordinates, tg, end: Descent, share: float) -> Start:
+    steps = int(end.steps) + 1
+    cost = float(gram(model, coordinates, tg, jnp.asarray(end.x))[-1, -1]) if np.isfinite(end.x).all() else np.inf
+    return Start(
+        end.x,
+        cost if np.isfinite(cost) else np.inf,
+        end.path_x[:steps],
+        end.path_cost[:steps] * share,
+        False,
+        bool(end.converged),
+    )
+
+
+def _chosen(made: list[Start], keep: int | None) -> dict[int, list[int]]:
+    """Starts to follow to the end, and the starts whose end is the same minimum."""
+    order = [i for i in np.argsort([s.cost for s in made]) if np.isfinite(made[i].cost)]
+    if keep is None:
+        return {i: [i] for i in order}
+    groups: dict[int, list[int]] = {}
+    for i in order:
+        near = next((k for k in groups if np.abs(made[k].x - made[i].x).max() < _SAME), None)
+        if near is not None:
+            groups[near].append(i)
+        elif len(groups) < keep:
+            groups[i] = [i]
+    return groups
+
+
+def _polished(start: Start, end: Descent, alone: bool) -> Start:
+    steps = int(end.steps) + 1
+    path = (start.path_x, end.path_x[1:steps]) if alone else (start.path_x, end.x[None])
+    cost = (start.path_cost, end.path_cost[1:steps]) if alone else (start.path_cost, end.cost[None])
+    return dataclasses.replace(
+        start,
+        x=end.x,
+        cost=float(end.cost),
+        path_x=np.concatenate(path),
+        path_cost=np.concatenate(cost),
+        polished=True,
+        converged=bool(end.converged),
+    )
+
+
+def evaluate(fitted: Fit, frf: FRF, weights: Weights | None = None, points: PyTree | None = None) -> float:
+    """Mean weighted square error of a fit on other FRFs (held-out positions), over that of the same weights with an
+    error of one floor everywhere: 1 means errors as large as the floor plus noise."""
+    weights = Weights() if weights is None else weights
+    points = fitted.model.points(frf.q, frf.n_pos) if points is None else points
+    tg = target(frf, weights, points)
+    cost = float(gram(fitted.model, fitted.coordinates, tg, jnp.asarray(fitted.x))[-1, -1])
+    return cost / tg.n_terms
+
+
+__all__ = ["Array", "Fit", "Start", "evaluate", "fit", "fit_target", "scaled"]

@@ -1,0 +1,237 @@
+"""Gray-box models: anything that gives a frequency response from parameters by name."""
+
+import abc
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Complex, Float, PyTree
+
+from .._errors import input_error
+from .._types import Array
+from ..robot import Robot, ZeroOrderHold, frf_and_jacobian, parameters as robot_parameters, with_parameters
+from .parameter import Parameter, matching
+
+Values = Mapping[str, jax.Array]
+
+
+class AbstractModel(eqx.Module):
+    """A gray-box model.
+
+    `parameters`: name -> `Parameter`, everything that the response depends on and that may be fitted.
+    """
+
+    parameters: eqx.AbstractVar[dict[str, Parameter]]
+
+    @abc.abstractmethod
+    def response(self, frequency: Float[Array, "freq"], values: Values, point: PyTree) -> Complex[Array, "freq out in"]:
+        """G at one operating point. `frequency` in Hz; `values`: every parameter by name; `point`: what tells
+        operating points apart, e.g. the arm configuration (joint,)."""
+
+    def response_and_jacobian(
+        self, frequency: Float[Array, "freq"], values: Values, point: PyTree
+    ) -> tuple[Complex[Array, "freq out in"], dict[str, Complex[Array, "freq out in"]]]:
+        """G and dG/dvalue of every parameter, by forward differentiation; override it where it can be cheaper."""
+        G = self.response(frequency, values, point)
+        return G, jax.jacfwd(lambda v: self.response(frequency, v, point))(dict(values))
+
+    def points(self, q: Float[Array, "pos joint"] | None, n_pos: int) -> PyTree:
+        """Operating points with a leading axis (pos, ...), from the arm configurations of an FRF."""
+        return np.zeros((n_pos, 0)) if q is None else np.asarray(q)
+
+
+class GrayBox(AbstractModel):
+    """Your own model: any callable, most often an `eqx.Module`, with G = model(omega, values) or (omega, values, q).
+
+    **Arguments:**
+
+    - `model`: called with `omega` (freq,) in rad/s, `values` a dictionary of parameter values, and, where it takes a
+      third argument, the arm configuration q (joint,) of the operating point. It returns G, (freq, out, in), complex,
+      written in `jax.numpy`; (freq,) is accepted for one input and one output. It must be differentiable.
+    - `parameters`: name -> `Parameter` (or a number: a positive parameter that starts there).
+    """
+
+    model: Callable
+    parameters: dict[str, Parameter]
+    configured: bool = eqx.field(static=True)
+
+    def __init__(self, model: Callable, parameters: Mapping[str, Parameter | float]):
+        self.model = model
+        self.parameters = {n: p if isinstance(p, Parameter) else Parameter(float(p)) for n, p in parameters.items()}
+        self.configured = _arguments(model) >= 3
+
+    def response(self, frequency, values, point):
+        omega = 2.0 * jnp.pi * jnp.asarray(frequency)
+        G = jnp.asarray(self.model(omega, values, point) if self.configured else self.model(omega, values))
+        if G.ndim == 1:
+            G = G[:, None, None]
+        if G.ndim != 3 or G.shape[0] != omega.shape[0]:
+            raise input_error(
+                "result of the model",
+                f"an array of shape {G.shape} at {omega.shape[0]} frequencies",
+                "(freq, out, in)",
+                "Put the frequency axis first.",
+            )
+        return G.astype(complex)
+
+
+def _arguments(model: Callable) -> int:
+    import inspect
+
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    return sum(p.kind in kinds and p.default is p.empty for p in inspect.signature(model).parameters.values())
+
+
+class RobotPoint(eqx.Module):
+    """An operating point of a robot: `q`, arm angles (*pos, axis), rad; `swing`: deflections of the springs about their
+    rest during the experiment, (*pos, sample, spring), rad, over which a nonlinear spring's stiffness is averaged.
+    `jaxfrf.graybox.robot_points` finds them in the records."""
+
+    q: Float[Array, "*pos axis"]
+    swing: Float[Array, "*pos sample spring"]
+
+
+class RobotModel(AbstractModel):
+    """A `jaxfrf.robot.Robot` as a gray-box model: torque command to motor motion.
+
+    Parameters are, for every spring, `<joint>.stiffness` (of a nonlinear spring: at high deflection, its shape being
+    known) and `<joint>.damping`; for every axis `<axis>.effective_friction`, a nuisance: the viscous coefficient that
+    all friction amounts to in the experiment, motor side; and, fixed unless freed, `<axis>.torque_gain` (true over
+    assumed motor torque) and `<axis>.delay` (s, beside the hold; approximate to second order in it).
+
+    **Arguments:**
+
+    - `robot`: also says where the parameters start.
+    - `quantity`: what y is: `position`, `velocity` or `acceleration`.
+    - `hold`: the zero-order hold of the torque; `None`: continuous time. The default follows the robot's sampling.
+    - `slow_amplitude`: amplitude of the slow motion that keeps joints sliding, motor side, (axis,), rad/s: effective
+      friction starts at f + 2 c/(pi A); without it at a guess.
+    - `damping_spread`, `stiffness_spread`, `friction_spread`: standard deviation of ln of perturbed starts.
+    """
+
+    robot: Robot
+    parameters: dict[str, Parameter]
+    quantity: str = eqx.field(static=True)
+    hold: ZeroOrderHold | None
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        quantity: str = "acceleration",
+        hold: ZeroOrderHold | str | None = "sampled",
+        slow_amplitude: Float[Array, "axis"] | None = None,
+        stiffness_spread: float = 0.25,
+        damping_spread: float = 1.0,
+        friction_spread: float = 0.5,
+    ):
+        self.robot, self.quantity = robot, quantity
+        self.hold = ZeroOrderHold(robot.sampling_frequency, "position") if hold == "sampled" else hold
+        spreads = {"stiffness": stiffness_spread, "damping": damping_spread}
+        units = {"stiffness": "N m/rad", "damping": "N m s/rad"}
+        known = {
+            name: Parameter(max(float(value), 1e-9), units[kind], spread=spreads[kind])
+            for name, value in robot_parameters(robot).items()
+            for kind in (name.rpartition(".")[2],)
+        }
+        friction = _effective_friction(robot, slow_amplitude)
+        for axis, value in zip(robot.axis_names, friction, strict=True):
+            known[f"{axis}.effective_friction"] = Parameter(value, "N m s/rad", nuisance=True, spread=friction_spread)
+        for axis in robot.axis_names:
+            known[f"{axis}.torque_gain"] = Parameter(1.0, "1", free=False, spread=0.05)
+        for axis in robot.axis_names:
+            known[f"{axis}.delay"] = Parameter(
+                0.0, "s", positive=False, free=False, spread=0.2, scale=1e-3, nuisance=True
+            )
+        self.parameters = known
+
+    def response(self, frequency, values, point):
+        return self._inner(frequency, values, point).G[0] * self._command(frequency, values)
+
+    def _command(self, frequency, values):
+        """Gain and delay of every torque command, (freq, 1, axis)."""
+        gain, delay = (self._by_axis(values, kind) for kind in ("torque_gain", "delay"))
+        s = 2j * jnp.pi * jnp.asarray(frequency)[:, None, None]
+        return gain * jnp.exp(-s * delay)
+
+    def _by_axis(self, values, kind: str):
+        return jnp.stack([jnp.asarray(values[f"{axis}.{kind}"]) for axis in self.robot.axis_names])
+
+    def _inner(self, frequency, values, point):
+        springs = [n for n in values if n.rpartition(".")[2] in ("stiffness", "damping")]
+        robot = with_parameters(self.robot, {n: values[n] for n in springs})
+        q, swing = (point.q, point.swing) if isinstance(point, RobotPoint) else (point, None)
+        friction = self._by_axis(values, "effective_friction")
+        return frf_and_jacobian(robot, q[None], frequency, self.quantity, self.hold, 0.0, friction, swing)
+
+    def response_and_jacobian(self, frequency, values, point):
+        inner = self._inner(frequency, values, point)
+        command = self._command(frequency, values)
+        G = inner.G[0] * command
+        slopes = {name: inner.jacobian[0, ..., i] * command for i, name in enumerate(inner.names)}
+        s = 2j * jnp.pi * jnp.asarray(frequency)[:, None]
+        zero = jnp.zeros_like(G)
+        for i, axis in enumerate(self.robot.axis_names):
+            slopes[f"{axis}.torque_gain"] = zero.at[:, :, i].set(G[:, :, i] / values[f"{axis}.torque_gain"])
+            slopes[f"{axis}.delay"] = zero.at[:, :, i].set(-s * G[:, :, i])
+        return G, slopes
+
+    def points(self, q, n_pos):
+        if q is None or np.shape(q)[-1] != self.robot.n_axes:
+            raise input_error(
+                "q of the FRF",
+                "none" if q is None else f"{np.shape(q)[-1]} angles",
+                f"the {self.robot.n_axes} arm angles of {self.robot.name} at every operating point",
+                "Store q with the records (see the experiment file), or give `points`.",
+            )
+        return np.asarray(q)
+
+    def at(self, values: Mapping[str, float]) -> Robot:
+        """The robot with these springs and dampers."""
+        names = set(robot_parameters(self.robot))
+        return with_parameters(self.robot, {n: v for n, v in values.items() if n in names})
+
+
+def _effective_friction(robot: Robot, amplitude) -> list[float]:
+    friction = robot.drives.friction
+    viscous = np.asarray(friction.viscous, float)
+    coulomb = np.asarray(getattr(friction, "coulomb", np.zeros_like(viscous)), float)
+    amplitude = np.full_like(viscous, 30.0) if amplitude is None else np.asarray(amplitude, float)
+    guess = 0.01 * np.asarray(robot.drives.motor_inertia, float) * 2 * np.pi * 10.0  # small against the motor's inertia
+    return [float(x) for x in np.maximum(viscous + 2 * coulomb / (np.pi * amplitude), guess)]
+
+
+def fix(model: AbstractModel, names: Iterable[str]) -> AbstractModel:
+    """The same model with these parameters held at their start; `*` in a name stands for any text: `*.damping`."""
+    return _changed(model, names, lambda p: dataclasses.replace(p, free=False))
+
+
+def free(model: AbstractModel, names: Iterable[str]) -> AbstractModel:
+    """The same model with these parameters fitted; `*` in a name stands for any text."""
+    return _changed(model, names, lambda p: dataclasses.replace(p, free=True))
+
+
+def share(model: AbstractModel, names: Iterable[str]) -> AbstractModel:
+    """The same model with one value for these parameters: that of the first one named."""
+    first, *others = matching(model.parameters, names)
+    return _changed(model, others, lambda p: dataclasses.replace(p, same_as=first))
+
+
+def _changed(model: AbstractModel, names: Iterable[str], change: Callable[[Parameter], Parameter]) -> AbstractModel:
+    chosen = matching(model.parameters, names)
+    return _replaced(model, {n: change(p) if n in chosen else p for n, p in model.parameters.items()})
+
+
+def starting_at(model: AbstractModel, values: Mapping[str, float]) -> AbstractModel:
+    """The same model with its parameters starting at these values."""
+    new = {n: dataclasses.replace(p, start=float(values[n])) if n in values else p for n, p in model.parameters.items()}
+    return _replaced(model, new)
+
+
+def _replaced(model: AbstractModel, parameters: dict[str, Parameter]) -> AbstractModel:
+    return eqx.tree_at(
+        lambda m: m.parameters, model, parameters, is_leaf=lambda x: isinstance(x, dict) and x is model.parameters
+    )

@@ -1,0 +1,210 @@
+"""Parameters of a gray-box model: what is fitted, from where, in which coordinates."""
+
+import difflib
+import fnmatch
+import math
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._errors import input_error
+from .._types import Array
+
+_ROUND = 0.05  # width of the corner at a bound, in ln
+_SPAN = 1e4  # default bounds of a positive parameter: this factor from its start
+
+
+class Parameter(eqx.Module):
+    """A number that a gray-box model depends on.
+
+    A positive parameter is fitted as its logarithm, so that it stays positive and its steps, spreads and standard
+    deviations are relative; any other in units of `scale`.
+
+    **Arguments:**
+
+    - `start`: where the fit starts.
+    - `unit`: for reports.
+    - `positive`: whether it is positive by its nature.
+    - `free`: whether it is fitted.
+    - `nuisance`: fitted, but not what the user asked for (effective friction): not counted in summaries.
+    - `spread`: standard deviation of perturbed starts, of ln(value) or in units of `scale`.
+    - `bounds`: (lowest, highest) value; a result there is reported. Default: a factor of 1e4 from a positive start,
+      none otherwise.
+    - `scale`: size of a parameter that may be negative.
+    - `same_as`: name of another parameter whose value this one takes (a shared parameter).
+    """
+
+    start: Float[np.generic, ""]
+    unit: str = eqx.field(static=True)
+    positive: bool = eqx.field(static=True)
+    free: bool = eqx.field(static=True)
+    nuisance: bool = eqx.field(static=True)
+    spread: float = eqx.field(static=True)
+    bounds: tuple[Float[np.generic, ""], Float[np.generic, ""]] | None
+    scale: float = eqx.field(static=True)
+    same_as: str | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        start: float,
+        unit: str = "",
+        *,
+        positive: bool = True,
+        free: bool = True,
+        nuisance: bool = False,
+        spread: float = 0.25,
+        bounds: tuple[float, float] | None = None,
+        scale: float = 1.0,
+        same_as: str | None = None,
+    ):
+        # Numbers are arrays: a fit from another start is not compiled again.
+        self.start = np.float64(start)
+        self.unit, self.positive, self.free, self.nuisance = unit, positive, free, nuisance
+        self.spread, self.scale, self.same_as = float(spread), float(scale), same_as
+        self.bounds = None if bounds is None else (np.float64(bounds[0]), np.float64(bounds[1]))
+
+    def __check_init__(self):
+        if not math.isfinite(self.start) or (self.positive and not self.start > 0):
+            raise input_error(
+                "start of a parameter",
+                f"{self.start:g}",
+                "a positive number" if self.positive else "a finite number",
+                "Give another start, or say positive=False.",
+            )
+        if not self.scale > 0 or not self.spread >= 0:
+            raise input_error("scale and spread", f"{self.scale}, {self.spread}", "positive numbers", "Correct them.")
+        low, high = self.limits
+        if not low < high or not low <= self.start <= high or (self.positive and low < 0):
+            raise input_error(
+                "bounds of a parameter",
+                f"{low:g} to {high:g} with the start {self.start:g}",
+                "lowest < highest with the start between them",
+                "Widen them, or move the start.",
+            )
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Lowest and highest value."""
+        if self.bounds is not None:
+            return self.bounds
+        if self.positive:
+            return self.start / _SPAN, self.start * _SPAN
+        return np.float64(-np.inf), np.float64(np.inf)
+
+    def coordinate(self, value: float) -> float:
+        """x of a value: ln of a positive one, moved inside its bounds, or in units of `scale`."""
+        low, high = self.limits
+        if not self.positive:
+            return float(value) / self.scale
+        return math.log(min(max(float(value), low * 1.000001), high / 1.000001))
+
+    def value(self, x):
+        """The value at x: the identity (or exp) away from the bounds, bending over where they come near."""
+        low, high = self.limits
+        ends = (
+            (jnp.log(jnp.maximum(low, 1e-300)), jnp.log(high))
+            if self.positive
+            else (low / self.scale, high / self.scale)
+        )
+        below = jnp.where(jnp.isfinite(ends[0]), ends[0], x - 1.0)
+        above = jnp.where(jnp.isfinite(ends[1]), ends[1], x + 1.0)
+        y = jnp.where(jnp.isfinite(ends[0]), below + _ROUND * jax.nn.softplus((x - below) / _ROUND), x)
+        y = jnp.where(jnp.isfinite(ends[1]), above - _ROUND * jax.nn.softplus((above - y) / _ROUND), y)
+        return jnp.exp(y) if self.positive else self.scale * y
+
+    def stands_at_bound(self, x: float) -> bool:
+        low, high = self.limits
+        change = math.log if self.positive else lambda v: v / self.scale
+        below = -math.inf if (self.positive and low <= 0) or not math.isfinite(low) else change(low)
+        above = change(high) if math.isfinite(high) else math.inf
+        return x < below + 2 * _ROUND or x > above - 2 * _ROUND
+
+
+class Coordinates(eqx.Module):
+    """From the vector x that a solver changes to the parameters by name.
+
+    x holds the free parameters that are not shared, in the order of `names`: ln(value) of positive ones, value/scale
+    of others. Near a bound the map bends over within 5 % of it, so that a solver can run into it without harm.
+
+    **Arguments:** `parameters`: name -> `Parameter`.
+    """
+
+    parameters: dict[str, Parameter]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(self, parameters: Mapping[str, Parameter]):
+        self.parameters = dict(parameters)
+        _check_shared(self.parameters)
+        self.names = tuple(n for n, p in self.parameters.items() if p.free and p.same_as is None)
+        if not self.names:
+            raise input_error("parameters", "none that is free", "at least one to fit", "Set free=True on some.")
+
+    @property
+    def size(self) -> int:
+        return len(self.names)
+
+    @property
+    def units(self) -> dict[str, str]:
+        return {name: p.unit for name, p in self.parameters.items()}
+
+    def start(self) -> np.ndarray:
+        """The coordinates of all starts, (parameter,)."""
+        return self.coordinates({})
+
+    def coordinates(self, values: Mapping[str, float]) -> np.ndarray:
+        """x of values by name; parameters that are not named stay at their start."""
+        own = self.parameters
+        return np.array([own[n].coordinate(values.get(n, own[n].start)) for n in self.names])
+
+    def values(self, x: Float[Array, "parameter"]) -> dict[str, jax.Array]:
+        """Every parameter of the model at x: free, shared and fixed."""
+        x = jnp.asarray(x)
+        at = {name: self.parameters[name].value(x[i]) for i, name in enumerate(self.names)}
+        fixed = {n: jnp.asarray(p.start, x.dtype) for n, p in self.parameters.items() if not p.free}
+        own = fixed | at
+        return {n: own[p.same_as or n] for n, p in self.parameters.items()}
+
+    def at_bound(self, x: Float[Array, "parameter"]) -> tuple[str, ...]:
+        """Names of the parameters that stand at a bound."""
+        ends = zip(self.names, np.asarray(x), strict=True)
+        return tuple(name for name, xi in ends if self.parameters[name].stands_at_bound(float(xi)))
+
+    def spreads(self) -> np.ndarray:
+        """Standard deviation of perturbed starts, in x, (parameter,)."""
+        return np.array([self.parameters[name].spread for name in self.names])
+
+    def wanted(self) -> np.ndarray:
+        """Which of the fitted parameters are no nuisance, (parameter,)."""
+        return np.array([not self.parameters[name].nuisance for name in self.names])
+
+
+def _check_shared(parameters: Mapping[str, Parameter]) -> None:
+    for name, p in parameters.items():
+        if p.same_as is None:
+            continue
+        if p.same_as not in parameters or parameters[p.same_as].same_as is not None or p.same_as == name:
+            raise input_error(
+                f"parameter {name!r}: same_as",
+                repr(p.same_as),
+                "the name of a parameter that is not shared itself",
+                f"Choose one of {', '.join(n for n, q in parameters.items() if q.same_as is None and n != name)}.",
+            )
+
+
+def matching(parameters: Mapping[str, Parameter], names: Iterable[str]) -> tuple[str, ...]:
+    """Names of the parameters that are named, in which `*` may stand for any text: `*.damping`.
+
+    **Raises:** `jaxfrf.InputError` for a name that is not there, with the nearest one.
+    """
+    found: dict[str, None] = {}
+    for name in names:
+        these = [n for n in parameters if n == name or fnmatch.fnmatchcase(n, name)]
+        if not these:
+            near = difflib.get_close_matches(name, parameters, n=1, cutoff=0.0)
+            raise input_error("parameter", repr(name), f"one of {', '.join(parameters)}", f"Did you mean {near[0]!r}?")
+        found |= dict.fromkeys(these)
+    return tuple(found)

@@ -1,0 +1,224 @@
+"""The fit through the experiment: the model is asked for what it would have measured, measured the same way."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from .._errors import input_error
+from ..experiment import Experiment
+from ..frf import FRF, LRM, AbstractMethod, JointInputOutput, estimate
+from ..simulation import replay
+from ..spectra import dft, with_output_quantity
+from .cost import Target, Weights, target, vec
+from .fit import Fit, fit, fit_target
+from .model import RobotModel, RobotPoint, starting_at
+from .parameter import Coordinates
+from .solver import AbstractSolver, LevenbergMarquardt
+from .swing import robot_points
+
+_STAY = 0.1  # of a standard deviation: a correction below it changes nothing that matters
+_STILL = 2e-5  # relative: nor does one below this
+_DEPTH = 3  # corrections that the next one learns from
+_LONGEST = 0.7  # of one correction, in x
+_WORSE = 1.05  # times the smallest gap: then it turns back
+
+Say = Callable[[str], None]
+
+
+class Correction(eqx.Module):
+    """One round of a fit through the experiment.
+
+    **Fields:** `x`: parameters that were simulated. `answer`: parameters that the corrected fit gave, which are `x`
+    where it has come to rest. `gap_db`, `gap_deg`: weighted rms difference of measured and simulated FRF, in magnitude
+    and phase.
+    """
+
+    x: Float[np.ndarray, "parameter"]
+    answer: Float[np.ndarray, "parameter"]
+    gap_db: float
+    gap_deg: float
+
+
+class ThroughFit(eqx.Module):
+    """A fit through the experiment.
+
+    **Fields:** `fit`: the result; its residuals are the logarithm of measured over simulated FRF. `direct`: the fit to
+    the measured FRF with the linear model, where it started. `corrections`: every round. `converged`: whether the last
+    correction was below a tenth of its standard deviation. `measured`, `simulated`: FRFs, the latter at
+    `corrections[-1].x`.
+    """
+
+    fit: Fit
+    direct: Fit
+    corrections: tuple[Correction, ...]
+    converged: bool = eqx.field(static=True)
+    measured: FRF
+    simulated: FRF
+
+
+def default_method() -> AbstractMethod:
+    """The estimator of a fit through the experiment: local fractions through the reference, all experiments at once.
+
+    Windows are fixed, so that measurement and simulation are smoothed alike."""
+    return JointInputOutput(LRM())
+
+
+def measured_frf(data: Experiment, method: AbstractMethod, quantity: str) -> FRF:
+    """FRF of a record in this quantity of its output."""
+    return estimate(with_output_quantity(dft(data), quantity), method)
+
+
+def fit_through_experiment(
+    model: RobotModel,
+    data: Experiment,
+    method: AbstractMethod | None = None,
+    *,
+    weights: Weights | None = None,
+    solver: AbstractSolver | None = None,
+    starts: int | Sequence = 20,
+    key: PRNGKeyArray | None = None,
+    rounds: int = 12,
+    done: Sequence[Correction] = (),
+    keep: Callable[[Correction], None] | None = None,
+    say: Say | None = None,
+) -> ThroughFit:
+    """Fit a robot's parameters by simulating the experiment itself.
+
+    The simulated robot, nonlinear springs, friction and controller included, plays the references of the record; its
+    FRF is estimated exactly as the measured one. The measured FRF is corrected by G(theta)/G_simulated(theta), the bias
+    of the estimator and of the linearisation at theta, and fitted again, until theta stays: indirect inference
+    (Gourieroux, Monfort & Renault, J. Appl. Econometrics 8, 1993) with the linear fit as its auxiliary model. What the
+    simulation shares with the experiment cancels: leakage and smoothing, distortion by the same reference, the hold.
+    Rounds are accelerated by Anderson's method; a round that widens the gap is taken back.
+
+    Biased where robot and experiment differ in what is not fitted (another friction law, other masses): it then shows
+    in `fit.uncertainty.misfit`.
+
+    **Arguments:**
+
+    - `model`: `jaxfrf.RobotModel` of a robot with a controller. Effective friction is fitted as a nuisance beside the
+      simulation's own friction.
+    - `data`: periodic records with references and arm configurations.
+    - `method`: `default_method()` where it is not given.
+    - `weights`, `solver`, `starts`, `key`: of the direct fit, as in `jaxfrf.fit`.
+    - `rounds`: at most. `done`: rounds of an interrupted run. `keep`: called with every new round.
+    - `say`: called with a line of progress.
+
+    **Raises:** `jaxfrf.InputError` without references or controller, and where a simulation diverges.
+    """
+    method = default_method() if method is None else method
+    weights = Weights() if weights is None else weights
+    solver = LevenbergMarquardt() if solver is None else solver
+    if model.robot.controller is None:
+        raise input_error(
+            f"{model.robot.name}: controller", "none", "a [controller] table", "Without it only `fit` is possible."
+        )
+    if rounds < 1:
+        raise input_error("rounds", f"{rounds}", "1 or more", "Use `fit` for the direct fit.")
+    measured = measured_frf(data, method, model.quantity)
+    direct = fit_with_swing(model, data, measured, weights, solver, starts, key)
+    _say(say, f"direct fit: {direct.verdict}, {direct.close_starts} of {len(direct.starts)} starts agree")
+    loop = _Loop(model, data, method, measured, weights, solver, direct.model)
+    history = list(done)
+    x = np.asarray(direct.x) if not history else _next(history, direct)
+    while True:
+        correction, latest, simulated = loop.round(x)
+        history.append(correction)
+        if keep is not None:
+            keep(correction)
+        moved = np.abs(correction.answer - correction.x)[latest.coordinates.wanted()]
+        std = latest.uncertainty.std[latest.coordinates.wanted()]
+        converged = bool(np.all((moved < _STAY * std) | (moved < _STILL)))
+        _say(
+            say,
+            f"round {len(history)}: gap {correction.gap_db:.3f} dB, largest change {100 * moved.max():.2f} %"
+            + (", it stays" if converged else ""),
+        )
+        if converged or len(history) >= rounds:
+            return ThroughFit(latest, direct, tuple(history), converged, measured, simulated)
+        x = _next(history, latest)
+
+
+def fit_with_swing(model: RobotModel, data: Experiment, measured: FRF, weights, solver, starts, key=None) -> Fit:
+    """The direct fit, with nonlinear springs at their mean stiffness over the motion of the experiment.
+
+    The deflections depend on the springs: they are found again at the result, and the fit goes on from there."""
+    found = fit(
+        model, measured, weights=weights, solver=solver, starts=starts, key=key, points=robot_points(model.robot, data)
+    )
+    again = starting_at(found.model, found.values)
+    points = robot_points(model.at(found.values), data)
+    last = fit_target(again, target(measured, weights, points), solver, 1)
+    return dataclasses.replace(last, starts=found.starts, without_sensitivity=found.without_sensitivity)
+
+
+class _Loop:
+    """What every round needs."""
+
+    def __init__(self, model, data, method, measured, weights, solver, fitted_model):
+        self.data, self.method, self.solver = data, method, solver
+        self.model: RobotModel = fitted_model
+        self.coordinates = Coordinates(fitted_model.parameters)
+        self.target: Target = target(measured, weights, model.points(data.q, data.n_pos))
+        self.g = np.asarray(measured.G).swapaxes(-1, -2).reshape(self.target.log_G.shape)
+
+    def round(self, x) -> tuple[Correction, Fit, FRF]:
+        values = {n: float(v) for n, v in self.coordinates.values(x).items()}
+        robot = self.model.at(values)
+        played = replay(robot, self.data)
+        simulated = measured_frf(played, self.method, self.model.quantity)
+        points = robot_points(robot, played)
+        linear = np.asarray(_responses(self.model, self.coordinates, self.target.frequency, jnp.asarray(x), points))
+        ghost = np.asarray(simulated.G).swapaxes(-1, -2).reshape(self.g.shape)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            corrected = np.log(self.g * linear / ghost)
+            gap = np.log(self.g / ghost)
+        used = self.target.used & np.isfinite(corrected)
+        tg = dataclasses.replace(self.target, log_G=np.where(used, corrected, 0), used=used, points=points)
+        found = fit_target(starting_at(self.model, values), tg, self.solver, 1)
+        # The fit came from a single start on purpose; what it knows is counted both ways: distortion that repeats in
+        # the simulation is in the FRF's covariance, but not in these residuals.
+        weight = np.square(self.target.magnitude) * used
+        rms = lambda part: float(np.sqrt(np.sum(weight * np.where(used, part, 0) ** 2) / np.sum(weight)))
+        correction = Correction(
+            np.asarray(x), np.asarray(found.x), 20 / np.log(10) * rms(gap.real), np.rad2deg(rms(gap.imag))
+        )
+        return correction, found, simulated
+
+
+@eqx.filter_jit
+def _responses(model: RobotModel, coordinates: Coordinates, frequency, x, points: RobotPoint):
+    values = coordinates.values(x)
+    return jax.lax.map(lambda point: vec(model.response(jnp.asarray(frequency), values, point)), points)
+
+
+def _next(history: list[Correction], latest: Fit) -> np.ndarray:
+    """Where to simulate next: Anderson's mixture of the last answers, or half a step from the best round so far."""
+    best = min(history, key=lambda c: c.gap_db)
+    last = history[-1]
+    if last.gap_db > _WORSE * best.gap_db:
+        return best.x + 0.5 * _limited(best.answer - best.x)
+    recent = history[-_DEPTH:]
+    f = np.stack([c.answer - c.x for c in recent])
+    if len(recent) == 1:
+        return last.x + _limited(f[-1])
+    # Residuals count by what the data know of them: along loose directions they are mostly noise.
+    root = np.linalg.cholesky(np.asarray(latest.uncertainty.information) + 1e-12 * np.eye(f.shape[1])).T
+    change = np.diff(f, axis=0)
+    shares = np.linalg.lstsq((change @ root.T).T, root @ f[-1], rcond=1e-8)[0]
+    steps = np.diff(np.stack([c.x for c in recent]), axis=0)
+    return last.x + _limited(f[-1] - shares @ (steps + change))
+
+
+def _limited(step: np.ndarray) -> np.ndarray:
+    return step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+
+
+def _say(say: Say | None, text: str) -> None:
+    if say is not None:
+        say(text)

@@ -1,0 +1,153 @@
+"""What a fit knows of its parameters: covariance, bound, correlations, directions that the data do not show."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._types import Array
+from .cost import Target, errors, gram
+from .model import AbstractModel
+from .parameter import Coordinates
+
+_BLIND = 1e-10  # information of a parameter relative to the largest: it has no effect on the response
+_LOOSE = 0.5  # standard deviation in ln beyond which a parameter or a direction is called not identifiable
+_CORRELATED = 0.9
+
+
+class Uncertainty(eqx.Module):
+    """Everything in coordinates x: ln(value) of positive parameters, value/scale of others.
+
+    **Fields:** (parameters in the order of `Coordinates.names`)
+
+    - `cov`: sandwich covariance H^-1 M H^-1 of the estimate, (parameter, parameter). M holds the covariance of the FRF,
+      correlation between lines that share a window included; it is widened by `misfit`.
+    - `misfit`: mean square residual over what the FRF's covariance predicts, at least 1: above it the model (or the
+      estimator) leaves out something, and intervals are widened by its square root. It cannot know a bias that the fit
+      absorbed.
+    - `crlb`: lower bound of the covariance for any unbiased fit to these FRFs, (parameter, parameter); exact for lines
+      that are independent. Zero where the covariance of the FRF is unknown.
+    - `information`: Gauss-Newton matrix H of the cost with its weights, (parameter, parameter).
+    - `expected_cost`: of a true model under the FRF's covariance.
+    - `cost`: reached.
+    """
+
+    cov: Float[Array, "parameter parameter"]
+    misfit: float
+    crlb: Float[Array, "parameter parameter"]
+    information: Float[Array, "parameter parameter"]
+    expected_cost: float
+    cost: float
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviation of every parameter in x: relative for positive ones, (parameter,)."""
+        return np.sqrt(np.maximum(np.diagonal(self.cov), 0))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        return _correlation(np.asarray(self.cov) if np.any(self.cov) else _inverse(np.asarray(self.information)))
+
+    def correlations(self, above: float = _CORRELATED) -> dict[tuple[str, str], float]:
+        """Pairs of parameters whose estimates are correlated above this."""
+        rho = self.correlation
+        pairs = zip(*np.nonzero(np.triu(np.abs(rho) > above, 1)), strict=True)
+        return {(self.names[i], self.names[j]): float(rho[i, j]) for i, j in pairs}
+
+    @property
+    def identifiable(self) -> np.ndarray:
+        """Whether the data determine each parameter better than a factor of 1.6, (parameter,)."""
+        loose = np.sqrt(np.diagonal(_inverse(np.asarray(self.information))))
+        return np.maximum(loose, self.std) < _LOOSE
+
+    def directions(self) -> list[str]:
+        """Combinations of parameters that the data do not determine, in words, the worst first."""
+        values, vectors = np.linalg.eigh(np.asarray(self.information))
+        worst = max(values[-1], 1e-300)
+        said = []
+        for value, vector in zip(values, vectors.T, strict=True):
+            if value > max(1 / _LOOSE**2, _BLIND * worst):
+                continue
+            large = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.3 * np.abs(vector).max()]
+            vector = vector * np.sign(vector[large[0]])
+            parts = [f"{self.names[i]} {'up' if vector[i] > 0 else 'down'} ({vector[i]:+.2f})" for i in large[:5]]
+            if len(large) == 1:
+                said.append(f"{self.names[large[0]]} hardly changes the response: the data do not determine it")
+            else:
+                said.append(f"only together: {', '.join(parts)} leaves the response as it is")
+        return said
+
+
+def uncertainty(model: AbstractModel, coordinates: Coordinates, target: Target, x) -> Uncertainty:
+    """Covariance and identifiability at the end of a fit.
+
+    Fails to see a bias of the FRF (a window that smooths a resonance, friction): such a bias shows in `misfit` only
+    where the model cannot follow it.
+    """
+    full = np.asarray(gram(model, coordinates, target, jnp.asarray(x)))
+    H, cost = full[:-1, :-1], float(full[-1, -1])
+    slopes = np.asarray(errors(model, coordinates, target, jnp.asarray(x))[1])
+    M, bound, noise = np.zeros_like(H), np.zeros_like(H), 0.0
+    for pos in range(target.n_pos):
+        score, information, power = _position(target, slopes[pos], pos)
+        M, bound, noise = M + score, bound + information, noise + power
+    inverse = _inverse(H)
+    expected = max(noise - float(np.trace(inverse @ M)), 0.0)
+    misfit = max(1.0, cost / expected) if expected > 0 else 1.0
+    return Uncertainty(
+        cov=inverse @ M @ inverse * misfit,
+        misfit=misfit,
+        crlb=_inverse(bound) if np.any(bound) else np.zeros_like(H),
+        information=H,
+        expected_cost=expected,
+        cost=cost,
+        names=coordinates.names,
+    )
+
+
+def _position(target: Target, slope, pos: int):
+    """Covariance of the gradient, information and expected cost of one position."""
+    used = np.asarray(target.used[pos])
+    weight = np.asarray(target.magnitude[pos])
+    cov, J = np.asarray(target.cov[pos]), np.where(used[..., None], slope, 0)
+    floor = 1e-12 * np.maximum(np.real(np.diagonal(cov, axis1=-2, axis2=-1)).max(axis=-1), 1e-300)
+    eye = np.eye(used.shape[-1])
+    factor = np.linalg.cholesky(cov + eye * np.where(used, floor[:, None], 1.0)[:, None]) * used[:, :, None]
+    known = np.real(np.diagonal(cov, axis1=-2, axis2=-1)).max(axis=-1) > 0
+    factor = np.where(known[:, None, None], factor, 0)
+    seen_J, seen_factor = J, factor
+    if target.whitener is not None:
+        whitener = np.asarray(target.whitener[pos])
+        seen_J, seen_factor = whitener @ J, whitener @ factor
+    Q = np.swapaxes(seen_J.conj(), -1, -2) @ (np.square(weight)[..., None] * seen_factor)
+    T = np.concatenate([Q.real, Q.imag], axis=-1) / np.sqrt(2)  # (freq, parameter, 2 vec)
+    flat = T.reshape(len(T), -1)
+    rho = None if target.overlap is None else np.asarray(target.overlap[pos])
+    spread = flat if rho is None else rho @ flat
+    M = np.einsum("fpv,fqv->pq", spread.reshape(T.shape), T)
+    solved = np.linalg.solve(np.where(known[:, None, None], factor, 0) + eye * ~(used & known[:, None])[:, None], J)
+    solved = np.where(known[:, None, None], solved, 0)
+    shares = np.ones(len(T)) if rho is None else 1.0 / np.maximum(rho.sum(axis=1), 1.0)
+    information = 2 * np.real(np.einsum("fvp,fvq,f->pq", solved.conj(), solved, shares))
+    power = float(np.sum(np.square(weight)[..., None] * np.abs(seen_factor) ** 2))
+    return M, information, power
+
+
+def without_sensitivity(coordinates: Coordinates, hessian) -> tuple[str, ...]:
+    """Names of parameters that do not change the response at all, found before a fit."""
+    own = np.diagonal(np.asarray(hessian))
+    return tuple(n for n, value in zip(coordinates.names, own, strict=True) if not value > _BLIND * own.max())
+
+
+def _inverse(matrix):
+    """Inverse of a symmetric matrix by its scaled eigenvalues; directions without information get a large variance."""
+    scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale[None, :])
+    values = np.maximum(values, 1e-13)
+    return (vectors / values) @ vectors.T / scale[:, None] / scale[None, :]
+
+
+def _correlation(cov):
+    scale = np.sqrt(np.maximum(np.diagonal(cov), 1e-300))
+    return cov / scale[:, None] / scale[None, :]

@@ -1,0 +1,164 @@
+"""All runs of a study, in blocks that the cores share, and what is kept of them."""
+
+import concurrent.futures
+import itertools
+import math
+import os
+from collections.abc import Callable, Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from .._errors import InputError, input_error
+from ..robot import OperatingPoint
+from .closed_loop import ClosedLoop, LoopState, Runs, play
+from .references import References
+
+_SEGMENT = 2000  # samples between two looks at the runs: bounds the memory and finds divergence early
+_ASTRAY = 0.3  # rad on the arm side between reference and motion, which no working controller lets happen
+
+Progress = Callable[[float], None]
+Records = Float[np.ndarray, "pos exp time axis"]
+
+
+class Study(eqx.Module):
+    """`n_exp` runs from each of the equilibria in `point`; run number = position * n_exp + experiment.
+
+    A run's noise comes from `key`, its position's and its experiment's number.
+    """
+
+    loop: ClosedLoop
+    references: References
+    point: OperatingPoint
+    key: PRNGKeyArray
+    n_exp: int = eqx.field(static=True)
+
+    @property
+    def n_runs(self) -> int:
+        return len(self.point.z) * self.n_exp
+
+
+def record(study: Study, chunk: int, progress: Progress | None) -> tuple[Records, Records]:
+    """Torque commands and measured positions behind the run-in, `chunk` runs or fewer together on a core.
+
+    **Raises:** `jaxfrf.InputError` where runs diverge, naming them.
+    """
+    blocks = _blocks(study.n_runs, chunk)
+    shape = (study.n_runs, study.references.recorded, study.loop.plant.wiring.axes)
+    u, y = np.empty(shape), np.empty(shape)
+    lost: dict[int, float] = {}
+    total, done = len(blocks) * math.ceil(study.references.n_time / _SEGMENT), itertools.count(1)
+
+    def advanced():
+        if progress is not None:
+            progress(min(next(done) / total, 1.0))
+
+    def work(block):
+        for start, stretch in _segments(study, block, lost):
+            _store(u, y, block, start - study.references.run_in, stretch)
+            yield
+
+    _share([work(block) for block in blocks], advanced)
+    if lost:
+        raise _diverged(study, lost)
+    shape = (-1, study.n_exp, *shape[1:])
+    return u.reshape(shape), y.reshape(shape)
+
+
+def _blocks(n_runs: int, chunk: int) -> list[np.ndarray]:
+    """Run numbers in blocks of one size, as many as the cores can share; the last is filled up with its last run."""
+    if chunk < 1:
+        raise input_error("chunk", f"{chunk}", "1 run or more", "The default suits most machines.")
+    count = math.ceil(n_runs / chunk)
+    if count > 1:
+        count = math.ceil(count / _cores()) * _cores()
+    size = math.ceil(n_runs / count)
+    return [np.minimum(np.arange(first, first + size), n_runs - 1) for first in range(0, n_runs, size)]
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+_END = object()
+
+
+def _share(jobs: list[Iterator], advanced: Callable[[], None]) -> None:
+    """Exhaust all jobs, one thread per core, each with its own: a block's arrays stay in its core's cache."""
+    if next(jobs[0], _END) is not _END:  # compiled once, before the threads start
+        advanced()
+    with concurrent.futures.ThreadPoolExecutor(_cores()) as pool:
+        waiting = {pool.submit(next, job, _END): job for job in jobs[: _cores()]}
+        queue = jobs[_cores() :]
+        while waiting:
+            finished, _ = concurrent.futures.wait(waiting, return_when=concurrent.futures.FIRST_COMPLETED)
+            for future in finished:
+                job = waiting.pop(future)
+                if future.result() is not _END:
+                    advanced()
+                elif queue:
+                    job = queue.pop(0)
+                else:
+                    continue
+                waiting[pool.submit(next, job, _END)] = job
+
+
+def _segments(study: Study, block: np.ndarray, lost: dict[int, float]) -> Iterator:
+    """Number of the first sample, and torque commands and readings, (time, axis, run), of one segment at a time."""
+    loop, references = study.loop, study.references
+    tracks, track = references.tracks(block)
+    state, runs = _start(study, block, track)
+    for start in range(0, references.n_time, _SEGMENT):
+        played = references.stretch(start, _SEGMENT, tracks)
+        state, *stretch = play(loop, state, runs, jnp.asarray(start), played)
+        torque, reading = (np.asarray(x) for x in stretch)
+        left = min(_SEGMENT, references.n_time - start)
+        astray = _astray(loop, reading[:left], played[:left, 1], runs)
+        for run, when in zip(block, astray, strict=True):
+            if np.isfinite(when):
+                lost.setdefault(int(run), (start + float(when)) / loop.fs)
+        yield start, (torque[:left], reading[:left])
+        if np.isfinite(astray).all():
+            return
+
+
+def _start(study: Study, block: np.ndarray, track: np.ndarray) -> tuple[LoopState, Runs]:
+    position, experiment = np.divmod(block, study.n_exp)
+    state = study.loop.at_rest(jax.tree.map(lambda x: x[position], study.point))
+    keys = jax.vmap(lambda p, e: jr.fold_in(jr.fold_in(study.key, p), e))(position, experiment)
+    return state, Runs(jnp.asarray(track), study.loop.plant.motor(state.z), keys)
+
+
+def _astray(loop: ClosedLoop, reading, references, runs: Runs) -> Float[np.ndarray, "run"]:
+    """First sample at which each run has left its reference, inf where it follows."""
+    expected = references[:, :, np.asarray(runs.track)] + np.asarray(runs.rest)
+    limit = _ASTRAY * np.abs(np.asarray(loop.plant.gear))
+    gone = np.any(~(np.abs(reading - expected) <= limit), axis=1)
+    return np.where(gone.any(axis=0), gone.argmax(axis=0), np.inf)
+
+
+def _diverged(study: Study, lost: dict[int, float]) -> InputError:
+    named = [
+        f"position {run // study.n_exp}, experiment {run % study.n_exp} at {when:.3g} s"
+        for run, when in sorted(lost.items())
+    ]
+    more = f" and {len(named) - 5} more" if len(named) > 5 else ""
+    return input_error(
+        "simulation",
+        f"{len(named)} runs that leave their reference: {'; '.join(named[:5])}{more}",
+        "every motor within .3 rad (arm side) of its reference",
+        "Lower the controller's gains, shorten its sample, or soften friction (smoothing); a torque limit that "
+        "is reached does it too.",
+    )
+
+
+def _store(u, y, block: np.ndarray, start: int, stretch) -> None:
+    """Keep what lies behind the run-in."""
+    torque, reading = (x[max(-start, 0) :] for x in stretch)
+    if len(torque):
+        span = slice(max(start, 0), max(start, 0) + len(torque))
+        u[block, span], y[block, span] = torque.transpose(2, 0, 1), reading.transpose(2, 0, 1)
