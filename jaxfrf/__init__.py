@@ -78,11 +78,15 @@ _PUBLIC = {
     "fit": "graybox",
     "ThroughFit": "graybox",
     "fit_through_experiment": "graybox",
+    "Quality": "graybox.quality",
+    "quality": "graybox.quality",
+    "identify": "identification",
+    "Identification": "identification",
     "position_information": "graybox",
     "d_optimal": "graybox",
     "expected_accuracy": "graybox",
 }
-_NAMESPACES = ("effects", "excitation", "frf", "graybox", "io", "plot", "robot", "simulation")
+_NAMESPACES = ("effects", "excitation", "frf", "graybox", "io", "plot", "report", "robot", "simulation")
 
 __all__ = ["__version__", *_PUBLIC, *_NAMESPACES]
 
@@ -94,6 +98,7 @@ if TYPE_CHECKING:
         graybox as graybox,
         io as io,
         plot as plot,
+        report as report,
         robot as robot,
         simulation as simulation,
     )
@@ -168,6 +173,14 @@ if TYPE_CHECKING:
         fit as fit,
         fit_through_experiment as fit_through_experiment,
         position_information as position_information,
+    )
+    from .graybox.quality import (
+        Quality as Quality,
+        quality as quality,
+    )
+    from .identification import (
+        Identification as Identification,
+        identify as identify,
     )
     from .screening import (
         screen as screen,

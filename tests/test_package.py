@@ -177,6 +177,10 @@ MAY_IMPORT = {
     "io": IO,
     "plot": IO | {"plot"},
     "pipeline": IO,
+    "identification": IO | {"pipeline", "identification"},
+    "report": IO | {"plot", "pipeline", "identification", "report"},
+    "study": IO | {"plot", "pipeline", "identification", "report", "study"},
+    "commands": IO | {"examples", "plot", "pipeline", "identification", "report", "study", "commands"},
 }
 """Which rooms a room may import from. Data flow from excitation over experiment and spectra to the FRF, which know no
 robot; the robot knows no FRF. Files and pictures stand above all containers, the command line above everything, and

@@ -1,7 +1,14 @@
 """From frequency responses to the physical parameters of a model: models, weights, fits and what is known of them."""
 
 from .cost import Target as Target, Weights as Weights, focus_band as focus_band
+from .derived import Derived as Derived, derived as derived
 from .fit import Fit as Fit, Start as Start, evaluate as evaluate, fit as fit
+from .guess import (
+    Guess as Guess,
+    guessed as guessed,
+    initial_guess as initial_guess,
+    starting_near as starting_near,
+)
 from .model import (
     AbstractModel as AbstractModel,
     GrayBox as GrayBox,
@@ -15,8 +22,10 @@ from .model import (
 from .parameter import Coordinates as Coordinates, Parameter as Parameter
 from .positions import (
     Accuracy as Accuracy,
+    PositionPlan as PositionPlan,
     d_optimal as d_optimal,
     expected_accuracy as expected_accuracy,
+    plan_positions as plan_positions,
     position_information as position_information,
 )
 from .solver import (

@@ -19,24 +19,28 @@ from ..frf import FRF, features
 from .model import AbstractModel
 from .parameter import Coordinates
 
+_LEAST = 2.0  # degrees of freedom beyond the size of a covariance: with fewer, its inverse has no variance
+_FLOOR = 1e-6  # a variance of zero has no weight
+
 
 class Weights(eqx.Module):
     """What counts in the fit.
 
     The weight of an element at a line is user weight / (var/|G|^2 + floor^2): the uncertainty of the FRF together with
-    what the model (and the estimator's bias) can be trusted to. Elements more uncertain than `reject` are left out.
+    what the model (and the estimator's bias) can be trusted to. Elements more uncertain than `reject` are left out;
+    where the covariance is not known (NaN) the weight is user weight / floor^2.
 
     **Arguments:**
 
     - `floor`: relative error that the model itself may have.
     - `off_diagonal`: user weight of off-diagonal elements beside 1 on the diagonal.
-    - `focus`: extra user weight of every row and column of an axis between .8 times the first antiresonance and 1.25
-      times the first resonance behind it, of its own diagonal element; 1 for none. Where no antiresonance is found,
-      none.
+    - `focus`: extra user weight of every diagonal element between .8 times its first antiresonance and 1.25 times the
+      first resonance behind it; 1 for none. Where no antiresonance is found, none.
     - `reject`: elements with var/|G|^2 above it are dropped: the logarithm of something that uncertain is biased.
     - `elements`: user weight of every element, (out, in), or `None`: 1 and `off_diagonal`.
     - `bands`: (lowest Hz, highest Hz, factor) of bands that count more, less (0: not at all).
-    - `correlated`: whiten with the full covariance of all elements of a line, instead of one by one.
+    - `correlated`: whiten with the full covariance of all elements of a line, instead of one by one:
+      W = S D S, S the Hermitian root of (cov E + floor^2 I)^-1 and D the user weights.
     """
 
     floor: float = 0.03
@@ -55,6 +59,14 @@ class Weights(eqx.Module):
                 "floor and off_diagonal of 0 or more, focus and reject above 0",
                 "Correct them.",
             )
+        for band in self.bands:
+            if len(band) != 3 or not band[0] <= band[1] or not 0 <= band[2] < np.inf:
+                raise input_error(
+                    "weights.bands",
+                    f"{band}",
+                    "(lowest Hz, highest Hz, factor), the factor 0 or more",
+                    "Correct the band.",
+                )
 
 
 class Target(eqx.Module):
@@ -64,7 +76,9 @@ class Target(eqx.Module):
     `magnitude`, `phase`: square roots of the weights of Re E and Im E, (pos, freq, vec). `whitener`: matrix applied to
     E before them, (pos, freq, vec, vec), or `None`. `cov`: covariance of E, (pos, freq, vec, vec), zero where unknown.
     `overlap`: correlation between the estimates of two lines, (pos, freq, freq), or `None` for independent lines.
-    `points`: operating points, leading axis pos. `used`: (pos, freq, vec).
+    `points`: operating points, leading axis pos. `used`: (pos, freq, vec). `scatter`: how much more the cost and the
+    variance of its gradient are than weights from the true covariance would make them, because the weights come from
+    a covariance of few degrees of freedom, (pos, freq, 2).
     """
 
     frequency: Float[Array, "freq"]
@@ -76,6 +90,7 @@ class Target(eqx.Module):
     overlap: Float[Array, "pos freq freq"] | None
     points: PyTree
     used: Bool[Array, "pos freq vec"]
+    scatter: Float[Array, "pos freq two"]
 
     @property
     def n_pos(self) -> int:
@@ -101,11 +116,15 @@ def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
     g = G.swapaxes(-1, -2).reshape(*G.shape[:2], -1)
     usable = np.isfinite(g) & (np.abs(g) > 0)
     size = np.where(usable, g, 1.0)
-    known = np.isfinite(np.asarray(frf.cov)).all(axis=(-1, -2), keepdims=True)
-    relative = np.where(known, np.nan_to_num(np.asarray(frf.cov)), 0) / (size[..., :, None] * size.conj()[..., None, :])
+    cov = np.asarray(frf.cov)
+    # An infinite variance says that an element is worthless, NaN that nothing is known of the line's covariance.
+    worthless = np.isposinf(np.real(np.diagonal(cov, axis1=-2, axis2=-1)))
+    cov = np.where(worthless[..., :, None] | worthless[..., None, :], 0, cov)
+    known = np.isfinite(cov).all(axis=(-1, -2), keepdims=True)
+    relative = np.where(known, cov, 0) / (size[..., :, None] * size.conj()[..., None, :])
     variance = np.real(np.diagonal(relative, axis1=-2, axis2=-1))
     user = _user_weights(frf, weights)
-    used = usable & (variance <= weights.reject) & (user > 0)
+    used = usable & ~worthless & (variance <= weights.reject) & (user > 0)
     if not used.any():
         raise input_error(
             "FRF",
@@ -113,7 +132,7 @@ def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
             "some elements to fit",
             "More experiments, a wider window, another `reject`, or other weights.",
         )
-    floor = max(weights.floor, 1e-6)
+    floor = max(weights.floor, _FLOOR)
     if weights.correlated:
         whitener = _whitener(relative, used, floor)
         root = np.sqrt(user) * used
@@ -131,6 +150,7 @@ def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
         overlap=overlap(np.asarray(frf.window)),
         points=points,
         used=used,
+        scatter=_scatter(frf, weights, variance, used, floor),
     )
 
 
@@ -167,11 +187,33 @@ def focus_band(frf: FRF, axis: int, position: int) -> tuple[float, float]:
 
 
 def _whitener(relative, used, floor: float):
-    """L^{-1} with L L^H = cov of E + floor^2 I among the used elements; zero rows elsewhere."""
+    """(cov of E + floor^2 I)^-1/2 among the used elements; zero rows and columns elsewhere.
+
+    The Hermitian root: each of its rows stays as near to its element as can be, so that user weights mean what they
+    say and the order of the channels does not matter, as it would with a triangular factor.
+    """
     both = used[..., :, None] & used[..., None, :]
     eye = np.eye(used.shape[-1])
     matrix = np.where(both, relative, 0) + eye * np.where(used, floor**2, 1.0)[..., None, :]
-    return np.linalg.inv(np.linalg.cholesky(matrix)) * used[..., :, None]
+    values, vectors = np.linalg.eigh(matrix)
+    root = (vectors / np.sqrt(np.maximum(values, floor**2))[..., None, :]) @ vectors.swapaxes(-1, -2).conj()
+    return np.where(both, root, 0)
+
+
+def _scatter(frf: FRF, weights: Weights, variance, used, floor: float) -> np.ndarray:
+    """Weights W = C_hat^-1 with C_hat a complex Wishart matrix of nu degrees of freedom and size p about C: the cost is
+    E tr(W C) = nu/(nu - p) times its size, and E(W C W) / E(W C_hat W) = nu^2/((nu - p)^2 - 1) (Shaman, Journal of
+    Multivariate Analysis 10, 1980). A floor takes part of the weight away from C_hat. (pos, freq, 2)"""
+    p = frf.n_out if weights.correlated else 1
+    dof = np.broadcast_to(np.asarray(frf.dof, float), variance.shape[:2])
+    excess = np.maximum(np.where(np.isnan(dof), np.inf, dof) - p, _LEAST)
+    nu = excess + p
+    count = np.maximum(used.sum(axis=-1), 1)
+    share = np.sum(np.where(used, variance / (variance + floor**2), 0), axis=-1) / count
+    with np.errstate(invalid="ignore"):
+        cost = np.where(np.isfinite(nu), nu / excess, 1.0)
+        gradient = np.where(np.isfinite(nu), nu**2 / (excess**2 - 1), 1.0)
+    return np.stack([1 + share * (cost - 1), 1 + share**2 * (gradient - 1)], axis=-1)
 
 
 def overlap(window) -> np.ndarray | None:
@@ -198,7 +240,7 @@ def overlap(window) -> np.ndarray | None:
 def _kernel(line: int, width: int, count: int) -> np.ndarray:
     """Weights that a second-order local fit gives to the lines of its window."""
     width = min(max(width, 1), count)
-    first = min(max(line - (width - 1) // 2, 0), count - width)
+    first = min(max(line - width // 2, 0), count - width)
     row = np.zeros(count)
     where = np.arange(first, first + width)
     x = (where - line) / max(width, 1)
@@ -207,28 +249,26 @@ def _kernel(line: int, width: int, count: int) -> np.ndarray:
     return row
 
 
-class NormalEquations(eqx.Module):
-    """What Gauss-Newton needs at one point: `cost` V, `gradient` of V/2, `hessian` ~ J^T W J, all in coordinates x."""
-
-    cost: Float[Array, ""]
-    gradient: Float[Array, "parameter"]
-    hessian: Float[Array, "parameter parameter"]
-
-
-def log_error(target: Target, pos_log_G, G):
-    """E at one position, (freq, vec): the phase of the ratio by its principal value, never a difference of angles."""
-    ratio = jnp.exp(pos_log_G) / vec(G)
-    return jnp.log(jnp.abs(ratio)) + 1j * jnp.angle(ratio)
-
-
 def at_position(model: AbstractModel, coordinates: Coordinates, frequency, x, point):
-    """log G and d log G/dx at one operating point: (freq, vec), (freq, vec, parameter)."""
+    """G and d log G/dx at one operating point: (freq, vec), (freq, vec, parameter)."""
     values = coordinates.values(x)
     G, slopes = model.response_and_jacobian(frequency, values, point)
-    slope = jax.jacfwd(coordinates.values)(x)  # d value / d x, of every parameter
-    columns = sum(vec(slopes[name])[..., None] * slope[name] for name in slopes)
+    # Every value depends on one x only: the chain rule is a number for each.
+    slope = jax.jvp(coordinates.values, (x,), (jnp.ones_like(x),))[1]
+    columns = [
+        sum(vec(slopes[n]) * slope[n] for n, p in coordinates.parameters.items() if name in (n, p.same_as))
+        for name in coordinates.names
+    ]
     g = vec(G)
-    return g, columns / g[..., None]
+    return g, jnp.stack(columns, axis=-1) / g[..., None]
+
+
+def _error_and_slope(model, coordinates, frequency, x, log_G, used, point):
+    """E and d log G/dx at one position, zero where an element is left out (the model may be 0 or infinite there): the
+    phase of the ratio by its principal value, never a difference of angles."""
+    g, slope = at_position(model, coordinates, frequency, x, point)
+    ratio = jnp.where(used, jnp.exp(log_G) / g, 1.0)
+    return jnp.log(jnp.abs(ratio)) + 1j * jnp.angle(ratio), jnp.where(used[..., None], slope, 0)
 
 
 def weighted(magnitude, phase, whitener, E):
@@ -244,15 +284,13 @@ def gram(model: AbstractModel, coordinates: Coordinates, target: Target, x) -> F
     """[J r]^T [J r] of the weighted residuals r = sqrt(W) E and J = dr/dx: everything that least squares needs."""
 
     def one(position):
-        log_G, magnitude, phase, whitener, point = position
-        g, slope = at_position(model, coordinates, target.frequency, x, point)
-        ratio = jnp.exp(log_G) / g
-        E = jnp.log(jnp.abs(ratio)) + 1j * jnp.angle(ratio)
+        log_G, magnitude, phase, whitener, used, point = position
+        E, slope = _error_and_slope(model, coordinates, target.frequency, x, log_G, used, point)
         columns = jnp.concatenate([-slope, E[..., None]], axis=-1)
         a = weighted(magnitude, phase, whitener, columns).reshape(-1, coordinates.size + 1)
         return a.T @ a
 
-    positions = (target.log_G, target.magnitude, target.phase, target.whitener, target.points)
+    positions = (target.log_G, target.magnitude, target.phase, target.whitener, target.used, target.points)
     return jnp.sum(jax.lax.map(one, positions), axis=0)
 
 
@@ -263,13 +301,20 @@ def errors(
     """E and d log G/dx at every position: what diagnosis and uncertainty look at."""
 
     def one(position):
-        log_G, point = position
-        g, slope = at_position(model, coordinates, target.frequency, x, point)
-        ratio = jnp.exp(log_G) / g
-        return jnp.log(jnp.abs(ratio)) + 1j * jnp.angle(ratio), slope
+        log_G, used, point = position
+        return _error_and_slope(model, coordinates, target.frequency, x, log_G, used, point)
 
-    E, slope = jax.lax.map(one, (target.log_G, target.points))
-    return jnp.where(target.used, E, 0), slope
+    return jax.lax.map(one, (target.log_G, target.used, target.points))
+
+
+def assumed_cost(target: Target, floor: float) -> float:
+    """The cost to expect where the covariance of E is that of the FRF and floor^2 besides, as the weights assume."""
+    spread = np.asarray(target.cov) + max(floor, _FLOOR) ** 2 * np.eye(target.log_G.shape[-1])
+    if target.whitener is not None:
+        whitener = np.asarray(target.whitener)
+        spread = whitener @ spread @ whitener.swapaxes(-1, -2).conj()
+    variance = np.real(np.diagonal(spread, axis1=-2, axis2=-1))
+    return float(np.sum(np.square(target.magnitude) * target.used * variance))
 
 
 def select(target: Target, positions=None, lines=None) -> Target:
@@ -287,6 +332,7 @@ def select(target: Target, positions=None, lines=None) -> Target:
         whitener=cut(target.whitener),
         cov=cut(target.cov),
         used=cut(target.used),
+        scatter=cut(target.scatter),
         overlap=None if whole is None else np.asarray(whole)[positions][:, lines][:, :, lines],
         points=jax.tree.map(lambda x: np.asarray(x)[positions], target.points),
     )

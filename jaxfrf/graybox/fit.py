@@ -1,6 +1,7 @@
 """The verb of this package: a gray-box model and FRFs to parameters."""
 
 import dataclasses
+import numbers
 from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
@@ -11,15 +12,17 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray, PyTree
 
 from .._errors import input_error
-from .._types import Array, require_x64
+from .._types import require_x64
 from ..frf import FRF
-from .cost import Target, Weights, gram, select, target
+from .cost import Target, Weights, assumed_cost, gram, select, target
 from .model import AbstractModel, fix
-from .parameter import Coordinates
+from .parameter import Coordinates, matching
 from .solver import AbstractSolver, Descent, LevenbergMarquardt, check_solver, descend
 from .uncertainty import Uncertainty, uncertainty, without_sensitivity
 
-_COARSE = 80  # lines that the search for the valley needs
+_COARSE = 40  # lines that the search for the valley needs
+_NEAR = 1e-3  # where it ends, in x
+_LARGE = 20000  # numbers to fit: below, all lines cost less than compiling the search apart
 _SAME = 0.02  # two ends nearer than this, in x, are the same minimum
 _CLOSE = 1.01  # times the best cost
 _AGREE = 3  # starts that should come that close
@@ -91,9 +94,10 @@ class Fit(eqx.Module):
     def verdict(self) -> str:
         """`unimodal`, `multimodal`, `at a bound` or `not identifiable`: the most serious that holds."""
         wanted = self.coordinates.wanted()
-        if not self.uncertainty.identifiable[wanted].all() or self.without_sensitivity:
+        held = np.isin(self.coordinates.names, self.coordinates.at_bound(self.x))
+        if not self.uncertainty.identifiable[wanted & ~held].all() or self.without_sensitivity:
             return "not identifiable"
-        if set(self.coordinates.at_bound(self.x)) & set(np.array(self.coordinates.names)[wanted]):
+        if np.any(held & wanted):
             return "at a bound"
         return "unimodal" if self.close_starts >= min(_AGREE, len(self.starts)) else "multimodal"
 
@@ -102,10 +106,11 @@ class Fit(eqx.Module):
         names, said = np.array(self.coordinates.names), []
         for name in self.without_sensitivity:
             said.append(f"{name} has no effect on the response: it was left at its start")
-        for name in names[~self.uncertainty.identifiable]:
+        held = self.coordinates.at_bound(self.x)
+        for name in names[~self.uncertainty.identifiable & ~np.isin(names, held)]:
             said.append(f"{name} is not identifiable from these data (standard deviation above 50 %)")
-        said += self.uncertainty.directions()
-        for name in self.coordinates.at_bound(self.x):
+        said += self.uncertainty.directions(without=held)
+        for name in held:
             said.append(f"{name} is at its bound: the data ask for no {name.rpartition('.')[2]}, or the model is wrong")
         n, close = len(self.starts), self.close_starts
         if n > 1 and close >= min(_AGREE, n):
@@ -171,6 +176,7 @@ def fit(
     require_x64("fit")
     solver = LevenbergMarquardt() if solver is None else solver
     check_solver(solver)
+    _check_quantity(model, frf)
     points = model.points(frf.q, frf.n_pos) if points is None else points
     tg = target(frf, Weights() if weights is None else weights, points)
     coordinates = Coordinates(model.parameters)
@@ -194,13 +200,13 @@ def fit_target(
     coarse, share = _coarse(tg)
     ends, total = [], len(begin) + (len(begin) if keep is None else min(keep, len(begin)))
     for i, x in enumerate(begin):
-        ends.append(_plain(descend(model, coordinates, coarse, jnp.asarray(x), solver, solver.max_steps)))
+        ends.append(descend(model, coordinates, coarse, x, solver, tolerance=max(_NEAR, solver.tolerance)))
         if progress is not None:
             progress(i + 1, total)
     made = [_searched(model, coordinates, tg, end, share) for end in ends]
     chosen = _chosen(made, keep)
     for done, (i, members) in enumerate(chosen.items()):
-        end = _plain(descend(model, coordinates, tg, jnp.asarray(made[i].x), solver, solver.max_steps))
+        end = descend(model, coordinates, tg, made[i].x, solver)
         for member in members:
             made[member] = _polished(made[member], end, alone=member == i)
         if progress is not None:
@@ -214,7 +220,27 @@ def fit_target(
     return Fit(model, coordinates, best.x, known, tuple(made), tg, blind)
 
 
+def _check_quantity(model: AbstractModel, frf: FRF) -> None:
+    """A robot model says which quantity it gives; a model of the user's own gives what the user says."""
+    expected = getattr(model, "quantity", frf.y_quantity)
+    if frf.y_quantity != expected:
+        raise input_error(
+            "FRF",
+            f"a response to {frf.y_quantity}",
+            f"{expected}, which the model gives",
+            f"Make the model with quantity={frf.y_quantity!r}, or convert the spectra (with_output_quantity).",
+        )
+
+
 def _check_shape(model, coordinates, tg: Target, frf: FRF) -> None:
+    sizes = {np.shape(a)[:1] for a in jax.tree.leaves(tg.points)}
+    if sizes - {(frf.n_pos,)}:
+        raise input_error(
+            "points",
+            f"arrays with a leading axis of {', '.join(str(*n) if n else 'none' for n in sizes)}",
+            f"{frf.n_pos}, one for every operating point of the FRF",
+            "Give one point for every position.",
+        )
     point = jax.tree.map(lambda a: jnp.asarray(a)[0], tg.points)
     found = jax.eval_shape(
         lambda x: model.response(jnp.asarray(tg.frequency), coordinates.values(x), point), jnp.zeros(coordinates.size)
@@ -243,37 +269,54 @@ def _without_blind(model: AbstractModel, tg: Target) -> tuple[AbstractModel, tup
 
 
 def _starts(coordinates: Coordinates, starts, key) -> list[np.ndarray]:
-    if not isinstance(starts, int):
-        return [coordinates.coordinates(values) for values in starts]
+    if not isinstance(starts, numbers.Integral):
+        return _named_starts(coordinates, starts)
     if starts < 1:
         raise input_error("starts", f"{starts}", "1 or more", "20 show whether there is one minimum.")
-    first = coordinates.start()
+    starts, first = int(starts), coordinates.start()
     draws = np.array(jr.normal(key, (starts, coordinates.size)))
     draws[0] = 0.0
-    return [first + coordinates.spreads() * draw for draw in draws]
+    return [coordinates.inside(first + coordinates.spreads() * draw) for draw in draws]
+
+
+def _named_starts(coordinates: Coordinates, starts) -> list[np.ndarray]:
+    starts = [starts] if isinstance(starts, Mapping) else list(starts)
+    if not starts or not all(isinstance(values, Mapping) for values in starts):
+        raise input_error(
+            "starts",
+            "an empty list" if not starts else f"a list with {next(v for v in starts if not isinstance(v, Mapping))!r}",
+            "a number, or dictionaries of values by name",
+            "Give at least one; {} is the model's own start.",
+        )
+    for values in starts:
+        matching(coordinates.parameters, values)  # says which name is wrong
+        bad = {n: v for n, v in values.items() if n in coordinates.names and not coordinates.parameters[n].accepts(v)}
+        if bad:
+            raise input_error(
+                "starts",
+                ", ".join(f"{n} = {v}" for n, v in bad.items()),
+                "values that the parameter may have",
+                "Correct them.",
+            )
+    return [coordinates.coordinates(values) for values in starts]
 
 
 def _coarse(tg: Target) -> tuple[Target, float]:
     """Part of the lines, and how many times more all of them weigh."""
-    step = max(1, len(tg.frequency) // _COARSE)
+    step = max(1, len(tg.frequency) // _COARSE) if tg.n_terms > _LARGE else 1
     part = select(tg, lines=np.arange(0, len(tg.frequency), step)) if step > 1 else tg
     return part, float(np.sum(np.square(tg.magnitude)) / max(np.sum(np.square(part.magnitude)), 1e-300))
 
 
-def _plain(end: Descent) -> Descent:
-    return jax.tree.map(np.asarray, end)
-
-
 def _searched(model, coordinates, tg, end: Descent, share: float) -> Start:
-    steps = int(end.steps) + 1
     cost = float(gram(model, coordinates, tg, jnp.asarray(end.x))[-1, -1]) if np.isfinite(end.x).all() else np.inf
     return Start(
         end.x,
         cost if np.isfinite(cost) else np.inf,
-        end.path_x[:steps],
-        end.path_cost[:steps] * share,
+        end.path_x,
+        end.path_cost * share,
         False,
-        bool(end.converged),
+        end.converged,
     )
 
 
@@ -293,28 +336,24 @@ def _chosen(made: list[Start], keep: int | None) -> dict[int, list[int]]:
 
 
 def _polished(start: Start, end: Descent, alone: bool) -> Start:
-    steps = int(end.steps) + 1
-    path = (start.path_x, end.path_x[1:steps]) if alone else (start.path_x, end.x[None])
-    cost = (start.path_cost, end.path_cost[1:steps]) if alone else (start.path_cost, end.cost[None])
+    path = end.path_x[1:] if alone else end.x[None]
+    cost = end.path_cost[1:] if alone else [end.cost]
     return dataclasses.replace(
         start,
         x=end.x,
-        cost=float(end.cost),
-        path_x=np.concatenate(path),
-        path_cost=np.concatenate(cost),
+        cost=end.cost,
+        path_x=np.concatenate([start.path_x, path]),
+        path_cost=np.concatenate([start.path_cost, cost]),
         polished=True,
-        converged=bool(end.converged),
+        converged=end.converged,
     )
 
 
 def evaluate(fitted: Fit, frf: FRF, weights: Weights | None = None, points: PyTree | None = None) -> float:
-    """Mean weighted square error of a fit on other FRFs (held-out positions), over that of the same weights with an
-    error of one floor everywhere: 1 means errors as large as the floor plus noise."""
+    """Mean weighted square error of a fit on other FRFs (held-out positions), over what the same weights expect:
+    1 means errors as large as the floor plus the FRF's noise, |E|^2 = floor^2 + var/|G|^2."""
     weights = Weights() if weights is None else weights
     points = fitted.model.points(frf.q, frf.n_pos) if points is None else points
     tg = target(frf, weights, points)
     cost = float(gram(fitted.model, fitted.coordinates, tg, jnp.asarray(fitted.x))[-1, -1])
-    return cost / tg.n_terms
-
-
-__all__ = ["Array", "Fit", "Start", "evaluate", "fit", "fit_target", "scaled"]
+    return cost / assumed_cost(tg, weights.floor)

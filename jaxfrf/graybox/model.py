@@ -226,7 +226,11 @@ def _changed(model: AbstractModel, names: Iterable[str], change: Callable[[Param
 
 
 def starting_at(model: AbstractModel, values: Mapping[str, float]) -> AbstractModel:
-    """The same model with its parameters starting at these values."""
+    """The same model with its parameters starting at these values.
+
+    **Raises:** `jaxfrf.InputError` for a name that the model does not have.
+    """
+    matching(model.parameters, values)
     new = {n: dataclasses.replace(p, start=float(values[n])) if n in values else p for n, p in model.parameters.items()}
     return _replaced(model, new)
 

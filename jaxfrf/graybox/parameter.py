@@ -15,6 +15,8 @@ from .._errors import input_error
 from .._types import Array
 
 _ROUND = 0.05  # width of the corner at a bound, in ln
+_SHARE = 0.02  # and at most this part of the range
+_BEYOND = 3.0  # corners beyond a bound that a solver may go: further out it would not feel the parameter any more
 _SPAN = 1e4  # default bounds of a positive parameter: this factor from its start
 
 
@@ -95,40 +97,60 @@ class Parameter(eqx.Module):
             return self.start / _SPAN, self.start * _SPAN
         return np.float64(-np.inf), np.float64(np.inf)
 
+    def accepts(self, value: float) -> bool:
+        """Whether it may have this value (beyond a bound it is moved inside)."""
+        return math.isfinite(value) and (value > 0 or not self.positive)
+
     def coordinate(self, value: float) -> float:
-        """x of a value: ln of a positive one, moved inside its bounds, or in units of `scale`."""
-        low, high = self.limits
-        if not self.positive:
-            return float(value) / self.scale
-        return math.log(min(max(float(value), low * 1.000001), high / 1.000001))
+        """x of a value, the inverse of `value`; one at or beyond a bound is moved inside it."""
+        (low, high), corner = self._ends()
+        y = math.log(value) if self.positive else float(value) / self.scale
+        x = high - corner * _inverse_softplus((high - y) / corner) if math.isfinite(high) else y
+        x = low + corner * _inverse_softplus((x - low) / corner) if math.isfinite(low) else x
+        return self.inside(float(x))
+
+    def inside(self, x: float) -> float:
+        """The nearest x that is not beyond a bound: a solver that starts there still sees which way to go."""
+        (low, high), _ = self._ends()
+        return float(min(max(x, low), high))
+
+    def reach(self) -> tuple[Array, Array]:
+        """Lowest and highest x that a solver may try."""
+        (low, high), corner = self._ends()
+        return low - _BEYOND * corner, high + _BEYOND * corner
 
     def value(self, x):
         """The value at x: the identity (or exp) away from the bounds, bending over where they come near."""
-        low, high = self.limits
-        ends = (
-            (jnp.log(jnp.maximum(low, 1e-300)), jnp.log(high))
-            if self.positive
-            else (low / self.scale, high / self.scale)
-        )
-        below = jnp.where(jnp.isfinite(ends[0]), ends[0], x - 1.0)
-        above = jnp.where(jnp.isfinite(ends[1]), ends[1], x + 1.0)
-        y = jnp.where(jnp.isfinite(ends[0]), below + _ROUND * jax.nn.softplus((x - below) / _ROUND), x)
-        y = jnp.where(jnp.isfinite(ends[1]), above - _ROUND * jax.nn.softplus((above - y) / _ROUND), y)
+        (low, high), corner = self._ends()
+        below, above = (jnp.where(jnp.isfinite(end), end, x) for end in (low, high))
+        y = jnp.where(jnp.isfinite(low), below + corner * jax.nn.softplus((x - below) / corner), x)
+        y = jnp.where(jnp.isfinite(high), above - corner * jax.nn.softplus((above - y) / corner), y)
         return jnp.exp(y) if self.positive else self.scale * y
 
     def stands_at_bound(self, x: float) -> bool:
+        (low, high), corner = self._ends()
+        return bool(x < low + 2 * corner or x > high - 2 * corner)
+
+    def _ends(self):
+        """The bounds in x, and the width of the corners at them."""
         low, high = self.limits
-        change = math.log if self.positive else lambda v: v / self.scale
-        below = -math.inf if (self.positive and low <= 0) or not math.isfinite(low) else change(low)
-        above = change(high) if math.isfinite(high) else math.inf
-        return x < below + 2 * _ROUND or x > above - 2 * _ROUND
+        if self.positive:
+            low, high = jnp.where(low > 0, jnp.log(jnp.maximum(low, 1e-300)), -jnp.inf), jnp.log(high)
+        else:
+            low, high = low / self.scale, high / self.scale
+        return (low, high), jnp.minimum(_ROUND, _SHARE * (high - low))
+
+
+def _inverse_softplus(t: float) -> float:
+    return t + math.log(-math.expm1(-t)) if t > 0 else -math.inf
 
 
 class Coordinates(eqx.Module):
     """From the vector x that a solver changes to the parameters by name.
 
-    x holds the free parameters that are not shared, in the order of `names`: ln(value) of positive ones, value/scale
-    of others. Near a bound the map bends over within 5 % of it, so that a solver can run into it without harm.
+    x holds the free parameters that are not shared, in the order of `names` (stiffnesses, dampings, others, nuisances):
+    ln(value) of positive ones, value/scale of others. Near a bound the map bends over within 5 % of it, so that a
+    solver can run into it without harm.
 
     **Arguments:** `parameters`: name -> `Parameter`.
     """
@@ -139,7 +161,9 @@ class Coordinates(eqx.Module):
     def __init__(self, parameters: Mapping[str, Parameter]):
         self.parameters = dict(parameters)
         _check_shared(self.parameters)
-        self.names = tuple(n for n, p in self.parameters.items() if p.free and p.same_as is None)
+        free = [n for n, p in self.parameters.items() if p.free and p.same_as is None]
+        # The same order whatever was done to the model: JAX sorts dictionaries.
+        self.names = tuple(sorted(free, key=lambda n: (self.parameters[n].nuisance, _kind(n), n)))
         if not self.names:
             raise input_error("parameters", "none that is free", "at least one to fit", "Set free=True on some.")
 
@@ -159,6 +183,15 @@ class Coordinates(eqx.Module):
         """x of values by name; parameters that are not named stay at their start."""
         own = self.parameters
         return np.array([own[n].coordinate(values.get(n, own[n].start)) for n in self.names])
+
+    def inside(self, x: Float[Array, "parameter"]) -> np.ndarray:
+        """The nearest x that is not beyond a bound, (parameter,)."""
+        return np.array([self.parameters[n].inside(float(xi)) for n, xi in zip(self.names, x, strict=True)])
+
+    def reach(self) -> tuple[jax.Array, jax.Array]:
+        """Lowest and highest x that a solver may try, (parameter,) each."""
+        low, high = zip(*(self.parameters[name].reach() for name in self.names), strict=True)
+        return jnp.stack([jnp.asarray(x) for x in low]), jnp.stack([jnp.asarray(x) for x in high])
 
     def values(self, x: Float[Array, "parameter"]) -> dict[str, jax.Array]:
         """Every parameter of the model at x: free, shared and fixed."""
@@ -180,6 +213,12 @@ class Coordinates(eqx.Module):
     def wanted(self) -> np.ndarray:
         """Which of the fitted parameters are no nuisance, (parameter,)."""
         return np.array([not self.parameters[name].nuisance for name in self.names])
+
+
+def _kind(name: str) -> tuple[int, str]:
+    kind = name.rpartition(".")[2] if "." in name else ""
+    known = ("stiffness", "damping")
+    return (known.index(kind) if kind in known else len(known), kind)
 
 
 def _check_shared(parameters: Mapping[str, Parameter]) -> None:

@@ -1,10 +1,12 @@
 """Where to measure: Fisher information of every position, a D-optimal choice, and the accuracy to expect of it."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PyTree
+from jaxtyping import Bool, Float, Int, PyTree
 
 from .._errors import input_error
 from .._types import Array
@@ -14,6 +16,9 @@ from .parameter import Coordinates
 from .uncertainty import _correlation, _inverse
 
 _SWEEPS = 50
+
+
+_DRAWS = 100  # random choices that the D-optimal one is compared with
 
 
 class Accuracy(eqx.Module):
@@ -79,38 +84,64 @@ def _information(model, coordinates, frequency, x, points, precision):
 
 
 def d_optimal(
-    information: Float[np.ndarray, "pos parameter parameter"], count: int, repeat: bool = False
+    information: Float[np.ndarray, "pos parameter parameter"], count: int, repeat: bool = False, starts: int = 8
 ) -> tuple[int, ...]:
     """The `count` positions whose information together has the largest determinant, by greedy choice and exchange.
 
     Fedorov's exchange from a greedy start (Fedorov, Theory of Optimal Experiments, 1972): every chosen position is
-    exchanged for the best other one until none improves. It is a local optimum; starts from every single position
-    would cost as many times more.
+    exchanged for the best other one until none improves, from the `starts` best first positions in turn. The best of
+    them is a local optimum: no single exchange improves it, two at once might. The choice does not depend on the units
+    of the parameters.
 
     **Arguments:** `repeat`: whether a position may be chosen more than once. **Returns:** indices, ascending.
+
+    **Raises:** `jaxfrf.InputError` for more positions than candidates, and for information that is not finite.
     """
     information = np.asarray(information)
     n = len(information)
     if not 1 <= count or (count > n and not repeat):
         raise input_error("count of positions", f"{count}", f"1 to {n}, the candidates", "Offer more candidates.")
+    finite = np.isfinite(information).all(axis=(1, 2))
+    if not finite.all():
+        raise input_error(
+            "information",
+            f"numbers that are not finite at position {np.flatnonzero(~finite)[0]}",
+            "finite numbers",
+            "Leave out positions where the model does not hold.",
+        )
     scale = np.sqrt(np.maximum(np.diagonal(information.sum(axis=0)), 1e-300))
     scaled = information / scale[:, None] / scale[None, :]
-    # A little of everything: the first positions alone may not show every parameter.
-    prior = 1e-9 * np.eye(len(scale))
-    chosen: list[int] = []
-    for _ in range(count):
-        chosen.append(_best(scaled, prior + scaled[chosen].sum(axis=0), [] if repeat else chosen)[0])
+    alone = np.linalg.slogdet(_prior(scaled) + scaled)[1]
+    firsts = np.argsort(-alone, kind="stable")[: max(starts, 1)]
+    found = [_exchanged(scaled, _greedy(scaled, int(first), count, repeat), repeat) for first in firsts]
+    best = max(found, key=lambda chosen: np.linalg.slogdet(_prior(scaled) + scaled[chosen].sum(axis=0))[1])
+    return tuple(sorted(int(i) for i in best))
+
+
+def _prior(scaled):
+    """A little of everything: the first positions alone may not show every parameter."""
+    return 1e-9 * np.eye(scaled.shape[-1])
+
+
+def _greedy(scaled, first: int, count: int, repeat: bool) -> list[int]:
+    chosen = [first]
+    while len(chosen) < count:
+        chosen.append(_best(scaled, _prior(scaled) + scaled[chosen].sum(axis=0), [] if repeat else chosen)[0])
+    return chosen
+
+
+def _exchanged(scaled, chosen: list[int], repeat: bool) -> list[int]:
     for _ in range(_SWEEPS):
         before = list(chosen)
-        for i in range(count):
+        for i in range(len(chosen)):
             others = chosen[:i] + chosen[i + 1 :]
-            rest = prior + scaled[others].sum(axis=0)
+            rest = _prior(scaled) + scaled[others].sum(axis=0)
             best, value = _best(scaled, rest, [] if repeat else others)
             if value > np.linalg.slogdet(rest + scaled[chosen[i]])[1] + 1e-12:
-                chosen[i] = best
+                chosen = [*chosen[:i], best, *chosen[i + 1 :]]
         if chosen == before:
             break
-    return tuple(sorted(int(i) for i in chosen))
+    return chosen
 
 
 def _best(scaled, rest, taken) -> tuple[int, float]:
@@ -125,9 +156,95 @@ def expected_accuracy(
 ) -> Accuracy:
     """Standard deviations and correlations of the parameters from these positions together.
 
+    A bound: what an efficient fit reaches when the noise is all that is wrong.
+
     **Arguments:** `information`: of the chosen positions. `blocks`: how many times the experiment whose noise the
     information assumed.
     """
     total = blocks * np.asarray(information).sum(axis=0)
     cov = _inverse(total)
     return Accuracy(tuple(names), np.sqrt(np.diagonal(cov)), _correlation(cov))
+
+
+class PositionPlan(eqx.Module):
+    """Where to measure, and what to expect of it. Standard deviations are in x: relative for positive parameters.
+
+    **Fields:**
+
+    - `chosen`: D-optimal candidates, ascending. `points`: their operating points, leading axis (pos).
+    - `accuracy`: of them together.
+    - `names`: of the parameters. `wanted`: which of them are no nuisance, (parameter,).
+    - `counts`: numbers of positions, (count,). `optimal`, `random`: standard deviation with so many positions, chosen
+      D-optimally or drawn from the candidates (median over draws), (count, parameter).
+    - `blocks`: numbers of blocks of experiments at the chosen positions, (block,). `by_blocks`: standard deviation with
+      them, (block, parameter).
+    """
+
+    chosen: tuple[int, ...] = eqx.field(static=True)
+    points: PyTree
+    accuracy: Accuracy
+    names: tuple[str, ...] = eqx.field(static=True)
+    wanted: Bool[np.ndarray, "parameter"]
+    counts: Int[np.ndarray, "count"]
+    optimal: Float[np.ndarray, "count parameter"]
+    random: Float[np.ndarray, "count parameter"]
+    blocks: Int[np.ndarray, "block"]
+    by_blocks: Float[np.ndarray, "block parameter"]
+
+
+def plan_positions(
+    model: AbstractModel,
+    frequency: Float[Array, "freq"],
+    candidates: PyTree,
+    count: int,
+    *,
+    noise: Float[Array, "..."] | float = 0.05,
+    weights: Float[Array, "out in"] | None = None,
+    beyond: int = 5,
+    blocks: Sequence[int] = (1, 2, 4, 8, 16),
+    seed: int = 0,
+) -> PositionPlan:
+    """Choose operating points before anyone measures, and say how well the parameters will be known.
+
+    D-optimal at the model's start values: right as far as they are, though a choice of positions forgives wrong ones
+    better than the accuracy does. It knows noise alone: the bias of estimator, friction and nonlinear springs is often
+    larger, and does not fall with more blocks.
+
+    **Arguments:**
+
+    - `model`: e.g. `jaxfrf.RobotModel(robot)`; fix what is not going to be fitted.
+    - `frequency`: lines that the design excites, Hz.
+    - `candidates`: operating points with a leading axis (pos), e.g. `jaxfrf.random_positions(200, key)`.
+    - `count`: how many to choose.
+    - `noise`: relative standard deviation of the FRF from one block of experiments, a number or broadcastable to (freq,
+      out, in), lines independent. `weights`: of the elements, see `position_information`.
+    - `beyond`: how many positions more than `count` the comparison goes to. `blocks`: numbers of blocks of experiments
+      to state the accuracy for. `seed`: of the random choices.
+
+    **Raises:** `jaxfrf.InputError` for more positions than candidates, and for candidates without a finite response.
+    """
+    n = len(jax.tree.leaves(candidates)[0])
+    if not 1 <= count <= n:
+        raise input_error("count of positions", f"{count}", f"1 to {n}, the candidates", "Offer more candidates.")
+    if not len(blocks) or min(blocks) < 1:
+        raise input_error("blocks", f"{tuple(blocks)}", "numbers of 1 or more", "Leave it out for 1 to 16.")
+    information = position_information(model, frequency, candidates, noise, weights)
+    coordinates = Coordinates(model.parameters)
+    std = lambda chosen, blocks=1: expected_accuracy(information[list(chosen)], coordinates.names, blocks).std
+    counts = np.arange(1, min(count + max(beyond, 0), n) + 1)
+    best = {int(k): d_optimal(information, int(k)) for k in counts}
+    rng = np.random.default_rng(seed)
+    drawn = [[std(rng.choice(n, k, replace=False)) for _ in range(_DRAWS)] for k in counts]
+    chosen = best[count]
+    return PositionPlan(
+        chosen=chosen,
+        points=jax.tree.map(lambda x: np.asarray(x)[list(chosen)], candidates),
+        accuracy=expected_accuracy(information[list(chosen)], coordinates.names),
+        names=coordinates.names,
+        wanted=coordinates.wanted(),
+        counts=counts,
+        optimal=np.stack([std(best[int(k)]) for k in counts]),
+        random=np.median(drawn, axis=1),
+        blocks=np.asarray(blocks, int),
+        by_blocks=np.stack([std(chosen, m) for m in blocks]),
+    )

@@ -1,13 +1,14 @@
 """Minimisers of the cost, through optimistix, with every step kept."""
 
 import abc
-import math
+import functools
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from .._errors import input_error
 from .._types import Array
@@ -15,27 +16,26 @@ from .cost import Target, gram
 from .model import AbstractModel
 from .parameter import Coordinates
 
-_REJECTED = 12  # steps refused one after the other: rounding is all that is left
+_REFUSED = 5  # steps refused one after the other: rounding is all that is left
 
 
 class Descent(eqx.Module):
     """One minimisation.
 
     **Fields:** `x`: where it ended, (parameter,). `cost`: there. `steps`: taken. `converged`: whether it ended by
-    itself. `path_x`: x after every step, (max_steps + 1, parameter), the start first; rows behind `steps` repeat the
-    end. `path_cost`: the same for the cost.
+    itself. `path_x`, `path_cost`: x and cost after every step, the start first, (steps + 1, ...); refused steps repeat.
     """
 
-    x: Float[Array, "parameter"]
-    cost: Float[Array, ""]
-    steps: Int[Array, ""]
-    converged: Array
-    path_x: Float[Array, "step parameter"]
-    path_cost: Float[Array, "step"]
+    x: Float[np.ndarray, "parameter"]
+    cost: float
+    steps: int
+    converged: bool
+    path_x: Float[np.ndarray, "step parameter"]
+    path_cost: Float[np.ndarray, "step"]
 
 
 class AbstractSolver(eqx.Module):
-    """How the cost is minimised. `tolerance`: a relative change of every parameter below it ends the search."""
+    """How the cost is minimised. `tolerance`: a change of every parameter below it, in x, ends the search."""
 
     max_steps: eqx.AbstractVar[int]
     tolerance: eqx.AbstractVar[float]
@@ -45,41 +45,37 @@ class AbstractSolver(eqx.Module):
         """The optimistix solver."""
 
     @abc.abstractmethod
-    def function(self, model: AbstractModel, coordinates: Coordinates, target: Target, scale):
-        """What it minimises: (x, args) -> (residual or cost, V)."""
+    def function(self, root):
+        """What it minimises, (x, args) -> (residual or cost, V), near a point where `root` is the root of
+        [J r]^T [J r]: right in value and derivative there, which is all that a solver asks for."""
 
 
 class LevenbergMarquardt(AbstractSolver):
     """Levenberg-Marquardt with exact Jacobians.
 
-    The residuals are handed to optimistix as the last column of the symmetric root S of [J r]^T [J r], with the rest of
-    S as their Jacobian. Cost, gradient and Gauss-Newton matrix are those of the full problem, at a thousandth of the
-    size, so that a step costs what the Jacobian costs.
+    optimistix gets the last column of the symmetric root S of [J r]^T [J r] for residuals and the rest of S for their
+    Jacobian. Cost, gradient and Gauss-Newton matrix are those of the full problem at a thousandth of its size, so that
+    a step costs what the Jacobian costs.
 
     **Arguments:** `max_steps`: at most. `tolerance`: see `AbstractSolver`.
     """
 
     max_steps: int = eqx.field(static=True, default=80)
-    tolerance: float = eqx.field(static=True, default=1e-10)
+    tolerance: float = eqx.field(static=True, default=1e-9)
 
     def optimistix(self):
-        return optx.LevenbergMarquardt(rtol=self.tolerance, atol=self.tolerance)
+        return optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)
 
-    def function(self, model, coordinates, target, scale):
+    def function(self, root):
         @jax.custom_jvp
         def residual(x):
-            return _root(gram(model, coordinates, target, x))[:, -1] * scale
+            return root[:, -1]
 
         @residual.defjvp
         def slope(primals, tangents):
-            root = _root(gram(model, coordinates, target, primals[0])) * scale
             return root[:, -1], root[:, :-1] @ tangents[0]
 
-        def function(x, _):
-            r = residual(x)
-            return r, jnp.sum(jnp.square(r)) / scale**2
-
-        return function
+        return lambda x, _: (residual(x), jnp.sum(jnp.square(root[:, -1])))
 
 
 class BFGS(AbstractSolver):
@@ -92,86 +88,90 @@ class BFGS(AbstractSolver):
     tolerance: float = eqx.field(static=True, default=1e-8)
 
     def optimistix(self):
-        return optx.BFGS(rtol=self.tolerance, atol=self.tolerance)
+        return optx.BFGS(rtol=1e-12, atol=1e-12)
 
-    def function(self, model, coordinates, target, scale):
+    def function(self, root):
+        value = jnp.sum(jnp.square(root[:, -1]))
+
         @jax.custom_jvp
         def cost(x):
-            return gram(model, coordinates, target, x)[-1, -1] * scale**2
+            return value
 
         @cost.defjvp
         def slope(primals, tangents):
-            full = gram(model, coordinates, target, primals[0]) * scale**2
-            return full[-1, -1], 2.0 * full[-1, :-1] @ tangents[0]
+            return value, 2.0 * (root[:, -1] @ root[:, :-1]) @ tangents[0]
 
-        def function(x, _):
-            V = cost(x)
-            return V, V / scale**2
-
-        return function
+        return lambda x, _: (cost(x), value)
 
 
-def _root(matrix):
-    """The symmetric square root S = sqrt of the scaled matrix times its scales, so that S^T S = matrix; S is continuous
-    in the matrix and needs no full rank."""
-    scale = jnp.sqrt(jnp.maximum(jnp.diagonal(matrix), 1e-300))
-    values, vectors = jnp.linalg.eigh(matrix / scale[:, None] / scale[None, :])
-    return (vectors * jnp.sqrt(jnp.maximum(values, 0.0))) @ vectors.T * scale
+@jax.jit
+def _root(matrix, scale):
+    """The symmetric square root S, S^T S = scale^2 matrix, by the eigenvalues of the matrix scaled to a diagonal of
+    ones; S is continuous in the matrix and needs no full rank."""
+    size = jnp.sqrt(jnp.maximum(jnp.diagonal(matrix), 1e-300))
+    values, vectors = jnp.linalg.eigh(matrix / size[:, None] / size[None, :])
+    return (vectors * jnp.sqrt(jnp.maximum(values, 0.0))) @ vectors.T * size * scale
 
 
-@eqx.filter_jit
+@functools.lru_cache(maxsize=32)
+def _machine(solver: AbstractSolver, size: int):
+    """(start, advance) of a solver for this number of parameters; compiled once, whatever the model is.
+
+    A step of optimistix asks for the function at one point only, which its state names: the Gram matrix there is made
+    before, by a program of its own."""
+    inner, tags = solver.optimistix(), frozenset()
+    blank = solver.function(jnp.zeros((size + 1, size + 1)))
+    f_struct, aux_struct = jax.eval_shape(lambda y: blank(y, None), jnp.zeros(size))
+    state = inner.init(blank, jnp.zeros(size), None, {}, f_struct, aux_struct, tags)
+    _, static = eqx.partition(state, eqx.is_array)  # a state holds a traced function too, the same at every step
+
+    def start(x):
+        return eqx.filter(inner.init(blank, x, None, {}, f_struct, aux_struct, tags), eqx.is_array)
+
+    @jax.jit
+    def advance(x, state, root, low, high):
+        state = eqx.combine(state, static)
+        x, state, _ = inner.step(solver.function(root), x, None, {}, state, tags)
+        # A trial far behind a bound, where the response stands still, would never come back.
+        state = eqx.tree_at(lambda s: s.y_eval, state, jnp.clip(state.y_eval, low, high))
+        return x, eqx.filter(state, eqx.is_array)
+
+    return start, advance
+
+
 def descend(
     model: AbstractModel,
     coordinates: Coordinates,
     target: Target,
     x: Float[Array, "parameter"],
     solver: AbstractSolver,
-    max_steps: Int[Array, ""] | int,
+    max_steps: int | None = None,
+    tolerance: float | None = None,
 ) -> Descent:
-    """Minimise the cost from one start, at most `max_steps` and the solver's own limit."""
+    """Minimise the cost from one start; `max_steps` and `tolerance` of the solver unless they are given."""
+    max_steps = solver.max_steps if max_steps is None else max_steps
+    tolerance = solver.tolerance if tolerance is None else tolerance
     # In these units the cost is a weighted mean square of E: optimistix starts with a damping of 1.
-    total = jnp.sum(jnp.square(target.magnitude)) + jnp.sum(jnp.square(target.phase))
-    scale = _GAIN / jnp.sqrt(total) if target.whitener is None else _GAIN / math.sqrt(target.log_G.size)
-    inner, tags = solver.optimistix(), frozenset()
-    function = solver.function(model, coordinates, target, scale)
-    f_struct, aux_struct = jax.eval_shape(lambda y: function(y, None), x)
-    state = inner.init(function, x, None, {}, f_struct, aux_struct, tags)
-    n, p = solver.max_steps, coordinates.size
-    path_x, path_cost = jnp.zeros((n + 1, p)).at[0].set(x), jnp.full(n + 1, jnp.inf)
-
-    def proceed(carry):
-        _, _, step, stop, *_ = carry
-        return (step < jnp.minimum(n, max_steps) + 1) & ~stop
-
-    # A state holds a traced function too, the same at every step.
-    state, static = eqx.partition(state, eqx.is_array)
-
-    def advance(carry):
-        x, state, step, _, refused, path_x, path_cost = carry
-        new, state, _ = inner.step(function, x, None, {}, eqx.combine(state, static), tags)
-        change = jnp.max(jnp.abs(new - x))
-        cost = state.aux
-        moved = change > 0
-        refused = jnp.where(moved, 0, refused + 1)
-        small = moved & (change < solver.tolerance)
-        stop = (step > 0) & (small | (refused > _REJECTED) | ~jnp.isfinite(cost))
-        path_x, path_cost = path_x.at[step].set(new), path_cost.at[step].set(cost)
-        state = eqx.filter(state, eqx.is_array)
-        return new, state, step + 1, stop, refused, path_x, path_cost
-
-    start = (x, state, jnp.array(0), jnp.array(False), jnp.array(0), path_x, path_cost)
-    x, _, count, stop, _, path_x, path_cost = jax.lax.while_loop(proceed, advance, start)
-    last = count - 1
-    behind = jnp.arange(n + 1) > last
-    cost = path_cost[last]
-    return Descent(
-        x,
-        cost,
-        last,
-        stop & jnp.isfinite(cost),
-        jnp.where(behind[:, None], x, path_x),
-        jnp.where(behind, cost, path_cost),
-    )
+    total = np.sum(np.square(target.magnitude)) + np.sum(np.square(target.phase))
+    total = total if target.whitener is None else target.log_G.size
+    scale = _GAIN / float(np.sqrt(max(total, 1e-300)))
+    start, advance = _machine(solver, coordinates.size)
+    low, high = coordinates.reach()
+    x = jnp.asarray(x)
+    state = start(x)
+    path_x, path_cost, refused, converged = [], [], 0, False
+    for step in range(max_steps + 1):
+        root = _root(gram(model, coordinates, target, state.y_eval), scale)
+        new, state = advance(x, state, root, low, high)
+        change, cost = float(jnp.max(jnp.abs(new - x))), float(state.aux) / scale**2
+        x = new
+        path_x.append(np.asarray(x))
+        path_cost.append(cost)
+        refused = 0 if change > 0 else refused + 1
+        converged = bool(step > 0 and (0 < change < tolerance or refused > _REFUSED))
+        if converged or not np.isfinite(cost):
+            break
+    return Descent(path_x[-1], path_cost[-1], len(path_x) - 1, converged, np.stack(path_x), np.array(path_cost))
 
 
 _GAIN = 3.0

@@ -13,6 +13,7 @@ from .parameter import Coordinates
 _BLIND = 1e-10  # information of a parameter relative to the largest: it has no effect on the response
 _LOOSE = 0.5  # standard deviation in ln beyond which a parameter or a direction is called not identifiable
 _CORRELATED = 0.9
+_PART = 0.1  # of a direction of length one: a parameter belongs to it
 
 
 class Uncertainty(eqx.Module):
@@ -47,13 +48,22 @@ class Uncertainty(eqx.Module):
 
     @property
     def correlation(self) -> np.ndarray:
-        return _correlation(np.asarray(self.cov) if np.any(self.cov) else _inverse(np.asarray(self.information)))
+        """Of the estimates; of the cost's curvature where the FRF's covariance is unknown: (parameter, parameter)."""
+        cov = np.asarray(self.cov) if np.any(self.cov) else _inverse(np.asarray(self.information))
+        return np.clip(_correlation(cov), -1.0, 1.0)
 
     def correlations(self, above: float = _CORRELATED) -> dict[tuple[str, str], float]:
-        """Pairs of parameters whose estimates are correlated above this."""
-        rho = self.correlation
+        """Pairs of parameters whose estimates are correlated above this; pairs that `directions` names are left out."""
+        rho = np.where(self._loose[:, None] & self._loose, 0.0, self.correlation)
         pairs = zip(*np.nonzero(np.triu(np.abs(rho) > above, 1)), strict=True)
         return {(self.names[i], self.names[j]): float(rho[i, j]) for i, j in pairs}
+
+    @property
+    def _loose(self) -> np.ndarray:
+        """Which parameters take part in a direction that the data do not determine, (parameter,)."""
+        values, vectors = np.linalg.eigh(np.asarray(self.information))
+        free = values <= max(1 / _LOOSE**2, _BLIND * values[-1])
+        return np.any(np.abs(vectors[:, free]) > _PART, axis=1)
 
     @property
     def identifiable(self) -> np.ndarray:
@@ -61,19 +71,24 @@ class Uncertainty(eqx.Module):
         loose = np.sqrt(np.diagonal(_inverse(np.asarray(self.information))))
         return np.maximum(loose, self.std) < _LOOSE
 
-    def directions(self) -> list[str]:
-        """Combinations of parameters that the data do not determine, in words, the worst first."""
-        values, vectors = np.linalg.eigh(np.asarray(self.information))
+    def directions(self, without: tuple[str, ...] = ()) -> list[str]:
+        """Combinations of parameters that the data do not determine, in words, the worst first; parameters `without`
+        (at a bound, where they cannot change the response) left aside."""
+        seen = np.flatnonzero(~np.isin(self.names, without))
+        if not len(seen):
+            return []
+        values, vectors = np.linalg.eigh(np.asarray(self.information)[np.ix_(seen, seen)])
+        names = [self.names[i] for i in seen]
         worst = max(values[-1], 1e-300)
         said = []
         for value, vector in zip(values, vectors.T, strict=True):
             if value > max(1 / _LOOSE**2, _BLIND * worst):
                 continue
-            large = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.3 * np.abs(vector).max()]
+            large = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > _PART]
             vector = vector * np.sign(vector[large[0]])
-            parts = [f"{self.names[i]} {'up' if vector[i] > 0 else 'down'} ({vector[i]:+.2f})" for i in large[:5]]
+            parts = [f"{names[i]} {'up' if vector[i] > 0 else 'down'} ({vector[i]:+.2f})" for i in large]
             if len(large) == 1:
-                said.append(f"{self.names[large[0]]} hardly changes the response: the data do not determine it")
+                said.append(f"{names[large[0]]} hardly changes the response: the data do not determine it")
             else:
                 said.append(f"only together: {', '.join(parts)} leaves the response as it is")
         return said
@@ -124,13 +139,17 @@ def _position(target: Target, slope, pos: int):
     T = np.concatenate([Q.real, Q.imag], axis=-1) / np.sqrt(2)  # (freq, parameter, 2 vec)
     flat = T.reshape(len(T), -1)
     rho = None if target.overlap is None else np.asarray(target.overlap[pos])
+    flat = flat * np.sqrt(np.asarray(target.scatter[pos])[:, 1:])
+    T = flat.reshape(T.shape)
     spread = flat if rho is None else rho @ flat
     M = np.einsum("fpv,fqv->pq", spread.reshape(T.shape), T)
     solved = np.linalg.solve(np.where(known[:, None, None], factor, 0) + eye * ~(used & known[:, None])[:, None], J)
     solved = np.where(known[:, None, None], solved, 0)
     shares = np.ones(len(T)) if rho is None else 1.0 / np.maximum(rho.sum(axis=1), 1.0)
+    shares = shares / np.asarray(target.scatter[pos])[:, 0]
     information = 2 * np.real(np.einsum("fvp,fvq,f->pq", solved.conj(), solved, shares))
-    power = float(np.sum(np.square(weight)[..., None] * np.abs(seen_factor) ** 2))
+    power = np.square(weight)[..., None] * np.abs(seen_factor) ** 2
+    power = float(np.sum(np.asarray(target.scatter[pos])[:, 0] * power.sum(axis=(-1, -2))))
     return M, information, power
 
 

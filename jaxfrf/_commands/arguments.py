@@ -1,0 +1,133 @@
+"""What several commands share: options, checks before long work, progress."""
+
+import argparse
+import contextlib
+import os
+import pathlib
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+
+from .._errors import InputError, input_error
+
+
+def command(commands, name: str, run, text: str) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        name, help=text, description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON, and nothing else")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def add_record_options(parser: argparse.ArgumentParser, method: str | None, default: str) -> None:
+    """How records are read and turned into an FRF."""
+    parser.add_argument("--method", default=method, help=f"estimator (default {default}); --methods lists them")
+    parser.add_argument("--methods", action=_ListMethods, nargs=0, help="list the estimators and stop")
+    parser.add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help="e.g. width=34, order=2")
+    parser.add_argument(
+        "--map", help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]; y=rec.act_vel"
+    )
+    parser.add_argument(
+        "--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720"
+    )
+    parser.add_argument("--scale", help="factors to SI units: y=0.0174532925")
+    parser.add_argument(
+        "--periods", metavar="A:B", help="use only these steady periods, counted from 0, B not included"
+    )
+    parser.add_argument("--band", metavar="LOW:HIGH", help="use only the lines in this band, Hz")
+
+
+class _ListMethods(argparse.Action):
+    def __call__(self, parser, namespace, values, option_string=None):
+        from ..frf.catalogue import METHODS
+
+        print("\n".join(f"{name:16}  {text}" for name, (text, _) in METHODS.items()))
+        parser.exit(0)
+
+
+def read_records(given: argparse.Namespace, files: Sequence[str]):
+    """The experiment in these files, as `--map`, `--set` and `--scale` say."""
+    from .. import io
+
+    return io.read(
+        *files,
+        names=io.parse_map(given.map) if given.map else None,
+        values=io.parse_values(given.set) if given.set else None,
+        scale=io.parse_scale(given.scale) if given.scale else None,
+    )
+
+
+@contextlib.contextmanager
+def naming(files: Sequence[str]) -> Iterator[None]:
+    """What is wrong with the data names the files."""
+    try:
+        yield
+    except InputError as error:
+        name = pathlib.Path(files[0]).name
+        if str(error).startswith(name):
+            raise
+        more = f" and {len(files) - 1} more" if len(files) > 1 else ""
+        raise InputError(f"{name}{more}: {error}") from None
+
+
+def check_x64(who: str) -> None:
+    from .._types import require_x64
+
+    try:
+        require_x64(who)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def check_picture(path: str | os.PathLike) -> None:
+    from ..io._optional import require
+
+    figure = require("matplotlib.figure", "plot").Figure()
+    check_target(path, [f".{kind}" for kind in sorted(figure.canvas.get_supported_filetypes())])
+
+
+def check_target(path: str | os.PathLike, suffixes: Iterable[str]) -> None:
+    """Refuse what could not be written, before anything is estimated or written."""
+    target = pathlib.Path(path)
+    if target.suffix.lower() not in suffixes:
+        raise input_error(str(path), f"the suffix {target.suffix!r}", f"one of {', '.join(suffixes)}", "Rename it.")
+    if not target.absolute().parent.is_dir():
+        raise input_error(str(path), f"no folder {target.parent}", "one that exists", "Make it first.")
+
+
+def options_of(pairs) -> dict[str, str]:
+    options = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals or not key.strip():
+            raise InputError(f"--option: found {pair!r}; expected KEY=VALUE. Write e.g. --option width=34.")
+        options[key.strip()] = value.strip()
+    return options
+
+
+def range_of(option: str, text: str | None, kind) -> tuple | None:
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        return kind(first) if first else None, kind(last) if last else None
+    except ValueError:
+        raise input_error(option, repr(text), "FROM:TO", "Write e.g. --periods 0:1 or --band 4:80.") from None
+
+
+class Percent:
+    """Prints the part that is done, in steps of ten per cent."""
+
+    def __init__(self, what: str):
+        self.what, self.said = what, 0
+
+    def __call__(self, done: float) -> None:
+        if int(10 * done) > self.said:
+            self.said = int(10 * done)
+            say(f"{self.what} {10 * self.said} %")
+
+
+def say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

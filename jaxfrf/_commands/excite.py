@@ -1,0 +1,47 @@
+"""`jaxfrf excite`."""
+
+import pathlib
+
+from .arguments import check_picture, command
+
+
+def add(commands) -> None:
+    parser = command(commands, "excite", run, "Turn an excitation design into references that a controller can play.")
+    parser.add_argument("design", metavar="DESIGN.toml")
+    parser.add_argument("-o", "--output", required=True, help="reference to write: .nc, .mat or .csv")
+    parser.add_argument("--plot", metavar="FILE", help="picture of the design (default: beside the output, .png)")
+
+
+def run(given) -> dict:
+    from .. import plot
+    from ..excitation import levels, reference
+    from ..io import read_design, write_reference
+
+    picture = pathlib.Path(given.plot) if given.plot else pathlib.Path(given.output).with_suffix(".png")
+    check_picture(picture)
+    made = reference(read_design(given.design))
+    written = write_reference(given.output, made)
+    plot.save(plot.multisine(made)[0].figure, picture)
+    about = levels(made)
+    frequency = made.lines * made.fs / made.period
+    text = [
+        f"{made.n_exp} experiments of {made.n_in} input(s), {made.n_time / made.fs:g} s each; "
+        f"{len(made.lines)} lines from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz",
+        *(
+            f"  input {i + 1}: rms {about.rms[:, i].max():.3g}, peak speed {about.velocity[:, i].max():.3g} rad/s, "
+            f"crest factor {about.crest[:, i].max():.3g}"
+            for i in range(made.n_in)
+        ),
+        f"wrote {', '.join(str(path) for path in (*written, picture))}",
+    ]
+    return {
+        "text": text,
+        "json": {
+            "output": [str(path) for path in written],
+            "plot": str(picture),
+            "experiments": made.n_exp,
+            "lines": len(made.lines),
+            "band_hz": [float(frequency[0]), float(frequency[-1])],
+            "crest_factor": about.crest.max(axis=0).tolist(),
+        },
+    }

@@ -1,0 +1,201 @@
+"""`jaxfrf identify`."""
+
+import pathlib
+import sys
+from collections.abc import Sequence
+
+from .._errors import InputError, input_error
+from .arguments import (
+    add_record_options,
+    check_picture,
+    check_target,
+    check_x64,
+    command,
+    naming,
+    options_of,
+    range_of,
+    read_records,
+    say,
+)
+
+_RECORDS_ONLY = ("method", "option", "map", "set", "scale", "periods")
+
+
+def add(commands) -> None:
+    parser = command(commands, "identify", run, "Find a robot's stiffnesses and dampings from records or FRFs.")
+    parser.add_argument(
+        "data", nargs="+", metavar="DATA", help="records (.nc .mat .npz .csv) or FRFs (of `jaxfrf estimate`)"
+    )
+    parser.add_argument("--robot", required=True, metavar="ROBOT.toml", help="the robot; its values are the start")
+    parser.add_argument("-o", "--output", required=True, help="fit to write: .json")
+    parser.add_argument("--report", metavar="FILE", help="page about the fit to write: .html")
+    parser.add_argument("--plot", metavar="FILE", help="Bode picture of measurement and models: .png, .pdf, .svg")
+    parser.add_argument("--robot-out", metavar="FILE", help="robot with the result to write: .toml")
+    parser.add_argument("--starts", type=int, default=20, help="of the direct fit (default 20)")
+    parser.add_argument("--seed", type=int, default=0, help="of the starts (default 0)")
+    parser.add_argument(
+        "--guess", action="store_true", help="start from the FRF's antiresonances, not from the robot's values"
+    )
+    parser.add_argument("--direct", action="store_true", help="the direct fit alone, no simulation of the experiment")
+    parser.add_argument("--rounds", type=int, default=12, metavar="N", help="of simulation, at most (default 12)")
+    names = {"action": "append", "default": []}
+    parser.add_argument("--fix", **names, metavar="NAME,...", help="hold these at the robot's value: *.damping")
+    parser.add_argument("--free", **names, metavar="NAME,...", help="fit these too: joint1.torque_gain (--direct)")
+    parser.add_argument("--share", **names, metavar="A=B", help="one value for both: joint5.damping=joint6.damping")
+    parser.add_argument("--heldout", metavar="P,...", help="positions, from 0, to judge the result on: not fitted")
+    parser.add_argument(
+        "--weights", metavar="KEY=VALUE,...", help="off_diagonal=0.2, focus=4, floor=0.03, reject=0.25 (the defaults)"
+    )
+    add_record_options(parser, method=None, default="lrm-jio-stacked, auto where there is no reference")
+    parser.add_argument("--resume", action="store_true", help="go on with a run that was interrupted")
+
+
+def run(given) -> dict:
+    from ..identification import identify
+    from ..io.fits import write_fit
+
+    check_x64("jaxfrf identify")
+    _check_outputs(given)
+    robot, data, method = _read(given)
+    with naming(given.data):
+        found = identify(
+            robot,
+            data,
+            method=method,
+            weights=_weights(given.weights),
+            starts=given.starts,
+            seed=given.seed,
+            rounds=given.rounds,
+            direct=given.direct,
+            guess=given.guess,
+            fixed=_names(given.fix),
+            freed=_names(given.free),
+            shared=[_group(text) for text in given.share],
+            heldout=_numbers(given.heldout),
+            band=range_of("--band", given.band, float),
+            output=given.output,
+            resume=given.resume,
+            say=None if given.json else say,
+        )
+    contents = found.as_dict()
+    write_fit(given.output, contents)
+    for warning in found.measured.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    written = [given.output, *_write_more(given, found)]
+    return {"text": [*found.lines(), f"wrote {', '.join(written)}"], "json": _brief(contents) | {"output": written}}
+
+
+def _brief(contents: dict) -> dict:
+    """Without what fills pages."""
+    starts = {name: x for name, x in contents["starts"].items() if name not in ("costs", "paths", "polished")}
+    return contents | {"starts": starts}
+
+
+def _write_more(given, found) -> list[str]:
+    written = []
+    if given.robot_out:
+        from ..io.robots import write_robot
+
+        write_robot(found.robot, given.robot_out)
+        written.append(given.robot_out)
+    if given.plot:
+        from ..plot import save
+        from ..plot.fit import fit_bode
+
+        title = ", ".join(pathlib.Path(name).name for name in given.data)
+        save(fit_bode(found.measured, found.responses(), title=title)[0], given.plot)
+        written.append(given.plot)
+    if given.report:
+        from ..report import write_identification
+
+        write_identification(given.report, found)
+        written.append(given.report)
+    return written
+
+
+def _check_outputs(given) -> None:
+    """Everything that could not be written, before anything is read."""
+    wanted = {given.output: (".json",), given.report: (".html", ".htm"), given.robot_out: (".toml",)}
+    for path, suffixes in wanted.items():
+        if path:
+            check_target(path, suffixes)
+    if given.plot:
+        check_picture(given.plot)
+    if given.report:
+        from ..io._optional import require
+
+        require("matplotlib.figure", "plot")
+    if given.robot_out and pathlib.Path(given.robot_out).resolve() == pathlib.Path(given.robot).resolve():
+        raise input_error(given.robot_out, "the robot itself", "another file for the result", "Choose another name.")
+
+
+def _read(given):
+    """Robot, records or FRF, and the estimator that was named."""
+    from ..frf.catalogue import method
+    from ..io.frf_or_record import holds_frf, read_frfs
+    from ..io.robots import read_robot
+
+    robot = read_robot(given.robot)
+    frfs = [holds_frf(path) for path in given.data]
+    if any(frfs) and not all(frfs):
+        raise input_error(
+            "files",
+            f"an FRF, {given.data[frfs.index(True)]}, beside a record, {given.data[frfs.index(False)]}",
+            "records alone or FRFs alone",
+            "Estimate the FRF of the record first, or leave one of them out.",
+        )
+    if any(frfs):
+        for name in _RECORDS_ONLY:
+            if getattr(given, name):
+                raise input_error(f"--{name}", "FRF files", "records", "It was decided when the FRF was estimated.")
+        return robot, read_frfs(*given.data), None
+    options = options_of(given.option)
+    data = read_records(given, given.data)
+    chosen = None
+    if given.method or options:
+        chosen = method(given.method or ("auto" if data.r is None else "lrm-jio-stacked"), options)
+    periods = range_of("--periods", given.periods, int)
+    if periods is not None:
+        from ..experiment import select_periods
+
+        with naming(given.data):
+            data = select_periods(data, periods[0] or 0, periods[1])
+    return robot, data, chosen
+
+
+def _names(texts: Sequence[str]) -> list[str]:
+    return [name.strip() for text in texts for name in text.split(",") if name.strip()]
+
+
+def _group(text: str) -> list[str]:
+    names = [name.strip() for name in text.split("=")]
+    if len(names) < 2 or not all(names):
+        raise InputError(f"--share: found {text!r}; expected A=B. Write e.g. --share joint5.damping=joint6.damping.")
+    return names
+
+
+def _numbers(text: str | None) -> list[int]:
+    try:
+        return [int(x) for x in text.split(",")] if text else []
+    except ValueError:
+        raise input_error("--heldout", repr(text), "numbers of positions", "Write e.g. --heldout 2,5.") from None
+
+
+def _weights(text: str | None):
+    import dataclasses
+    import difflib
+
+    from ..graybox import Weights
+
+    known = [f.name for f in dataclasses.fields(Weights) if isinstance(f.default, float)]
+    found = {}
+    for pair in text.split(",") if text else ():
+        name, _, value = (x.strip() for x in pair.partition("="))
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
+            raise input_error("--weights", repr(name), f"some of {', '.join(known)}", f"Did you mean {near!r}?")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise input_error(f"--weights {name}", repr(value), "a number", "Write e.g. floor=0.03.") from None
+    return Weights(**found)

@@ -1,0 +1,66 @@
+"""`jaxfrf positions`."""
+
+from .arguments import check_picture, check_target, check_x64, command
+
+
+def add(commands) -> None:
+    parser = command(commands, "positions", run, "Choose arm configurations to measure a robot at, before measuring.")
+    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("design", metavar="DESIGN.toml")
+    parser.add_argument("-n", "--count", type=int, default=7, help="positions to choose (default 7)")
+    parser.add_argument("--candidates", type=int, default=200, metavar="N", help="random ones to choose from (200)")
+    parser.add_argument("--seed", type=int, default=0, help="of the candidates (default 0)")
+    parser.add_argument("--noise", type=float, default=0.05, help="relative standard deviation of the FRF (.05)")
+    parser.add_argument("-o", "--output", required=True, help="arm angles to write, for `simulate`: .csv or .txt")
+    parser.add_argument("--plot", metavar="FILE", help="picture of the accuracy to expect: .png, .pdf, .svg")
+
+
+def run(given) -> dict:
+    import jax.random as jr
+
+    from ..graybox import RobotModel, plan_positions
+    from ..io import read_design
+    from ..io.positions import write_positions
+    from ..io.robots import read_robot
+    from ..simulation import random_positions
+
+    check_x64("jaxfrf positions")
+    check_target(given.output, (".csv", ".txt"))
+    if given.plot:
+        check_picture(given.plot)
+    robot, design = read_robot(given.robot), read_design(given.design)
+    model = RobotModel(robot, slow_amplitude=None if design.slow is None else design.slow.amplitude)
+    candidates = random_positions(given.candidates, jr.key(given.seed), robot.n_axes)
+    plan = plan_positions(model, design.frequency, candidates, given.count, noise=given.noise)
+    about = (
+        f"{robot.name}: {given.count} of {given.candidates} positions (seed {given.seed}), D-optimal for springs and "
+        f"dampers at {100 * given.noise:g} % noise"
+    )
+    write_positions(given.output, plan.points, robot.axis_names, [about])
+    written = [given.output]
+    if given.plot:
+        from .. import plot
+
+        plot.save(plot.plan(plan, title=robot.name)[0], given.plot)
+        written.append(given.plot)
+    at = list(plan.counts).index(given.count)
+    rows = [i for i, wanted in enumerate(plan.wanted) if wanted]
+    return {
+        "text": [
+            about,
+            "expected standard deviation (at random positions):",
+            *(f"  {plan.names[i]}: {100 * plan.optimal[at, i]:.2g} % ({100 * plan.random[at, i]:.2g} %)" for i in rows),
+            f"wrote {', '.join(written)}",
+        ],
+        "json": {
+            "output": written,
+            "chosen": list(plan.chosen),
+            "q": plan.points.tolist(),
+            "std": {plan.names[i]: float(plan.optimal[at, i]) for i in rows},
+            "std_random": {plan.names[i]: float(plan.random[at, i]) for i in rows},
+            "counts": plan.counts.tolist(),
+            "std_by_count": {plan.names[i]: plan.optimal[:, i].tolist() for i in rows},
+            "blocks": plan.blocks.tolist(),
+            "std_by_blocks": {plan.names[i]: plan.by_blocks[:, i].tolist() for i in rows},
+        },
+    }

@@ -1,0 +1,81 @@
+"""`jaxfrf simulate`."""
+
+import pathlib
+
+from .._errors import InputError
+from .arguments import Percent, command
+
+
+def add(commands) -> None:
+    parser = command(commands, "simulate", run, "Play a design on a simulated robot in closed loop.")
+    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("design", metavar="DESIGN.toml")
+    parser.add_argument("-o", "--output", required=True, help="record to write: .nc, .mat or .npz")
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--positions", type=int, default=None, metavar="N", help="random positions (default 1)")
+    place.add_argument(
+        "--configurations", metavar="FILE", help="arm angles instead, rad: .csv or .txt, one row for each position"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the random positions and the noise (default 0)")
+    parser.add_argument(
+        "--run-in", type=float, default=5.0, metavar="S", help="seconds before the record (default 5); see --transient"
+    )
+    parser.add_argument("--transient", action="store_true", help="record the transient periods of the design too")
+    parser.add_argument("--noise", type=float, default=5e-5, help="rms of the position noise, rad (default 5e-5)")
+
+
+def run(given) -> dict:
+    import jax.random as jr
+
+    from ..io import read_design, write
+    from ..io.robots import read_robot
+    from ..simulation import simulate
+
+    target = pathlib.Path(given.output)
+    if target.suffix.lower() not in (".nc", ".mat", ".npz"):
+        raise InputError(f"{target}: found the suffix {target.suffix!r}; expected .nc, .mat or .npz. Rename it.")
+    if not target.absolute().parent.is_dir():
+        raise InputError(f"{target}: found no folder {target.parent}; expected one that exists. Make it first.")
+    robot, design = read_robot(given.robot), read_design(given.design)
+    places, noise = jr.split(jr.key(given.seed))
+    data = simulate(
+        robot,
+        design,
+        _positions(given, robot.n_axes, places),
+        key=noise,
+        run_in=None if given.transient else given.run_in,
+        noise=given.noise,
+        progress=None if given.json else Percent("simulated"),
+    )
+    write(given.output, data)
+    runs = data.n_pos * data.n_exp
+    text = [
+        f"{robot.name}: {runs} runs ({data.n_pos} positions, {data.n_exp} experiments) of "
+        f"{data.n_time / data.fs:g} s, {data.n_periods} steady period(s) of {data.period / data.fs:g} s, "
+        f"{len(data.lines)} excited lines, seed {given.seed}",
+        f"wrote {given.output}",
+    ]
+    return {
+        "text": text,
+        "json": {
+            "output": given.output,
+            "robot": robot.name,
+            "positions": data.n_pos,
+            "experiments": data.n_exp,
+            "samples": data.n_time,
+            "lines": len(data.lines),
+            "seed": given.seed,
+            "y_quantity": data.y_quantity,
+        },
+    }
+
+
+def _positions(given, axes: int, key):
+    from ..simulation import random_positions, read_positions
+
+    if given.configurations:
+        return read_positions(given.configurations, axes)
+    count = 1 if given.positions is None else given.positions
+    if count < 1:
+        raise InputError(f"--positions: found {count}; expected 1 or more. Say how many.")
+    return random_positions(count, key, axes)

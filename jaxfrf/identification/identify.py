@@ -1,0 +1,215 @@
+"""The verb: robot and data to an `Identification`."""
+
+import dataclasses
+import shutil
+from collections.abc import Callable, Sequence
+
+import jax.random as jr
+import numpy as np
+
+from .._errors import InputError, input_error
+from .._types import require_x64
+from ..experiment import Experiment
+from ..frf import FRF, AbstractMethod, Auto, describe_method, estimate
+from ..graybox import (
+    Fit,
+    RobotModel,
+    ThroughFit,
+    Weights,
+    fit,
+    fit_through_experiment,
+    initial_guess,
+    robot_points,
+    starting_near,
+)
+from ..graybox.quality import model_quality, quality, response_quality
+from ..graybox.solver import LevenbergMarquardt
+from ..graybox.through import default_method, fit_with_swing, measured_frf
+from ..io.fits import plain_data
+from ..pipeline import spectra_of
+from ..robot import Robot
+from ..simulation import replay
+from ..spectra import with_output_quantity
+from .model import QUANTITY, check_data, robot_model, why_direct
+from .result import HeldOut, Identification
+from .rounds import fingerprint, kept_rounds
+
+Say = Callable[[str], None]
+
+
+def identify(
+    robot: Robot,
+    data: Experiment | FRF,
+    *,
+    method: AbstractMethod | None = None,
+    weights: Weights | None = None,
+    starts: int = 20,
+    seed: int = 0,
+    rounds: int = 12,
+    direct: bool = False,
+    guess: bool = False,
+    fixed: Sequence[str] = (),
+    freed: Sequence[str] = (),
+    shared: Sequence[Sequence[str]] = (),
+    heldout: Sequence[int] = (),
+    band: tuple[float | None, float | None] | None = None,
+    output=None,
+    resume: bool = False,
+    say: Say | None = None,
+) -> Identification:
+    """Fit the stiffnesses and dampings of a robot to records or FRFs.
+
+    Through the experiment wherever that is possible: periodic records with references, and a robot with a controller;
+    with the direct fit beside it. `why_direct` of the result says what was missing. Biased where each of the two is:
+    see `jaxfrf.fit` and `jaxfrf.fit_through_experiment`.
+
+    **Arguments:**
+
+    - `robot`: also says where the parameters start.
+    - `data`: records or FRFs, with the arm configurations q.
+    - `method`: estimator of the FRF; by default local fractions through the reference, or `jaxfrf.Auto()` without one.
+    - `weights`: `jaxfrf.Weights()`. `starts`, `seed`: of the direct fit. `rounds`: of simulation, at most.
+    - `direct`: the direct fit alone. `guess`: start from what the antiresonances of the FRF say (`initial_guess`), not
+      from the robot's own stiffnesses and dampings.
+    - `fixed`, `freed`: names of parameters to hold, or to fit though they are held otherwise; `*` stands for any text.
+    - `shared`: groups of names that have one value.
+    - `heldout`: numbers of positions, from 0, that are not fitted, and on which the result is judged.
+    - `band`: (low, high), Hz; `None` at an end: open.
+    - `output`: with it, finished rounds are kept in `<output>.parts` until all are done; with `resume`, those of an
+      interrupted run of the same data and settings are not simulated again.
+    - `say`: called with a line of progress.
+
+    **Raises:** `jaxfrf.InputError`, before anything long begins, if robot, data and arguments do not fit together.
+    """
+    require_x64("identify")
+    held = _heldout_numbers(heldout, data)
+    check_data(robot, data)
+    why = why_direct(robot, data, direct)
+    model = robot_model(robot, data, fixed=fixed, freed=freed, shared=shared, simulated=not why)
+    weights = _within(Weights() if weights is None else weights, band)
+    if starts < 1 or rounds < 1:
+        raise input_error("starts and rounds", f"{starts} and {rounds}", "1 or more", "20 and 12 are the defaults.")
+    positions = tuple(p for p in range(data.n_pos) if p not in held)
+    part, rest = _at(data, positions), _at(data, held) if held else None
+    settings = {
+        "method": None,
+        "starts": starts,
+        "seed": seed,
+        "rounds": None if why else rounds,
+        "fixed": list(fixed),
+        "freed": list(freed),
+        "shared": [list(names) for names in shared],
+        "guess": guess,
+        "heldout": list(held),
+        "band_hz": None if band is None else list(band),
+        "weights": {f.name: getattr(weights, f.name) for f in dataclasses.fields(weights)},
+    }
+    if isinstance(data, FRF):
+        frf_of = lambda frf: frf
+    else:
+        method = (Auto() if data.r is None else default_method()) if method is None else method
+        settings["method"] = describe_method(method)
+        frf_of = lambda record: _frf_of_record(record, method, band)
+    if guess:
+        model = _guessed(model, frf_of(part), say)
+    key = jr.key(seed)
+    through = None
+    if why:
+        _tell(say, f"direct fit only: {why}")
+        measured = frf_of(part)
+        found = _direct(model, part, measured, weights, starts, key)
+    else:
+        folder, done, keep = kept_rounds(output, fingerprint(model, part, settings), resume, say)
+        options = {"weights": weights, "starts": starts, "key": key, "rounds": rounds}
+        try:
+            through = fit_through_experiment(model, part, method, **options, done=done, keep=keep, say=say)
+        except InputError:
+            if folder is not None and not any(folder.glob("*.json")):
+                shutil.rmtree(folder)
+            raise
+        measured, found = dataclasses.replace(through.measured, warnings=data.warnings), through.direct
+    judged = None if rest is None else _judged(found, through, rest, frf_of(rest), held, method, weights)
+    direct_quality = quality(found, measured, weights)
+    own = direct_quality if through is None else quality(through.fit, measured, weights)
+    if through is not None and folder is not None:
+        shutil.rmtree(folder)
+    return Identification(
+        model, found, through, why, measured, positions, own, direct_quality, judged, plain_data(settings)
+    )
+
+
+def _within(weights: Weights, band) -> Weights:
+    if band is None:
+        return weights
+    low, high = band[0] or 0.0, np.inf if band[1] is None else band[1]
+    if not low < high:
+        raise input_error("band", f"{low:g} to {high:g} Hz", "a low end below the high one", "Correct it.")
+    outside = ((0.0, np.nextafter(low, 0), 0.0),) if low > 0 else ()
+    outside += ((np.nextafter(high, np.inf), np.inf, 0.0),) if np.isfinite(high) else ()
+    return dataclasses.replace(weights, bands=(*weights.bands, *outside))
+
+
+def _heldout_numbers(heldout: Sequence[int], data) -> tuple[int, ...]:
+    held = tuple(sorted({int(p) for p in heldout}))
+    if held and (held[0] < 0 or held[-1] >= data.n_pos or len(held) == data.n_pos):
+        raise input_error(
+            "heldout",
+            f"positions {', '.join(map(str, held))} of {data.n_pos}",
+            f"some of 0 to {data.n_pos - 1}, and at least one left to fit",
+            "Positions are counted from 0.",
+        )
+    return held
+
+
+def _at(data: Experiment | FRF, positions: Sequence[int]):
+    """The data at some positions; the record itself, not a copy, where these are all."""
+    if len(positions) == data.n_pos:
+        return data
+    index = list(positions)
+    names = {
+        FRF: ("G", "cov", "dof", "status", "window", "cov_noise", "cov_total", "q"),
+        Experiment: ("u", "y", "r", "q"),
+    }
+    cut = {n: getattr(data, n)[index] for n in names[type(data)] if getattr(data, n) is not None}
+    if isinstance(data, FRF):
+        return dataclasses.replace(data, **cut)
+    return Experiment(**({f.name: getattr(data, f.name) for f in dataclasses.fields(data)} | cut))
+
+
+def _frf_of_record(data: Experiment, method: AbstractMethod, band) -> FRF:
+    if data.period:
+        return dataclasses.replace(measured_frf(data, method, QUANTITY), warnings=data.warnings)
+    return estimate(with_output_quantity(spectra_of(data, method, band=band), QUANTITY), method)
+
+
+def _direct(model: RobotModel, data, measured: FRF, weights, starts: int, key) -> Fit:
+    if isinstance(data, Experiment) and data.period:
+        return fit_with_swing(model, data, measured, weights, LevenbergMarquardt(), starts, key)
+    return fit(model, measured, weights=weights, starts=starts, key=key)
+
+
+def _guessed(model: RobotModel, measured: FRF, say: Say | None) -> RobotModel:
+    """The model at a guess that does not know the robot's springs and dampers."""
+    found = initial_guess(model, measured)
+    _tell(say, f"first guess from the antiresonances: {found.error_db:.2f} dB off")
+    for note in found.notes:
+        _tell(say, f"first guess: {note}")
+    return starting_near(model, found.values)
+
+
+def _judged(found: Fit, through: ThroughFit | None, rest, frf: FRF, held, method, weights) -> HeldOut:
+    """Errors at positions that were not fitted: of the linear model, and of the simulated experiment."""
+    points = None
+    if isinstance(rest, Experiment) and rest.period:
+        points = robot_points(found.model.at(found.values), rest)
+    direct = model_quality(found, frf, weights, points)
+    if through is None:
+        return HeldOut(held, direct, None)
+    played = replay(through.fit.model.at(through.fit.values), rest)
+    simulated = measured_frf(played, method, QUANTITY)
+    return HeldOut(held, direct, response_quality(simulated.G, frf, weights))
+
+
+def _tell(say: Say | None, text: str) -> None:
+    if say is not None:
+        say(text)

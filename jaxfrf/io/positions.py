@@ -1,0 +1,35 @@
+"""Arm configurations to a text file that `jaxfrf.simulation.positions.read_positions` reads."""
+
+import os
+import pathlib
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from .._errors import input_error
+from .._types import Array
+from ._container import replacing
+
+
+def write_positions(
+    path: str | os.PathLike,
+    q: Float[Array, "pos axis"],
+    axis_names: Sequence[str] | None = None,
+    comments: Sequence[str] = (),
+) -> None:
+    """Write arm angles, rad, one row for each position, separated by commas, whole or not at all.
+
+    **Arguments:** `axis_names`: over the columns, as a comment. `comments`: lines above everything.
+
+    **Raises:** `jaxfrf.InputError` if the angles are no finite table, or the folder does not exist.
+    """
+    q = np.asarray(q, float)
+    if q.ndim != 2 or not np.isfinite(q).all():
+        raise input_error("q", f"shape {q.shape}", "(position, axis), finite", "Give one row for each position.")
+    head = [line for text in comments for line in text.splitlines()]
+    if axis_names is not None:
+        head.append(f"{', '.join(axis_names)} (rad)")
+    rows = [", ".join(repr(x) for x in row) for row in q.tolist()]
+    with replacing(pathlib.Path(path)) as draft:
+        draft.write_text("\n".join([*(f"# {line}" for line in head), *rows, ""]), encoding="utf-8")

@@ -1,0 +1,17 @@
+"""Pages for people: one HTML file each, with everything in it."""
+
+from .identification import identification_page as identification_page, write_identification as write_identification
+from .page import (
+    beside as beside,
+    choice as choice,
+    facts as facts,
+    figure as figure,
+    listing as listing,
+    number as number,
+    page as page,
+    paragraph as paragraph,
+    section as section,
+    table as table,
+    verdict as verdict,
+    write_page as write_page,
+)

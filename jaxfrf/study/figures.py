@@ -1,0 +1,97 @@
+"""Figures 3 and 4: the diagonal elements of one position by every method, and an enlargement of G33."""
+
+import pathlib
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..experiment import Experiment
+from ..graybox import robot_points
+from ..io._optional import require
+from ..robot import Robot
+from .bias import estimates, true_response
+
+SHOWN = {
+    "LOG": ("#222222", "-", 1.3),
+    "LRM, MISO": ("#b3b300", "-", 0.9),
+    "LRM, MIMO": ("#2a7fbf", "-", 0.9),
+    "LRM, JIO": ("#c1272d", "-", 1.1),
+}
+_ONE = ("#3a9a4a", "-", 0.9)
+
+
+def example_responses(robot: Robot, data: Experiment, counts: tuple[int, ...]) -> dict[str, np.ndarray]:
+    """Diagonal elements of the truth and of every estimate in the figures: name -> (freq, axis)."""
+    found = estimates(data, counts)
+    frequency = next(iter(found[counts[0]].values())).frequency
+    diagonal = lambda G: np.diagonal(np.asarray(G)[0], axis1=-2, axis2=-1)
+    arrays = {"frequency": np.asarray(frequency)}
+    arrays["true"] = diagonal(true_response(robot, robot_points(robot, data), frequency))
+    most = counts[0]
+    arrays[f"LOG_{most}"] = diagonal(found[most]["LOG"].G)
+    for name in SHOWN:
+        arrays[f"{name}_6"] = diagonal(found[6][name].G)
+    arrays["LRM, JIO_1"] = diagonal(found[1]["LRM, JIO"].G)
+    return arrays
+
+
+def read_curves(path: pathlib.Path) -> dict[str, np.ndarray]:
+    """What `example_responses` gave, from its file."""
+    with np.load(path) as stored:
+        return {name: stored[name] for name in stored.files}
+
+
+def draw_figures(arrays: Mapping[str, np.ndarray], folder: pathlib.Path) -> dict[str, str]:
+    """Draw both figures into a folder; returns their file names."""
+    from ..plot import save
+
+    files = {"figure3": "figure3.png", "figure4": "figure4.png"}
+    save(diagonals(arrays), folder / files["figure3"])
+    save(enlargement(arrays), folder / files["figure4"])
+    return files
+
+
+def diagonals(arrays: Mapping[str, np.ndarray]):
+    """Figure 3: the magnitude of every diagonal element."""
+    figure = require("matplotlib.figure", "plot").Figure(figsize=(11, 6.4), layout="constrained")
+    axes = figure.subplots(2, 3, sharex=True)
+    for i, ax in enumerate(axes.flat[: arrays["true"].shape[1]]):
+        _curves(ax, arrays, i)
+        ax.set_title(f"$G_{{{i + 1}{i + 1}}}$", fontsize=10)
+    for ax in axes[-1]:
+        ax.set_xlabel("frequency, Hz")
+    for ax in axes[:, 0]:
+        ax.set_ylabel("magnitude, dB (rad/s² per N m)")
+    figure.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+def enlargement(arrays: Mapping[str, np.ndarray]):
+    """Figure 4: the third diagonal element around its antiresonance and resonance."""
+    figure = require("matplotlib.figure", "plot").Figure(figsize=(8, 4.6), layout="constrained")
+    ax = figure.subplots()
+    _curves(ax, arrays, 2)
+    ax.set_xlabel("frequency, Hz")
+    ax.set_ylabel("magnitude of $G_{33}$, dB (rad/s² per N m)")
+    frequency, level = arrays["frequency"], 20 * np.log10(np.abs(arrays["true"][:, 2]))
+    middle = frequency[np.argmin(level)]
+    inside = (frequency > 0.6 * middle) & (frequency < 3.2 * middle)
+    ax.set_xlim(0.6 * middle, 3.2 * middle)
+    ax.set_ylim(level[inside].min() - 6, level[inside].max() + 6)
+    ax.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def _curves(ax, arrays, axis: int) -> None:
+    frequency = arrays["frequency"]
+    level = lambda name: 20 * np.log10(np.maximum(np.abs(arrays[name][:, axis]), 1e-300))
+    ax.semilogx(frequency, level("true"), color="#f0a030", lw=2.6, alpha=0.75, label="true")
+    most = max((n for n in arrays if n.startswith("LOG_")), key=lambda n: int(n[4:]))
+    for name in dict.fromkeys((most, *(f"{n}_6" for n in SHOWN))):
+        method, _, count = name.rpartition("_")
+        colour, style, width = SHOWN[method]
+        style = style if name in (most, "LRM, JIO_6") or method != "LOG" else ":"
+        ax.semilogx(frequency, level(name), color=colour, ls=style, lw=width, label=f"{method}$_{{{count}}}$")
+    ax.semilogx(frequency, level("LRM, JIO_1"), color=_ONE[0], lw=_ONE[2], label="LRM, JIO$_{1}$")
+    ax.set_xlim(frequency[0], frequency[-1])
+    ax.grid(True, which="both", color="#dddddd", lw=0.4)

@@ -1,0 +1,248 @@
+"""The page of a study: tables and figures beside the published ones."""
+
+import os
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..report.page import (
+    facts,
+    figure,
+    listing,
+    page,
+    paragraph,
+    section,
+    table,
+    verdict,
+)
+from .claims import claims
+from .figures import diagonals, enlargement
+from .settings import PUBLISHED_BIAS, PUBLISHED_PARAMETERS
+from .summary import spread
+
+_PAPER = "S. A. Zimmermann and S. Moberg, Experimental Evaluation of Methods for Estimating FRFs of a 6-axes Robot"
+
+
+def study_page(results: dict, curves: Mapping[str, np.ndarray]) -> str:
+    """One self-contained page. `results` as in `study.json`; `curves`: what the figures show."""
+    settings = results["settings"]
+    title = f"R3X: from experiments to parameters ({settings['name']} study)"
+    subtitle = (
+        f"{settings['positions']} positions, {6 * settings['blocks']} experiments of {results['period_s']:g} s each, "
+        f"{results['lines']} lines from 4 to 80 Hz; friction, nonlinear springs, noise and ripple on; "
+        f"jaxfrf {results['version']}"
+    )
+    return page(
+        title,
+        [
+            _headline(results),
+            section("Table I: bias of the FRF amplitude", *_table_one(results)),
+            section("Figures 3 and 4: estimates at one position", *_figures(results, curves)),
+            section("Table II: bias of the parameters", *_table_two(results)),
+            section("Parameters, one by one", *_parameters(results)),
+            section("The paper's conclusions", *_claims(results)),
+            _why(results),
+            section("Settings", *_settings(results)),
+        ],
+        subtitle,
+    )
+
+
+def _headline(results: dict) -> str:
+    said = []
+    for count in results["settings"]["through"]:
+        entry = _entry(results, count, "through the experiment")
+        direct = _entry(results, count, "LRM, JIO")
+        published = PUBLISHED_PARAMETERS.get(count, {}).get("LRM, JIO")
+        said.append(
+            f"n_e = {count}: mean parameter bias {spread(entry['mean_bias'])} % through the experiment, "
+            f"{spread(direct['mean_bias'])} % by the paper's direct fit (published: {100 * published:.1f} %)"
+        )
+    made = claims(results)
+    said.append(
+        f"{sum(bool(c.confirmed) for c in made)} of {len(made)} conclusions of the paper hold on R3X, see below"
+    )
+    return verdict("What came out", said, good=True)
+
+
+def _entry(results: dict, count: int, method: str) -> dict:
+    return next(e for e in results["summary"] if (e["experiments"], e["method"]) == (count, method))
+
+
+def _table_one(results: dict) -> list[str]:
+    blocks = [
+        paragraph(
+            "Mean over positions and lines of || W o (|G| - |G_hat|) ||, rad/s² per N m (eq. (24) of the paper). W is "
+            "not published; here it weighs elements, 1 on the diagonal and .2 elsewhere, scaled to a 2-norm of 1. So "
+            "orders and ratios compare, not values. G is the linearised robot with the describing gain of its "
+            "friction; its springs are as stiff as over the motion of the experiment, or as at rest."
+        )
+    ]
+    for truth, words in (("in motion", "stiffness over the motion"), ("at rest", "stiffness at rest")):
+        bias = results["bias"]["bias"][truth]
+        names = list(dict.fromkeys(name for by in bias.values() for name in by))
+        rows = []
+        for count, by in bias.items():
+            published = PUBLISHED_BIAS.get(int(count), {})
+            rows.append([f"n_e = {count}", *(_mean(by.get(name)) for name in names)])
+            if truth == "in motion" and published:
+                rows.append(["published", *(published.get(name) for name in names)])
+        blocks += [paragraph(f"Against the {words}:"), table(["", *names], rows)]
+    level = results["bias"]["level_db"]["in motion"]
+    names = list(dict.fromkeys(name for by in level.values() for name in by))
+    rows = [[f"n_e = {c}", *(by[n]["mean"] if n in by else None for n in names)] for c, by in level.items()]
+    blocks += [
+        paragraph("The same in decibels: mean of |20 log10(|G_hat,ii| / |G_ii|)|, in which all axes count alike."),
+        table(["", *names], rows),
+    ]
+    return blocks
+
+
+def _mean(entry: dict | None) -> str | None:
+    if entry is None:
+        return None
+    if entry["standard_error"] is None:
+        return f"{entry['mean']:.1f}"
+    return f"{entry['mean']:.1f} ± {entry['standard_error']:.1f}"
+
+
+def _figures(results: dict, curves) -> list[str]:
+    example = results["example"]
+    where = ", ".join(f"{np.rad2deg(x):.0f}" for x in example["q"])
+    return [
+        figure(
+            diagonals(curves),
+            f"Figure 3: diagonal elements at position {example['position']} (arm angles {where} degrees); the "
+            "number of experiments is the index.",
+        ),
+        figure(enlargement(curves), "Figure 4: enlargement of the third."),
+    ]
+
+
+def _table_two(results: dict) -> list[str]:
+    rows = []
+    for entry in sorted(results["summary"], key=lambda e: -e["experiments"]):
+        published = PUBLISHED_PARAMETERS.get(entry["experiments"], {}).get(entry["method"])
+        rows.append(
+            [
+                entry["experiments"],
+                entry["method"],
+                spread(entry["mean_bias"]),
+                None if published is None else f"{100 * published:.1f}",
+                spread(entry["stiffness_bias"]),
+                spread(entry["damping_bias"]),
+                spread(entry["largest_damping_bias"]),
+                f"{100 * entry['covered']:.0f}",
+            ]
+        )
+    headers = [
+        "n_e",
+        "fit to",
+        "all, %",
+        "published, %",
+        "stiffness, %",
+        "damping, %",
+        "worst damping, %",
+        "95 % intervals hold, %",
+    ]
+    return [
+        paragraph(
+            f"Mean of |value/truth - 1| over 8 stiffnesses and 8 dampings, from {len(results['fit_positions'])} "
+            "D-optimal positions; median [range] over the seeds. Fitted and compared are the stiffness at high "
+            "deflection of axes 1-3 (ratio to the low stiffness and knee known) and the linear stiffness of the "
+            "others. Direct fits use the linearised model with springs as stiff as over the motion, but where they say "
+            "otherwise; through the experiment means that the nonlinear robot was simulated through the same "
+            "references (without the ripple and the noise of the record) until its FRF was the measured one."
+        ),
+        table(headers, rows),
+    ]
+
+
+def _parameters(results: dict) -> list[str]:
+    counts = results["settings"]["through"]
+    methods = [(c, m) for c in counts for m in ("LRM, JIO", "through the experiment")]
+    rows = []
+    for name, true in results["true"].items():
+        cells = []
+        for count, method in methods:
+            errors = [
+                100 * r["errors"][name]
+                for r in results["parameters"]
+                if (r["experiments"], r["method"]) == (count, method)
+            ]
+            cells.append(f"{np.median(errors):+.2f}")
+        rows.append([name, true, *cells])
+    return [
+        paragraph("Median error over the seeds, %."),
+        table(["parameter", "true (SI)", *(f"n_e = {c}, {m}" for c, m in methods)], rows),
+    ]
+
+
+def _claims(results: dict) -> list[str]:
+    rows = [
+        [c.says, c.paper, c.found, "yes" if c.confirmed else "no"] for c in claims(results) if c.confirmed is not None
+    ]
+    return [table(["the paper says", "there", "here", "holds"], rows)]
+
+
+def _why(results: dict) -> str:
+    if not results["why"]:
+        return ""
+    names = list(next(iter(results["why"].values()))["bias"]["6"])
+    level = lambda row, count: [row["level_db"][count].get(n) for n in names]
+    rows = [[row["text"], "6", *level(row, "6")] for row in results["why"].values()]
+    rows += [[row["text"], "1", *level(row, "1")] for row in results["why"].values()]
+    return section(
+        "Why: one disturbance taken away at a time",
+        paragraph(
+            "Level error of the diagonal in dB at two of the positions; what remains in the last rows is the "
+            "estimators' own smoothing."
+        ),
+        table(["", "n_e", *names], rows),
+        listing(_reasons(results)),
+    )
+
+
+def _reasons(results: dict) -> list[str]:
+    """What the rows above say, in words, from their numbers."""
+    why = results["why"]
+    level = lambda name, count, method: why[name]["level_db"][count][method]
+    said = []
+    for count, method in (("6", "LOG"), ("6", "LRM, JIO"), ("1", "LRM, JIO")):
+        everything = level("everything", count, method)
+        drops = {
+            why[name]["text"]: everything - level(name, count, method)
+            for name in ("no-ripple", "linear-springs", "no-coulomb")
+        }
+        most = max(drops, key=drops.get)
+        said.append(
+            f"{method}, n_e = {count}: {everything:.2f} dB with everything; {most} it falls by {drops[most]:.2f} dB, "
+            f"the most of any single one; {level('noise-free', count, method):.2f} dB are left without noise on "
+            "the linear robot"
+        )
+    return said
+
+
+def _settings(results: dict) -> list[str]:
+    settings = results["settings"]
+    return [
+        facts(
+            {
+                "robot": "R3X (jaxfrf/robot/r3x.toml) with r3x_ripple()",
+                "seeds of phases and noise": ", ".join(map(str, settings["seeds"])),
+                "seed of positions": settings["position_seed"],
+                "positions of the fits": ", ".join(map(str, results["fit_positions"])),
+                "starts of a fit": settings["starts"],
+                "position noise": "5e-5 rad",
+                "time of all steps": f"{results['minutes']:.0f} min",
+                "paper": _PAPER,
+            }
+        )
+    ]
+
+
+def write_study_page(path: str | os.PathLike, results: dict, curves: Mapping[str, np.ndarray]) -> None:
+    """Write the page, whole or not at all."""
+    from ..report.page import write_page
+
+    write_page(path, study_page(results, curves))

@@ -1,0 +1,150 @@
+"""Table II: how far identified parameters are from the truth."""
+
+import equinox as eqx
+import jax.random as jr
+import numpy as np
+
+from ..experiment import Experiment, concatenate
+from ..graybox import (
+    Fit,
+    RobotModel,
+    d_optimal,
+    fit_through_experiment,
+    position_information,
+)
+from ..graybox.cost import Weights
+from ..graybox.fit import fit
+from ..graybox.solver import LevenbergMarquardt
+from ..graybox.through import default_method, fit_with_swing, measured_frf
+from ..robot import Robot, parameters, r3x, with_parameters
+from ..simulation import random_positions
+from .bias import first_experiments, measure
+from .settings import OWN_METHODS, PAPER_METHODS, SLOW_AMPLITUDE, Settings, design, truth
+
+FRF_NOISE = 0.05  # relative, that the choice of positions assumes
+STIFFNESS_SPREAD, DAMPING_SPREAD = 0.25, 1.0
+
+
+class Row(eqx.Module):
+    """One entry of Table II: a fit and how far its stiffnesses and dampings are from the truth.
+
+    `errors`: relative, value/truth - 1. `z`: ln(value/truth) over its standard deviation.
+    """
+
+    experiments: int
+    method: str
+    seed: int
+    errors: dict[str, float]
+    z: dict[str, float]
+    verdict: str
+    close_starts: int
+    misfit: float
+
+    def as_dict(self) -> dict:
+        size = {name: abs(e) for name, e in self.errors.items()}
+        of = lambda kind: [e for name, e in size.items() if name.endswith(kind)]
+        return {
+            "experiments": self.experiments,
+            "method": self.method,
+            "seed": self.seed,
+            "mean_bias": float(np.mean(list(size.values()))),
+            "stiffness_bias": float(np.mean(of("stiffness"))),
+            "damping_bias": float(np.mean(of("damping"))),
+            "largest_stiffness_bias": float(np.max(of("stiffness"))),
+            "largest_damping_bias": float(np.max(of("damping"))),
+            "covered": float(np.mean([abs(z) < 1.96 for z in self.z.values()])),
+            "errors": self.errors,
+            "verdict": self.verdict,
+            "close_starts": self.close_starts,
+            "misfit": self.misfit,
+        }
+
+
+def candidates(settings: Settings) -> np.ndarray:
+    """All random arm configurations of a study, (pos, axis), rad."""
+    return random_positions(settings.positions, jr.key(settings.position_seed))
+
+
+def fit_positions(settings: Settings) -> tuple[int, ...]:
+    """Numbers of the D-optimal positions, from the model at its true parameters."""
+    plan = design(1, 0)
+    frequency = np.asarray(plan.lines) * plan.fs / plan.period
+    information = position_information(RobotModel(r3x()), frequency, candidates(settings), FRF_NOISE)
+    return d_optimal(information, settings.fit_positions)
+
+
+def records(settings: Settings, robot: Robot, blocks: int, seed: int) -> Experiment:
+    """The records at the fit positions, the same as those of Table I for its seed."""
+    q = candidates(settings)
+    return concatenate([measure(robot, q[i], i, blocks, seed) for i in fit_positions(settings)])
+
+
+def start_robot(seed: int) -> Robot:
+    """What a user knows before: R3X with stiffness off by 25 % and damping by a factor of e (one sigma of ln)."""
+    rng = np.random.default_rng(seed)
+    spread = lambda name: STIFFNESS_SPREAD if name.endswith("stiffness") else DAMPING_SPREAD
+    known = {name: float(v) for name, v in parameters(r3x()).items()}
+    return with_parameters(r3x(), {n: v * np.exp(spread(n) * rng.standard_normal()) for n, v in known.items()})
+
+
+def start_model(seed: int) -> RobotModel:
+    """The gray-box model at its start; spring shapes (ratio, knee), friction and rigid bodies are known."""
+    return RobotModel(start_robot(seed), slow_amplitude=np.array(SLOW_AMPLITUDE))
+
+
+def row(fitted: Fit, experiments: int, method: str, seed: int) -> dict:
+    """An entry of Table II as plain numbers."""
+    true = {name: float(v) for name, v in parameters(truth()).items()}
+    found, std = fitted.values, dict(zip(fitted.coordinates.names, fitted.uncertainty.std, strict=True))
+    errors = {n: found[n] / v - 1 for n, v in true.items()}
+    z = {n: float(np.log(found[n] / v) / max(std.get(n, np.inf), 1e-300)) for n, v in true.items()}
+    about = Row(
+        experiments, method, seed, errors, z, fitted.verdict, fitted.close_starts, float(fitted.uncertainty.misfit)
+    )
+    return about.as_dict()
+
+
+def direct_rows(settings: Settings, seed: int, say=None) -> list[dict]:
+    """Fits of the linear model to every FRF, at one seed."""
+    data = records(settings, truth(), settings.blocks, seed)
+    model, rows = start_model(seed), []
+    compared = {
+        count: (
+            {n: PAPER_METHODS["many"][n] for n in ("LOG", "LRM, JIO")} | OWN_METHODS
+            if count > 1
+            else {"LRM, JIO": PAPER_METHODS["one"]["LRM, JIO"], "auto": OWN_METHODS["auto"]}
+        )
+        for count in settings.experiments
+    }
+    for count, by in compared.items():
+        part = first_experiments(data, count)
+        for name, method in by.items():
+            frf = measured_frf(part, method, model.quantity)
+            fitted = fit_with_swing(model, part, frf, Weights(), LevenbergMarquardt(), settings.starts, jr.key(seed))
+            rows.append(row(fitted, count, name, seed))
+            if name == "LRM, JIO":
+                still = fit(model, frf, starts=settings.starts, key=jr.key(seed))
+                rows.append(row(still, count, "LRM, JIO, springs as at rest", seed))
+            if say is not None:
+                say(f"{count} experiments, {name}: mean bias {100 * rows[-1]['mean_bias']:.1f} %")
+    return rows
+
+
+def through_row(settings: Settings, seed: int, count: int, data: Experiment | None = None, say=None) -> dict:
+    """The fit through the experiment at one seed."""
+    if data is None:
+        data = first_experiments(records(settings, truth(), 1, seed), count)
+    found = fit_through_experiment(
+        start_model(seed),
+        data,
+        default_method(),
+        starts=settings.starts,
+        key=jr.key(seed),
+        rounds=settings.rounds,
+        say=say,
+    )
+    return row(found.fit, count, "through the experiment", seed) | {
+        "direct": row(found.direct, count, "direct, " + "LRM, JIO stacked", seed),
+        "converged": found.converged,
+        "gap_db": [c.gap_db for c in found.corrections],
+    }

@@ -1,0 +1,117 @@
+"""What a study consists of: the paper's, and a small one that shows the same in minutes."""
+
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+
+from ..excitation import Multisine, SlowSine, log_odd_lines
+from ..frf import H1, LRM, AbstractMethod, Auto, JointInputOutput, LogMean, MisoLRM
+from ..robot import Robot, r3x, r3x_ripple
+
+SLOW_AMPLITUDE = (30.0, 30.0, 30.0, 40.0, 40.0, 40.0)  # rad/s, motor side
+
+
+class Settings(eqx.Module):
+    """Size and seeds of a study.
+
+    **Arguments:**
+
+    - `positions`: random arm configurations of Table I. `fit_positions`: chosen from them, D-optimally, for Table II.
+    - `blocks`: blocks of six experiments at every position.
+    - `seeds`: realisations of phases and noise; Table I uses the first, Table II all of them.
+    - `position_seed`: of the random configurations. `starts`: of every fit.
+    - `through`: numbers of experiments from which the fit through the experiment is made.
+    """
+
+    name: str = eqx.field(static=True)
+    positions: int = eqx.field(static=True)
+    fit_positions: int = eqx.field(static=True)
+    blocks: int = eqx.field(static=True)
+    seeds: tuple[int, ...] = eqx.field(static=True)
+    through: tuple[int, ...] = eqx.field(static=True)
+    starts: int = eqx.field(static=True, default=10)
+    position_seed: int = eqx.field(static=True, default=0)
+    rounds: int = eqx.field(static=True, default=8)
+    ablations: bool = eqx.field(static=True, default=True)
+
+    @property
+    def experiments(self) -> tuple[int, ...]:
+        """Numbers of experiments that are compared, most first."""
+        return tuple(dict.fromkeys((6 * self.blocks, 6, 1)))
+
+    def as_dict(self) -> dict:
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
+
+PAPER = Settings("paper", positions=49, fit_positions=7, blocks=4, seeds=(0, 1, 2, 3, 4), through=(6, 1))
+"""The paper's study: 49 positions, 24 experiments of 28 s at each, 336 lines; parameters from 7 positions."""
+
+DEMO = Settings("demo", positions=6, fit_positions=3, blocks=2, seeds=(0,), through=(6, 1), ablations=False)
+"""The same steps with fewer positions and experiments."""
+
+SCALES = {"demo": DEMO, "paper": PAPER}
+
+
+def design(blocks: int, seed: int) -> Multisine:
+    """The paper's excitation: 336 log-spaced odd lines from 4 to 80 Hz, a period of 28 s, six axes at once; on top of a
+    slow sine that keeps the joints moving."""
+    return Multisine(
+        fs=2000.0,
+        period=56000,
+        lines=log_odd_lines(112, 2240, 366),
+        blocks=blocks,
+        rms=np.array([2.0, 2.0, 2.0, 4.0, 4.0, 6.0]),
+        slow=SlowSine([21, 23, 25, 27, 29, 31], SLOW_AMPLITUDE),
+        seed=seed,
+    )
+
+
+def truth() -> Robot:
+    """R3X with friction, nonlinear springs and ripple."""
+    return r3x().with_effects(*r3x_ripple())
+
+
+PAPER_METHODS: dict[str, dict[str, AbstractMethod]] = {
+    "many": {
+        "LOG": LogMean(),
+        "JIO": JointInputOutput(H1()),
+        "LRM, MISO": LogMean(MisoLRM()),
+        "LRM, MIMO": LogMean(LRM()),
+        "LRM, JIO": LogMean(JointInputOutput(LRM())),
+    },
+    "one": {
+        "LRM, MISO": MisoLRM(),
+        "LRM, MIMO": LRM(),
+        "LRM, JIO": JointInputOutput(LRM()),
+    },
+}
+"""Table I's columns: for whole blocks of experiments, and for a single one, of which there is no mean to take."""
+
+OWN_METHODS: dict[str, AbstractMethod] = {
+    "LRM, JIO stacked": JointInputOutput(LRM()),
+    "auto": Auto(),
+}
+"""What jaxfrf adds."""
+
+
+def methods(experiments: int) -> dict[str, AbstractMethod]:
+    """The methods that are compared at this number of experiments."""
+    if experiments > 1:
+        return PAPER_METHODS["many"] | OWN_METHODS
+    return PAPER_METHODS["one"] | {"auto": OWN_METHODS["auto"]}
+
+
+PUBLISHED_BIAS = {
+    24: {"LOG": 135.55, "JIO": 134.72, "LRM, MISO": 248.65, "LRM, MIMO": 240.40, "LRM, JIO": 125.22},
+    6: {"LOG": 162.14, "JIO": 162.14, "LRM, MISO": 257.71, "LRM, MIMO": 249.89, "LRM, JIO": 136.20},
+    1: {"LRM, MISO": 238.89, "LRM, MIMO": 238.90, "LRM, JIO": 147.27},
+}
+"""Table I of Zimmermann & Moberg: weighted amplitude bias; its weights are not published."""
+
+PUBLISHED_PARAMETERS = {
+    24: {"LOG": 0.079, "LRM, JIO": 0.048},
+    6: {"LOG": 0.100, "LRM, JIO": 0.091},
+    1: {"LRM, JIO": 0.191},
+}
+"""Table II of Zimmermann & Moberg: mean relative bias of the parameters."""
