@@ -142,7 +142,7 @@ def placeholder(robot, value):
     return with_parameters(robot, dict.fromkeys(parameters(robot), value))
 
 
-@pytest.mark.parametrize(("noise", "value"), [(0.0, 1.0), (0.05, 1e9)])
+@pytest.mark.parametrize(("noise", "value"), [pytest.param(0.0, 1.0, marks=pytest.mark.slow), (0.05, 1e9)])
 def test_fit_from_the_guess_finds_the_truth(noise, value):
     robot, frf = linear_r3x(noise)
     true = {name: float(v) for name, v in parameters(robot).items()}

@@ -16,7 +16,7 @@ from .cost import Target, gram
 from .model import AbstractModel
 from .parameter import Coordinates
 
-_REFUSED = 5  # steps refused one after the other: rounding is all that is left
+_REFUSED = 10  # steps refused one after the other: rounding is all that is left
 
 
 class Descent(eqx.Module):
@@ -61,7 +61,7 @@ class LevenbergMarquardt(AbstractSolver):
     """
 
     max_steps: int = eqx.field(static=True, default=80)
-    tolerance: float = eqx.field(static=True, default=1e-9)
+    tolerance: float = eqx.field(static=True, default=1e-10)
 
     def optimistix(self):
         return optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)

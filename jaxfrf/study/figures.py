@@ -17,6 +17,7 @@ SHOWN = {
     "LRM, MIMO": ("#2a7fbf", "-", 0.9),
     "LRM, JIO": ("#c1272d", "-", 1.1),
 }
+_TICKS = (5, 10, 15, 20, 30, 40, 50, 80)
 _ONE = ("#3a9a4a", "-", 0.9)
 
 
@@ -94,4 +95,6 @@ def _curves(ax, arrays, axis: int) -> None:
         ax.semilogx(frequency, level(name), color=colour, ls=style, lw=width, label=f"{method}$_{{{count}}}$")
     ax.semilogx(frequency, level("LRM, JIO_1"), color=_ONE[0], lw=_ONE[2], label="LRM, JIO$_{1}$")
     ax.set_xlim(frequency[0], frequency[-1])
+    ax.set_xticks(_TICKS, [f"{f}" for f in _TICKS])
+    ax.set_xticks([], minor=True)
     ax.grid(True, which="both", color="#dddddd", lw=0.4)

@@ -188,10 +188,13 @@ def _claims(results: dict) -> list[str]:
 def _why(results: dict) -> str:
     if not results["why"]:
         return ""
-    names = list(next(iter(results["why"].values()))["bias"]["6"])
+    names = list(next(iter(results["why"].values()))["level_db"]["6"])
     level = lambda row, count: [row["level_db"][count].get(n) for n in names]
-    rows = [[row["text"], "6", *level(row, "6")] for row in results["why"].values()]
-    rows += [[row["text"], "1", *level(row, "1")] for row in results["why"].values()]
+    rows = [[row["text"], n, *level(row, n)] for n in ("6", "1") for row in results["why"].values()]
+    fits = [
+        [row["text"], *(f"{100 * row['parameters'][k]:.2f}" for k in _BIASES), _worst(row["parameters"]["errors"])]
+        for row in results["why"].values()
+    ]
     return section(
         "Why: one disturbance taken away at a time",
         paragraph(
@@ -199,8 +202,18 @@ def _why(results: dict) -> str:
             "estimators' own smoothing."
         ),
         table(["", "n_e", *names], rows),
+        paragraph("Bias of the direct fit to six experiments (stacked JIO-LRM), %:"),
+        table(["", "all", "stiffness", "damping", "largest"], fits),
         listing(_reasons(results)),
     )
+
+
+_BIASES = ("mean_bias", "stiffness_bias", "damping_bias")
+
+
+def _worst(errors: dict[str, float]) -> str:
+    names = sorted(errors, key=lambda n: -abs(errors[n]))[:2]
+    return ", ".join(f"{n} {100 * errors[n]:+.0f} %" for n in names)
 
 
 def _reasons(results: dict) -> list[str]:
@@ -220,6 +233,14 @@ def _reasons(results: dict) -> list[str]:
             f"the most of any single one; {level('noise-free', count, method):.2f} dB are left without noise on "
             "the linear robot"
         )
+    bias = {row["text"]: row["parameters"]["mean_bias"] for row in why.values()}
+    first, *others = list(why.values())[:4]
+    best = min(others, key=lambda row: row["parameters"]["mean_bias"])
+    said.append(
+        f"parameters of the direct fit: {100 * bias[first['text']]:.1f} % with everything, {best['text']} "
+        f"{100 * bias[best['text']]:.1f} %; {100 * bias[why['noise-free']['text']]:.2f} % on the linear robot without "
+        "noise"
+    )
     return said
 
 

@@ -1,17 +1,21 @@
 """Why the robot's tables come out as they do: the same experiment with one disturbance taken away at a time."""
 
+import dataclasses
 from collections.abc import Callable
 
 import jax.random as jr
 import numpy as np
 
+from ..experiment import concatenate
+from ..graybox import LevenbergMarquardt, RobotModel, Weights
+from ..graybox.through import default_method, fit_with_swing, measured_frf
 from ..robot import Robot, parameters, r3x, r3x_ripple, with_parameters
 from ..simulation import simulate
 from .bias import bias_at
-from .parameters import candidates, fit_positions
-from .settings import Settings, design
+from .parameters import candidates, fit_positions, row, start_robot
+from .settings import SLOW_AMPLITUDE, Settings, design
 
-POSITIONS = 2  # of the fit positions
+POSITIONS = 2  # of the fit positions, for the FRFs
 
 
 def _without(robot: Robot, kind: str, value: float) -> Robot:
@@ -22,48 +26,49 @@ def _everything() -> Robot:
     return r3x().with_effects(*r3x_ripple())
 
 
+def _linear() -> Robot:
+    return _without(_without(r3x(), "stiffness_ratio", 1.0), "coulomb_friction", 0.0)
+
+
 VARIANTS: dict[str, tuple[str, Callable[[], Robot], float]] = {
     "everything": ("everything switched on", _everything, 5e-5),
     "no-ripple": ("without ripple", r3x, 5e-5),
     "linear-springs": ("with linear springs", lambda: _without(_everything(), "stiffness_ratio", 1.0), 5e-5),
     "no-coulomb": ("without Coulomb friction", lambda: _without(_everything(), "coulomb_friction", 0.0), 5e-5),
-    "noise-only": (
-        "linear: noise only",
-        lambda: _without(_without(r3x(), "stiffness_ratio", 1.0), "coulomb_friction", 0.0),
-        5e-5,
-    ),
-    "noise-free": (
-        "linear, no noise: bias of the estimators alone",
-        lambda: _without(_without(r3x(), "stiffness_ratio", 1.0), "coulomb_friction", 0.0),
-        0.0,
-    ),
+    "noise-only": ("linear: noise only", _linear, 5e-5),
+    "noise-free": ("linear, no noise: bias of the estimators alone", _linear, 0.0),
 }
 """Name: what it is, the robot, and the position noise (rad)."""
 
 
 def variant_row(settings: Settings, name: str) -> dict:
-    """Table I (six experiments and one) of a variant, mean over a few positions."""
+    """A variant: FRF bias at a few positions from six experiments and one, and the direct fit to all fit positions."""
     text, robot, noise = VARIANTS[name]
-    robot, found = robot(), []
-    for number in fit_positions(settings)[:POSITIONS]:
-        data = simulate(
-            robot,
-            design(1, settings.seeds[0]),
-            candidates(settings)[number][None],
-            key=jr.fold_in(jr.key(1000 + settings.seeds[0]), number),
-            noise=noise,
-        )
-        found.append(bias_at(robot, data, (6, 1)))
+    robot, records, seed = robot(), [], settings.seeds[0]
+    for number in fit_positions(settings):
+        key = jr.fold_in(jr.key(1000 + seed), number)
+        q = candidates(settings)[number][None]
+        records.append(simulate(robot, design(1, seed), q, key=key, noise=noise, chunk=3))
+    found = [bias_at(robot, data, (6, 1)) for data in records[:POSITIONS]]
     mean = lambda measure, count, method: float(
         np.mean([np.mean(p[measure]["in motion"][count][method]) for p in found])
     )
-    return {
-        "text": text,
-        **{
-            measure: {
-                count: {method: mean(measure, count, method) for method in found[0][measure]["in motion"][count]}
-                for count in ("6", "1")
-            }
-            for measure in ("bias", "level_db")
-        },
+    levels = {
+        measure: {
+            count: {method: mean(measure, count, method) for method in found[0][measure]["in motion"][count]}
+            for count in ("6", "1")
+        }
+        for measure in ("bias", "level_db")
     }
+    return {"text": text, **levels, "parameters": _fitted(settings, robot, concatenate(records))}
+
+
+def _fitted(settings: Settings, robot: Robot, data) -> dict:
+    """The direct fit of the variant's own linear model, from the start that all fits have."""
+    seed = settings.seeds[0]
+    known = {n: float(v) for n, v in parameters(start_robot(seed)).items()}
+    own = with_parameters(dataclasses.replace(robot, effects=()), known)
+    model = RobotModel(own, slow_amplitude=np.array(SLOW_AMPLITUDE))
+    frf = measured_frf(data, default_method(), model.quantity)
+    fitted = fit_with_swing(model, data, frf, Weights(), LevenbergMarquardt(), settings.starts, jr.key(seed))
+    return row(fitted, 6, "direct, LRM, JIO stacked", seed)
