@@ -78,15 +78,19 @@ _PUBLIC = {
     "fit": "graybox",
     "ThroughFit": "graybox",
     "fit_through_experiment": "graybox",
-    "Quality": "graybox.quality",
-    "quality": "graybox.quality",
+    "Quality": "graybox",
+    "quality": "graybox",
+    "derived": "graybox",
+    "initial_guess": "graybox",
+    "guessed": "graybox",
+    "plan_positions": "graybox",
     "identify": "identification",
     "Identification": "identification",
     "position_information": "graybox",
     "d_optimal": "graybox",
     "expected_accuracy": "graybox",
 }
-_NAMESPACES = ("effects", "excitation", "frf", "graybox", "io", "plot", "report", "robot", "simulation")
+_NAMESPACES = ("effects", "excitation", "frf", "graybox", "io", "plot", "report", "robot", "simulation", "study")
 
 __all__ = ["__version__", *_PUBLIC, *_NAMESPACES]
 
@@ -101,6 +105,7 @@ if TYPE_CHECKING:
         report as report,
         robot as robot,
         simulation as simulation,
+        study as study,
     )
     from ._errors import (
         InputError as InputError,
@@ -165,17 +170,19 @@ if TYPE_CHECKING:
         GrayBox as GrayBox,
         LevenbergMarquardt as LevenbergMarquardt,
         Parameter as Parameter,
+        Quality as Quality,
         RobotModel as RobotModel,
         ThroughFit as ThroughFit,
         Weights as Weights,
         d_optimal as d_optimal,
+        derived as derived,
         expected_accuracy as expected_accuracy,
         fit as fit,
         fit_through_experiment as fit_through_experiment,
+        guessed as guessed,
+        initial_guess as initial_guess,
+        plan_positions as plan_positions,
         position_information as position_information,
-    )
-    from .graybox.quality import (
-        Quality as Quality,
         quality as quality,
     )
     from .identification import (

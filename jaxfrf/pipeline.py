@@ -52,7 +52,7 @@ def estimate_resumable(spectra: Spectra, method: AbstractMethod, output, *, resu
     method.check(spectra)
     if spectra.n_pos == 1:
         return estimate(spectra, method)
-    folder = _folder_of_parts(output, _fingerprint(spectra, method), resume)
+    folder = folder_of_parts(output, _fingerprint(spectra, method), resume)
     start, last, parts = time.monotonic(), 0.0, []
     for pos in range(spectra.n_pos):
         path = folder / f"{pos:05d}.npz"
@@ -72,7 +72,7 @@ def estimate_resumable(spectra: Spectra, method: AbstractMethod, output, *, resu
     return frf
 
 
-def _folder_of_parts(output, key: str, resume: bool) -> pathlib.Path:
+def folder_of_parts(output, key: str, resume: bool) -> pathlib.Path:
     """The folder for finished operating points: as an interrupted run of this `key` left it, or empty."""
     folder = pathlib.Path(f"{output}.parts")
     if folder.exists() and not any(folder.glob(f"{_RUN}*")):

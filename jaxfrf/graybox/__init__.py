@@ -28,6 +28,12 @@ from .positions import (
     plan_positions as plan_positions,
     position_information as position_information,
 )
+from .quality import (
+    Quality as Quality,
+    model_quality as model_quality,
+    quality as quality,
+    response_quality as response_quality,
+)
 from .solver import (
     BFGS as BFGS,
     AbstractSolver as AbstractSolver,

@@ -21,6 +21,7 @@ from .parameter import Coordinates
 from .solver import AbstractSolver, LevenbergMarquardt
 from .swing import robot_points
 
+_NOT_SIMULATED = ("torque_gain", "delay")  # parameters of the linear model that no simulation knows
 _STAY = 0.1  # of a standard deviation: a correction below it changes nothing that matters
 _STILL = 2e-5  # relative: nor does one below this
 _DEPTH = 3  # corrections that the next one learns from
@@ -117,6 +118,14 @@ def fit_through_experiment(
     if model.robot.controller is None:
         raise input_error(
             f"{model.robot.name}: controller", "none", "a [controller] table", "Without it only `fit` is possible."
+        )
+    unknown = [n for n, p in model.parameters.items() if p.free and n.rpartition(".")[2] in _NOT_SIMULATED]
+    if unknown:
+        raise input_error(
+            "parameters to fit",
+            ", ".join(unknown),
+            "stiffnesses and dampings: the simulation of the experiment knows no other",
+            "Fix them (jaxfrf.graybox.fix), or use `fit`.",
         )
     if rounds < 1:
         raise input_error("rounds", f"{rounds}", "1 or more", "Use `fit` for the direct fit.")

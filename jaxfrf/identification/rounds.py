@@ -15,7 +15,7 @@ from ..graybox import RobotModel
 from ..graybox.through import Correction
 from ..io._container import replacing
 from ..io.fits import plain_data
-from ..pipeline import _folder_of_parts
+from ..pipeline import folder_of_parts
 
 Say = Callable[[str], None]
 
@@ -24,7 +24,7 @@ def kept_rounds(output, key: str, resume: bool, say: Say | None):
     """The folder of finished rounds, those that are there, and how to keep another."""
     if output is None:
         return None, (), None
-    folder = _folder_of_parts(output, key, resume)
+    folder = folder_of_parts(output, key, resume)
     files = sorted(folder.glob("*.json"))
     done = [_read_round(path) for path in files]
     if done and say is not None:

@@ -4,5 +4,12 @@ from ._style import save as save
 from .bode import bode as bode
 from .coherence import coherence as coherence
 from .excitation import multisine as multisine
+from .fit import (
+    correlation_map as correlation_map,
+    fit_bode as fit_bode,
+    residual_maps as residual_maps,
+    round_gaps as round_gaps,
+    start_paths as start_paths,
+)
 from .plan import plan as plan
 from .spectrum import spectrum as spectrum
