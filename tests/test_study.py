@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxfrf as jf
-from jaxfrf.study import DEMO, PAPER, claims as claims_module, run as run_module
+from jaxfrf.study import DEMO, PAPER, Settings, claims as claims_module, run as run_module
 from jaxfrf.study.bias import amplitude_bias, level_error, weights
 from jaxfrf.study.claims import claims
 from jaxfrf.study.run import Task, mean_bias, summarise, write_json
@@ -163,3 +163,21 @@ def test_a_folder_of_someone_else_is_left_alone(tmp_path):
 def test_json_is_valid(tmp_path):
     write_json(tmp_path / "a.json", {"x": [np.inf, np.float64(2.0), np.int64(3)], 6: (1, None)})
     assert json.loads((tmp_path / "a.json").read_text()) == {"x": [None, 2.0, 3], "6": [1, None]}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1500)
+def test_a_small_study_from_end_to_end(tmp_path):
+    """Two positions, one block: everything is written, and the fit through the experiment is near the truth."""
+    small = Settings(
+        "small", positions=2, fit_positions=2, blocks=1, seeds=(0,), through=(6,), starts=3, ablations=False
+    )
+    results = run_module.run_study(small, tmp_path / "study")
+    assert {"index.html", "study.json", "figure3.png", "figure4.png"} <= {
+        p.name for p in (tmp_path / "study").iterdir()
+    }
+    by = {(row["experiments"], row["method"]): row for row in results["parameters"]}
+    assert by[6, "through the experiment"]["stiffness_bias"] < 0.01
+    assert by[6, "through the experiment"]["mean_bias"] < by[6, "LRM, JIO"]["mean_bias"]
+    text = (tmp_path / "study" / "index.html").read_text()
+    assert "Table I" in text and "Table II" in text and "http://" not in text

@@ -5,6 +5,7 @@ import jax.random as jr
 import numpy as np
 
 from ..experiment import Experiment, concatenate
+from ..frf import AbstractMethod
 from ..graybox import (
     Fit,
     RobotModel,
@@ -105,29 +106,27 @@ def row(fitted: Fit, experiments: int, method: str, seed: int) -> dict:
 
 
 def direct_rows(settings: Settings, seed: int, say=None) -> list[dict]:
-    """Fits of the linear model to every FRF, at one seed."""
-    data = records(settings, truth(), settings.blocks, seed)
-    model, rows = start_model(seed), []
-    compared = {
-        count: (
-            {n: PAPER_METHODS["many"][n] for n in ("LOG", "LRM, JIO")} | OWN_METHODS
-            if count > 1
-            else {"LRM, JIO": PAPER_METHODS["one"]["LRM, JIO"], "auto": OWN_METHODS["auto"]}
-        )
-        for count in settings.experiments
-    }
-    for count, by in compared.items():
+    """Fits of the linear model to every FRF, at one seed; with the first seed also what is only for comparison."""
+    data, model, rows = records(settings, truth(), settings.blocks, seed), start_model(seed), []
+    for count in settings.experiments:
         part = first_experiments(data, count)
-        for name, method in by.items():
+        for name, method in _fitted_methods(count, extra=seed == settings.seeds[0]).items():
             frf = measured_frf(part, method, model.quantity)
             fitted = fit_with_swing(model, part, frf, Weights(), LevenbergMarquardt(), settings.starts, jr.key(seed))
             rows.append(row(fitted, count, name, seed))
-            if name == "LRM, JIO":
-                still = fit(model, frf, starts=settings.starts, key=jr.key(seed))
-                rows.append(row(still, count, "LRM, JIO, springs as at rest", seed))
             if say is not None:
                 say(f"{count} experiments, {name}: mean bias {100 * rows[-1]['mean_bias']:.1f} %")
+            if name == "LRM, JIO" and seed == settings.seeds[0]:
+                still = fit(model, frf, starts=settings.starts, key=jr.key(seed))
+                rows.append(row(still, count, "LRM, JIO, springs as at rest", seed))
     return rows
+
+
+def _fitted_methods(count: int, extra: bool) -> dict[str, AbstractMethod]:
+    """Estimators whose FRFs are fitted at this number of experiments."""
+    paper = {n: m for n, m in PAPER_METHODS["many" if count > 1 else "one"].items() if n in ("LOG", "LRM, JIO")}
+    own = {n: m for n, m in OWN_METHODS.items() if count > 1 or n == "auto"}
+    return paper | {n: m for n, m in own.items() if extra or n != "auto"}
 
 
 def through_row(settings: Settings, seed: int, count: int, data: Experiment | None = None, say=None) -> dict:

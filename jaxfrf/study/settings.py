@@ -53,16 +53,16 @@ DEMO = Settings("demo", positions=6, fit_positions=3, blocks=2, seeds=(0,), thro
 SCALES = {"demo": DEMO, "paper": PAPER}
 
 
-def design(blocks: int, seed: int) -> Multisine:
+def design(blocks: int, seed: int, slow: bool = True) -> Multisine:
     """The paper's excitation: 336 log-spaced odd lines from 4 to 80 Hz, a period of 28 s, six axes at once; on top of a
-    slow sine that keeps the joints moving."""
+    slow sine that keeps the joints moving, unless `slow` is false."""
     return Multisine(
         fs=2000.0,
         period=56000,
         lines=log_odd_lines(112, 2240, 366),
         blocks=blocks,
         rms=np.array([2.0, 2.0, 2.0, 4.0, 4.0, 6.0]),
-        slow=SlowSine([21, 23, 25, 27, 29, 31], SLOW_AMPLITUDE),
+        slow=SlowSine([21, 23, 25, 27, 29, 31], SLOW_AMPLITUDE) if slow else None,
         seed=seed,
     )
 

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 
+import equinox as eqx
 import jax.random as jr
 import numpy as np
 
@@ -30,25 +31,36 @@ def _linear() -> Robot:
     return _without(_without(r3x(), "stiffness_ratio", 1.0), "coulomb_friction", 0.0)
 
 
-VARIANTS: dict[str, tuple[str, Callable[[], Robot], float]] = {
-    "everything": ("everything switched on", _everything, 5e-5),
-    "no-ripple": ("without ripple", r3x, 5e-5),
-    "linear-springs": ("with linear springs", lambda: _without(_everything(), "stiffness_ratio", 1.0), 5e-5),
-    "no-coulomb": ("without Coulomb friction", lambda: _without(_everything(), "coulomb_friction", 0.0), 5e-5),
-    "noise-only": ("linear: noise only", _linear, 5e-5),
-    "noise-free": ("linear, no noise: bias of the estimators alone", _linear, 0.0),
+class Variant(eqx.Module):
+    """An experiment with something taken away: `text`, the `robot`, position `noise` (rad), and whether the `slow` sine
+    is played."""
+
+    text: str = eqx.field(static=True)
+    robot: Callable[[], Robot] = eqx.field(static=True)
+    noise: float = eqx.field(static=True, default=5e-5)
+    slow: bool = eqx.field(static=True, default=True)
+
+
+VARIANTS: dict[str, Variant] = {
+    "everything": Variant("everything switched on", _everything),
+    "no-ripple": Variant("without ripple", r3x),
+    "linear-springs": Variant("with linear springs", lambda: _without(_everything(), "stiffness_ratio", 1.0)),
+    "no-coulomb": Variant("without Coulomb friction", lambda: _without(_everything(), "coulomb_friction", 0.0)),
+    "noise-only": Variant("linear robot: noise alone", _linear),
+    "noise-free": Variant("linear robot, no noise", _linear, noise=0.0),
+    "no-slow-sine": Variant("linear robot, no noise, no slow sine", _linear, noise=0.0, slow=False),
 }
-"""Name: what it is, the robot, and the position noise (rad)."""
 
 
 def variant_row(settings: Settings, name: str) -> dict:
     """A variant: FRF bias at a few positions from six experiments and one, and the direct fit to all fit positions."""
-    text, robot, noise = VARIANTS[name]
-    robot, records, seed = robot(), [], settings.seeds[0]
+    variant = VARIANTS[name]
+    robot, records, seed = variant.robot(), [], settings.seeds[0]
+    plan = design(1, seed, variant.slow)
     for number in fit_positions(settings):
         key = jr.fold_in(jr.key(1000 + seed), number)
         q = candidates(settings)[number][None]
-        records.append(simulate(robot, design(1, seed), q, key=key, noise=noise, chunk=3))
+        records.append(simulate(robot, plan, q, key=key, noise=variant.noise, chunk=3))
     found = [bias_at(robot, data, (6, 1)) for data in records[:POSITIONS]]
     mean = lambda measure, count, method: float(
         np.mean([np.mean(p[measure]["in motion"][count][method]) for p in found])
@@ -60,7 +72,7 @@ def variant_row(settings: Settings, name: str) -> dict:
         }
         for measure in ("bias", "level_db")
     }
-    return {"text": text, **levels, "parameters": _fitted(settings, robot, concatenate(records))}
+    return {"text": variant.text, **levels, "parameters": _fitted(settings, robot, concatenate(records))}
 
 
 def _fitted(settings: Settings, robot: Robot, data) -> dict:
