@@ -238,7 +238,7 @@ def _reasons(results: dict) -> list[str]:
     best = min(("no-ripple", "linear-springs", "no-coulomb"), key=bias.get)
     said.append(
         f"parameters of the direct fit: {percent('everything')} with everything, {why[best]['text']} {percent(best)}, "
-        f"on the linear robot without noise {percent('noise-free')}, and without the slow sine {percent('no-slow-sine')}"
+        f"on the linear robot without noise {percent('noise-free')}, and without slow sine {percent('no-slow-sine')}"
     )
     if bias["no-slow-sine"] < 0.5 * bias["noise-free"]:
         said.append(
