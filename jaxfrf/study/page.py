@@ -86,11 +86,11 @@ def _table_one(results: dict) -> list[str]:
             published = PUBLISHED_BIAS.get(int(count), {})
             rows.append([f"n_e = {count}", *(_mean(by.get(name)) for name in names)])
             if truth == "in motion" and published:
-                rows.append(["published", *(published.get(name) for name in names)])
+                rows.append([f"published, n_e = {count}", *(published.get(name) for name in names)])
         blocks += [paragraph(f"Against the {words}:"), table(["", *names], rows)]
     level = results["bias"]["level_db"]["in motion"]
     names = list(dict.fromkeys(name for by in level.values() for name in by))
-    rows = [[f"n_e = {c}", *(by[n]["mean"] if n in by else None for n in names)] for c, by in level.items()]
+    rows = [[f"n_e = {c}", *(f"{by[n]['mean']:.2f}" if n in by else None for n in names)] for c, by in level.items()]
     blocks += [
         paragraph("The same in decibels: mean of |20 log10(|G_hat,ii| / |G_ii|)|, in which all axes count alike."),
         table(["", *names], rows),
@@ -179,17 +179,20 @@ def _parameters(results: dict) -> list[str]:
 
 
 def _claims(results: dict) -> list[str]:
-    rows = [
-        [c.says, c.paper, c.found, "yes" if c.confirmed else "no"] for c in claims(results) if c.confirmed is not None
+    said = [
+        f"{'Holds' if c.confirmed else 'Does not hold here'}: {c.says}. Paper: {c.paper}. Here: {c.found}."
+        for c in claims(results)
+        if c.confirmed is not None
     ]
-    return [table(["the paper says", "there", "here", "holds"], rows)]
+    return [listing(said)]
 
 
 def _why(results: dict) -> str:
     if not results["why"]:
         return ""
     names = list(next(iter(results["why"].values()))["level_db"]["6"])
-    level = lambda row, count: [row["level_db"][count].get(n) for n in names]
+    cell = lambda value: None if value is None else f"{value:.2f}"
+    level = lambda row, count: [cell(row["level_db"][count].get(n)) for n in names]
     rows = [[row["text"], n, *level(row, n)] for n in ("6", "1") for row in results["why"].values()]
     fits = [
         [row["text"], *(f"{100 * row['parameters'][k]:.2f}" for k in _BIASES), _worst(row["parameters"]["errors"])]
