@@ -340,19 +340,22 @@ def _cost_alone(p):
 
 
 class Baseline:
-    """The cost in NumPy. x: ln of stiffnesses (8), dampings (8), effective frictions (6)."""
+    """The cost in NumPy. x: ln of stiffnesses (8), dampings (8), effective frictions (6), in the order of the model."""
 
     def __init__(self, robot, problem):
         import numpy as np
 
         from jaxfrf import robot as jrobot
+        from jaxfrf.robot.jacobian import parameter_names
 
         at = np.asarray(problem.target.points)
-        friction = np.exp(problem.true_x[16:])
+        names = problem.coordinates.names
+        self.order = [names.index(n) for n in parameter_names(robot)]
+        true = np.exp(np.asarray(problem.true_x)[self.order])
+        stiffness, damping, friction = np.split(true, [8, 16])
         linear = jrobot.linearise(robot, jrobot.operating_point(robot, at), friction)
         self.mass, self.motor = np.asarray(linear.mass), np.asarray(linear.motor)
         self.springs = np.asarray(jrobot.spring_directions(robot))
-        stiffness, damping, friction = np.split(np.exp(problem.true_x), [8, 16])
         self.base_K = np.asarray(linear.stiffness) - (self.springs * stiffness) @ self.springs.T
         self.base_D = np.asarray(linear.damping) - self._damping(damping, friction)
         self.inverse_mass = np.linalg.inv(self.mass)
@@ -367,7 +370,7 @@ class Baseline:
     def _matrices(self, x):
         import numpy as np
 
-        stiffness, damping, friction = np.split(np.exp(x), [8, 16])
+        stiffness, damping, friction = np.split(np.exp(np.asarray(x)[self.order]), [8, 16])
         K = self.base_K + (self.springs * stiffness) @ self.springs.T
         return K, self.base_D + self._damping(damping, friction)
 

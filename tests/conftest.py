@@ -1,5 +1,6 @@
 """Set before jax is imported: 64 bit, a compilation cache that survives runs, and threads that cannot deadlock."""
 
+import gc
 import os
 import pathlib
 
@@ -23,3 +24,14 @@ def measured() -> pathlib.Path:
             pytest.fail("JAXFRF_DATA is not set: the real-data tests must run in CI.")
         pytest.skip("JAXFRF_DATA is not set: no real measurements here.")
     return pathlib.Path(folder).resolve()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _forget_compiled_programs():
+    """Every program that XLA compiled for the CPU keeps memory maps; the system allows a process some 65 thousand, and
+    XLA ends in a segmentation fault beyond them. So each module of tests starts without those of the last."""
+    yield
+    import jax
+
+    jax.clear_caches()
+    gc.collect()
