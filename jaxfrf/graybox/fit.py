@@ -20,7 +20,8 @@ from .parameter import Coordinates, matching
 from .solver import AbstractSolver, Descent, LevenbergMarquardt, check_solver, descend
 from .uncertainty import Uncertainty, uncertainty, without_sensitivity
 
-_COARSE = 40  # lines that the search for the valley needs
+_COARSE = 28  # lines that the search for the valley needs at least
+_PLACES = 200  # and lines of all positions together
 _NEAR = 1e-3  # where it ends, in x
 _LARGE = 20000  # numbers to fit: below, all lines cost less than compiling the search apart
 _SAME = 0.02  # two ends nearer than this, in x, are the same minimum
@@ -203,7 +204,7 @@ def fit_target(
         ends.append(descend(model, coordinates, coarse, x, solver, tolerance=max(_NEAR, solver.tolerance)))
         if progress is not None:
             progress(i + 1, total)
-    made = [_searched(model, coordinates, tg, end, share) for end in ends]
+    made = [_searched(end, share) for end in ends]
     chosen = _chosen(made, keep)
     for done, (i, members) in enumerate(chosen.items()):
         end = descend(model, coordinates, tg, made[i].x, solver)
@@ -213,6 +214,7 @@ def fit_target(
             progress(len(begin) + done + 1, total)
     if progress is not None:
         progress(total, total)
+    made = [_left(model, coordinates, tg, start) for start in made]
     best = min(made, key=lambda s: s.cost)
     if not np.isfinite(best.cost):
         raise input_error("fit", "no start with a finite cost", "a model that is finite at its start", "Check it.")
@@ -303,21 +305,24 @@ def _named_starts(coordinates: Coordinates, starts) -> list[np.ndarray]:
 
 def _coarse(tg: Target) -> tuple[Target, float]:
     """Part of the lines, and how many times more all of them weigh."""
-    step = max(1, len(tg.frequency) // _COARSE) if tg.n_terms > _LARGE else 1
+    enough = max(_COARSE, _PLACES // tg.n_pos)
+    step = max(1, len(tg.frequency) // enough) if tg.n_terms > _LARGE else 1
     part = select(tg, lines=np.arange(0, len(tg.frequency), step)) if step > 1 else tg
     return part, float(np.sum(np.square(tg.magnitude)) / max(np.sum(np.square(part.magnitude)), 1e-300))
 
 
-def _searched(model, coordinates, tg, end: Descent, share: float) -> Start:
-    cost = float(gram(model, coordinates, tg, jnp.asarray(end.x))[-1, -1]) if np.isfinite(end.x).all() else np.inf
-    return Start(
-        end.x,
-        cost if np.isfinite(cost) else np.inf,
-        end.path_x,
-        end.path_cost * share,
-        False,
-        end.converged,
-    )
+def _searched(end: Descent, share: float) -> Start:
+    cost = end.cost * share
+    known = np.isfinite(cost) and np.isfinite(end.x).all()
+    return Start(end.x, cost if known else np.inf, end.path_x, end.path_cost * share, False, end.converged)
+
+
+def _left(model, coordinates, tg, start: Start) -> Start:
+    """A start that was not followed to the end, with its cost over all lines."""
+    if start.polished or not np.isfinite(start.cost):
+        return start
+    cost = float(gram(model, coordinates, tg, jnp.asarray(start.x))[-1, -1])
+    return dataclasses.replace(start, cost=cost if np.isfinite(cost) else np.inf)
 
 
 def _chosen(made: list[Start], keep: int | None) -> dict[int, list[int]]:
