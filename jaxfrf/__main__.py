@@ -15,7 +15,7 @@ def main(arguments=None) -> int:
     parser = _parser()
     given = parser.parse_args(arguments)
     if given.command is None:
-        parser.print_help()
+        _print(parser.format_help().rstrip())
         return 0
     _environment.prepare()
     try:
