@@ -25,10 +25,10 @@ sys.path.insert(0, str(pathlib.Path(__file__).parent))
 import numpy as np
 from _mujoco_records import mujoco_experiment
 
+from jaxfrf.io._json import write_json
 from jaxfrf.robot import r3x
 from jaxfrf.study.bias import first_experiments
 from jaxfrf.study.parameters import candidates, fit_positions, records, through_row
-from jaxfrf.study.run import write_json
 from jaxfrf.study.settings import PAPER, design, truth
 
 

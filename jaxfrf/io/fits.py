@@ -13,24 +13,19 @@ The other fields are those of `jaxfrf.Identification`. Standard JSON: what is no
 """
 
 import json
-import math
 import os
 import pathlib
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from .._errors import input_error
 from ..graybox import AbstractModel, Fit
-from ._container import replacing
+from ._json import plain_data as plain_data, write_json
 
 
 def write_fit(path: str | os.PathLike, contents: Mapping[str, Any]) -> None:
     """Write plain data (numbers, texts, arrays, lists, dictionaries) as JSON, whole or not at all."""
-    text = json.dumps(plain_data(contents), indent=1, allow_nan=False, ensure_ascii=False)
-    with replacing(pathlib.Path(path)) as draft:
-        draft.write_text(text + "\n", encoding="utf-8")
+    write_json(path, contents)
 
 
 def read_fit(path: str | os.PathLike) -> dict[str, Any]:
@@ -48,21 +43,6 @@ def read_fit(path: str | os.PathLike) -> dict[str, Any]:
     if not isinstance(found, dict) or "parameters" not in found:
         raise input_error(str(path), "JSON without parameters", "what `jaxfrf identify` writes", "Name that file.")
     return found
-
-
-def plain_data(value: Any) -> Any:
-    """Arrays as lists, NumPy's and JAX's numbers as Python's, and `None` for what is not finite."""
-    if isinstance(value, Mapping):
-        return {str(key): plain_data(x) for key, x in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_data(x) for x in value]
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    array = np.asarray(value)
-    if array.ndim:
-        return [plain_data(x) for x in array]
-    item = array.item()
-    return item if not isinstance(item, float) or math.isfinite(item) else None
 
 
 def fit_contents(fitted: Fit, begun: AbstractModel) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from .. import __version__
 from .._errors import input_error
 from .._types import require_x64
 from ..io._container import replacing
+from ..io._json import plain_data, write_json
 from ..robot import parameters
 from .bias import bias_at, measure
 from .figures import draw_figures, example_responses, read_curves
@@ -188,30 +189,12 @@ def summarise(rows: list[dict]) -> list[dict]:
     return found
 
 
-def write_json(path: pathlib.Path, content: dict) -> None:
-    """Valid JSON (no NaN), whole or not at all."""
-    with replacing(path) as draft:
-        draft.write_text(json.dumps(_plain(content), indent=1, allow_nan=False))
-
-
-def _plain(x):
-    if isinstance(x, dict):
-        return {str(k): _plain(v) for k, v in x.items()}
-    if isinstance(x, list | tuple):
-        return [_plain(v) for v in x]
-    if isinstance(x, np.integer | np.bool_):
-        return x.item()
-    if isinstance(x, float | np.floating):
-        return float(x) if np.isfinite(x) else None
-    return x
-
-
 def _folder(folder: pathlib.Path, settings: Settings) -> pathlib.Path:
     """The folder of finished steps; refuses one that holds another study."""
     parts = folder / "parts"
     stamp = parts / "settings.json"
     about = {"settings": settings.as_dict(), "version": __version__}
-    text = json.dumps(_plain(about), sort_keys=True)
+    text = json.dumps(plain_data(about), sort_keys=True)
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]
     if folder.exists() and not folder.is_dir():
         raise input_error(str(folder), "a file", "a folder, or nothing", "Choose another name (-o).")
