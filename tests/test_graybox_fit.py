@@ -479,7 +479,8 @@ class TestR3X:
         values = {n: start.parameters[n].start * np.exp(0.1 * rng.standard_normal()) for n in names}
         frequency, q = np.geomspace(4.0, 79.0, n_lines), positions(n_pos)
         friction = [values[f"{a}.effective_friction"] for a in start.robot.axis_names]
-        return start, values, frf_of(robot_frf(start.at(values), q, frequency, friction), frequency=frequency, q=q)
+        frf = frf_of(robot_frf(start.at(values), q, frequency, friction), frequency=frequency, q=q)
+        return start, values, dataclasses.replace(frf, y_quantity=start.quantity)
 
     def check(self, n_lines):
         model, values, frf = self.truth(n_lines, 7)
