@@ -119,14 +119,7 @@ def fit_through_experiment(
         raise input_error(
             f"{model.robot.name}: controller", "none", "a [controller] table", "Without it only `fit` is possible."
         )
-    unknown = [n for n, p in model.parameters.items() if p.free and n.rpartition(".")[2] in _NOT_SIMULATED]
-    if unknown:
-        raise input_error(
-            "parameters to fit",
-            ", ".join(unknown),
-            "stiffnesses and dampings: the simulation of the experiment knows no other",
-            "Fix them (jaxfrf.graybox.fix), or use `fit`.",
-        )
+    check_simulated(model)
     if rounds < 1:
         raise input_error("rounds", f"{rounds}", "1 or more", "Use `fit` for the direct fit.")
     measured = measured_frf(data, method, model.quantity)
@@ -151,6 +144,18 @@ def fit_through_experiment(
         if converged or len(history) >= rounds:
             return ThroughFit(latest, direct, tuple(history), converged, measured, simulated)
         x = _next(history, latest)
+
+
+def check_simulated(model: RobotModel) -> None:
+    """Refuse free parameters that a simulation of the experiment does not know: the loop could not come to rest."""
+    unknown = [n for n, p in model.parameters.items() if p.free and n.rpartition(".")[2] in _NOT_SIMULATED]
+    if unknown:
+        raise input_error(
+            "parameters to fit",
+            ", ".join(unknown),
+            "stiffnesses and dampings: the simulation of the experiment knows no other",
+            "Fit it directly (--direct, `fit`), or leave it fixed.",
+        )
 
 
 def fit_with_swing(model: RobotModel, data: Experiment, measured: FRF, weights, solver, starts, key=None) -> Fit:

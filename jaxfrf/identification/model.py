@@ -8,13 +8,12 @@ from .._errors import input_error
 from ..experiment import Experiment
 from ..frf import FRF
 from ..graybox import RobotModel, fix, free, share
+from ..graybox.through import check_simulated
 from ..robot import Robot, ZeroOrderHold
 from ..simulation.checks import check_fit
 
 QUANTITY = "acceleration"
 """Of y in the fit to records: the logarithm of a ratio is the same in all of them."""
-
-_NOT_SIMULATED = ("torque_gain", "delay")  # parameters of the linear model that no simulation knows
 
 
 def robot_model(
@@ -40,14 +39,8 @@ def robot_model(
     model = fix(model, fixed) if fixed else model
     for names in shared:
         model = share(model, names)
-    unknown = [n for n, p in model.parameters.items() if p.free and n.rpartition(".")[2] in _NOT_SIMULATED]
-    if simulated and unknown:
-        raise input_error(
-            "parameters to fit",
-            ", ".join(unknown),
-            "stiffnesses and dampings: the simulation of the experiment knows no other",
-            "Fit it directly (--direct), or leave it fixed.",
-        )
+    if simulated:
+        check_simulated(model)
     return model
 
 
