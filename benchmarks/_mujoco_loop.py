@@ -15,6 +15,10 @@ import numpy as np
 SEGMENT = 2000  # samples between two looks at the runs
 ASTRAY = 0.3  # rad on the arm side between reference and motion
 INSIDE, CORNER = 1e-3, 0.05  # of stiffness inside a gap, of the gap: the rounding that the robot's file states
+# Springs behind dampers and behind sliders, as `jaxfrf.effects` states structural damping and hysteresis of gears.
+CORNERS, WEIGHTS = np.array([3.0, 17.3, 100.0]), np.array([1.5, 1.0, 1.5])  # Hz; stiffness over loss k
+SOFTER = float(np.sum(WEIGHTS / (1.0 + (CORNERS / 20.0) ** 2)))  # at rest, over loss k: the whole is k stiff at 20 Hz
+YIELDS = np.array([0.25, 0.75, 1.25, 1.75])  # of the mean deflection at which they slip
 
 
 class Ripple:
@@ -75,6 +79,85 @@ class Springs:
         return -self.stiffness * lost - self.soft * np.tanh(beyond / self.knee) - self.damping * slack * rate
 
 
+class Gears:
+    """What transmissions pull beyond their linear springs, arm side, N m, and what the motors feel of uneven ones."""
+
+    def __init__(self, job, x, place):
+        self.springs = Springs(job)
+        axis = job["spring_axis"]
+        self.axis, self.gear = axis, np.where(axis >= 0, job["gear"][np.maximum(axis, 0)], np.inf)
+        count = len(axis)
+        self.lead = [(int(row[0]), *row[1:]) for row in job["gear_lead"]]
+        self.loss, self.torque, self.slip = np.zeros(count), np.zeros(count), np.ones(count)
+        for spring, value in job["gear_loss"]:
+            self.loss[int(spring)] += value
+        for spring, torque, slip in job["gear_slip"]:
+            self.torque[int(spring)], self.slip[int(spring)] = torque, slip
+        self.yields = np.multiply.outer(YIELDS, self.slip)[:, None]
+        self.x = x + self._turned(place)[0]
+        self.tension = self._tension(self.x)
+        self.relaxing, self.sliding = np.zeros((3, *x.shape)), np.zeros((4, *x.shape))
+
+    def __call__(self, x, rate, place, speed, step):
+        """(torque beyond stiffness x + damping rate, torque against the motors); `place`, `speed`: of all motors."""
+        springs = self.springs
+        if not (self.lead or self.loss.any() or self.torque.any()):
+            return springs(x, rate), None
+        lead, slope = self._turned(place)
+        more = slope * speed[:, self.axis] / self.gear
+        bent = x + lead
+        pull = springs(bent, rate + more) + springs.stiffness * lead + springs.damping * more
+        pull += self._lost(bent, step) + self._slipped(bent)
+        self.x = bent
+        whole = pull + springs.stiffness * x + springs.damping * rate
+        return pull, slope * whole / self.gear
+
+    def _turned(self, place):
+        """Lead of the gears' outputs, and its derivative by the motors' angles on the arm side."""
+        lead, slope = np.zeros((2, len(place), len(self.axis)))
+        for spring, amplitude, order, phase in self.lead:
+            turned = order * place[:, self.axis[spring]] / self.gear[spring] + phase
+            lead[:, spring] += amplitude * np.sin(turned)
+            slope[:, spring] += amplitude * order * np.cos(turned)
+        return lead, slope
+
+    def _tension(self, x):
+        return self.springs.stiffness * x + self.springs(x, np.zeros_like(x))
+
+    def _lost(self, x, step):
+        """Springs behind dampers; trapezoids."""
+        if not self.loss.any():
+            return 0.0
+        tension, half = self._tension(x), np.pi * CORNERS[:, None, None] * step
+        self.relaxing = ((1.0 - half) * self.relaxing + tension - self.tension) / (1.0 + half)
+        self.tension = tension
+        return self.loss * (np.tensordot(WEIGHTS, self.relaxing, 1) - SOFTER * tension)
+
+    def _slipped(self, x):
+        """Springs behind sliders."""
+        if not self.torque.any():
+            return 0.0
+        self.sliding = np.clip(self.sliding + (x - self.x), -self.yields, self.yields)
+        return self.torque / self.slip * self.sliding.mean(axis=0)
+
+
+class Bristles:
+    """LuGre friction in rows (axis, level, distance, damping), the exact motion of its bristles at constant speed."""
+
+    def __init__(self, rows, runs: int):
+        self.axis, (self.level, self.distance, self.damping) = rows[:, 0].astype(int), rows[:, 1:].T
+        self.bent = np.zeros((runs, len(rows)))
+
+    def __call__(self, speed, step):
+        v, old = speed[:, self.axis], self.bent
+        end = np.sign(v) * self.distance
+        self.bent = np.where(v == 0.0, old, end + (old - end) * np.exp(-np.abs(v) * step / self.distance))
+        torque = np.zeros_like(speed)
+        torque[:, self.axis] = self.level / self.distance * 0.5 * (old + self.bent)
+        torque[:, self.axis] += self.damping * (self.bent - old) / step
+        return torque
+
+
 class Rubbing:
     """Friction effects beyond MuJoCo's own law: rows (kind, axis, three numbers), torque against the motors."""
 
@@ -97,16 +180,22 @@ class Actuators:
     def __init__(self, job, torque):
         self.gain, self.limit = job["actuator_gain"], job["actuator_limit"]
         self.weight = job["actuator_weight"]  # (substep, sample ago, axis)
-        self.plain = np.all(self.gain == 1.0) and np.all(np.isinf(self.limit))
+        (self.swing, self.begin, self.length), self.fs = job["drift"], float(job["fs"])
+        self.plain = np.all(self.gain == 1.0) and np.all(np.isinf(self.limit)) and not self.swing.any()
         self.late = self.weight.shape[1] > 1
+        self.samples = 0
         self.past = np.repeat(self._now(torque)[:, None], self.weight.shape[1], axis=1)
 
     def _now(self, torque):
-        return torque if self.plain else np.clip(self.gain * torque, -self.limit, self.limit)
+        if self.plain:
+            return torque
+        gone = np.clip((self.samples / self.fs - self.begin) / self.length, 0.0, 1.0)
+        return np.clip(self.gain * (1.0 + self.swing * (gone - 0.5)) * torque, -self.limit, self.limit)
 
     def __call__(self, torque):
         """(substep, run, axis)."""
         torque = self._now(torque)
+        self.samples += 1
         if not self.late:
             return [torque] * len(self.weight)
         self.past[:, 1:] = self.past[:, :-1]
@@ -132,13 +221,15 @@ class Runs:
         self.views = [[d.qpos for d in self.data], [d.qvel for d in self.data]]
         self.applied = [d.qfrc_applied for d in self.data]
         self.ripple, self.resolver = Ripple(job["torque_ripple"]), Ripple(job["resolver_ripple"])
-        self.springs, self.rubbing = Springs(job), Rubbing(job["rubbing"])
+        self.rubbing, self.bristles = Rubbing(job["rubbing"]), Bristles(job["bristles"], len(runs))
+        self.stops = [(int(row[0]), *row[1:]) for row in job["stops"]]
         self.resolution = job["resolution"]
         self.substeps = int(job["substeps"])
         self.step = 1.0 / (float(job["fs"]) * self.substeps)
         torque = job["torque"][self.position]
         self._look()
         self.rest = self.state[0] @ self.out[:, : self.axes]
+        self.gears = Gears(job, self.state[0] @ self.out[:, self.axes :], self.rest)
         self.controller, self.actuators = Cascade(job, self._measured(), torque), Actuators(job, torque)
         self.noise = [np.random.default_rng([int(job["seed"]), p, e]) for p, e in zip(*self._numbers(), strict=True)]
 
@@ -195,16 +286,24 @@ class Runs:
     def _move(self, torque):
         """One substep. What MuJoCo does not have acts as in the middle of the step, extrapolated from its start."""
         self._look()
-        place, speed = self.state @ self.out
-        middle = place + 0.5 * self.step * speed
+        angle, speed = self.state @ self.out
+        middle = angle + 0.5 * self.step * speed
         axes = self.axes
-        pull = self.springs(middle[:, axes:], speed[:, axes:])
+        pull, against = self.gears(middle[:, axes:], speed[:, axes:], middle[:, :axes], speed[:, :axes], self.step)
         net = torque
         if self.ripple.acts:
             net = net + self.ripple(middle[:, :axes])
         if self.rubbing.rows:
             net = net - self.rubbing(speed[:, :axes], self._load(middle, speed, pull, torque))
+        if len(self.bristles.axis):
+            net = net - self.bristles(speed[:, :axes], self.step)
+        if against is not None:
+            net = net.copy()
+            net[:, self.gears.axis[self.gears.axis >= 0]] -= against[:, self.gears.axis >= 0]
         force = np.concatenate([net, -pull], axis=1) @ self.into
+        for place, stop, side, stiffness in self.stops:
+            depth = side * (self.state[0, :, place] + 0.5 * self.step * self.state[1, :, place] - stop)
+            force[:, place] -= side * stiffness * np.maximum(depth, 0.0)
         model, step = self.model, mujoco.mj_step
         for data, applied, row in zip(self.data, self.applied, force, strict=True):
             applied[:] = row
@@ -213,7 +312,8 @@ class Runs:
     def _load(self, middle, speed, pull, torque):
         """Gear torque on the motor side; the motor's own where the transmission is rigid."""
         load = torque.copy()
-        spring = middle[:, self.axes :] * self.springs.stiffness + speed[:, self.axes :] * self.springs.damping + pull
+        springs = self.gears.springs
+        spring = middle[:, self.axes :] * springs.stiffness + speed[:, self.axes :] * springs.damping + pull
         for i, axis in enumerate(self.job["spring_axis"]):
             if axis >= 0:
                 load[:, axis] = spring[:, i] / self.job["gear"][axis]

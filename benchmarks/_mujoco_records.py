@@ -84,8 +84,10 @@ def mujoco_experiment(
     - `chunk`: runs that a process steps side by side.
     - `progress`: called with the part of the first process that is done.
 
-    All effects of `jaxfrf.effects.library()` act. **Raises:** `ValueError` for a robot without equilibrium at a
-    position, or an effect unknown here; `RuntimeError` with the run where one leaves its reference.
+    All effects of `jaxfrf.effects.library()` act, and those of `_outside_effects`.
+
+    **Raises:** `ValueError` for a robot without equilibrium at a position, or an effect unknown here; `RuntimeError`
+    with the run where one leaves its reference.
     """
     job = _job(robot, design, np.asarray(positions, float), run_in, ripple, substeps, integrator, stick)
     job |= {"seed": seed, "noise": noise, "chunk": chunk}
@@ -167,7 +169,7 @@ def _job(robot, design, positions, run_in, ripple, substeps, integrator, stick) 
     }
     job |= _references(design, run_in)
     job |= _springs(robot, order)
-    return job | _effects(robot, ripple, substeps)
+    return job | _effects(robot, ripple, substeps) | _outside(robot, order)
 
 
 def _model(robot, step: float, integrator: str, stick: float) -> str:
@@ -189,8 +191,16 @@ def _model(robot, step: float, integrator: str, stick: float) -> str:
             joint.set("solreffriction", f"{stick!r} 1")
             joint.set("solimpfriction", "0.99 0.99 0.001 0.5 2")  # next to no creep
     for effect in robot.effects:
-        if isinstance(effect, effects.AbstractArmTorque):
-            _hold(joints[robot.axis_names[axis_of(robot, effect.joint)]], effect)
+        name = robot.axis_names[axis_of(robot, effect.joint)]
+        match effect:
+            case effects.AbstractArmTorque() if effect.name != "bumper":
+                _hold(joints[name], effect)
+            case effects.WristCoupling():
+                before = robot.axis_names[axis_of(robot, effect.joint) - 1]
+                tendon = next(tendon for tendon in root.iter("fixed") if tendon.get("name") == name)
+                ET.SubElement(tendon, "joint", joint=before, coef=f"{-float(effect.ratio)!r}")
+            case _ if effect.name == "presliding_friction":  # instead of the motor's Coulomb friction
+                joints[f"motor:{name}"].attrib.pop("frictionloss", None)
     return ET.tostring(root, encoding="unicode")
 
 
@@ -236,9 +246,9 @@ def _springs(robot, order) -> dict:
     """The nonlinear springs, and the directions of motor torques and of these springs in MuJoCo's coordinates."""
     s, axes, motors = robot.springs, robot.n_axes, robot.n_motors
     gap = np.zeros(len(s.stiffness)) if s.backlash is None else np.asarray(s.backlash)
-    loaded = [e for e in robot.effects if isinstance(e, effects.LoadDependentFriction)]
+    inside = (effects.LoadDependentFriction, effects.AbstractGearError, effects.AbstractGearTorque)
     needed = (np.asarray(s.stiffness_ratio) != 1.0) | (gap > 0)
-    for effect in loaded:
+    for effect in (e for e in robot.effects if isinstance(e, inside)):
         axis = axis_of(robot, effect.joint)
         if axis in robot.flexible_axes:
             needed[robot.flexible_axes.index(axis)] = True
@@ -254,6 +264,11 @@ def _springs(robot, order) -> dict:
             z[spring, column], z[motors + axis, column] = 1.0 / gear[axis], -1.0
         else:
             z[axes + spring, column] = -1.0
+    springs = {robot.flexible_axes[i]: k for k, i in enumerate(which) if i < motors}
+    for effect in (e for e in robot.effects if isinstance(e, effects.WristCoupling)):
+        axis = axis_of(robot, effect.joint)
+        if axis in springs:
+            z[motors + axis - 1, axes + springs[axis]] -= float(effect.ratio)
     directions = np.zeros_like(z)
     directions[order] = z
     return {
@@ -264,7 +279,43 @@ def _springs(robot, order) -> dict:
         "spring_ratio": np.asarray(s.stiffness_ratio)[which],
         "spring_knee": np.asarray(s.stiffness_knee)[which],
         "spring_gap": gap[which],
-    }
+    } | _gears(robot, springs)
+
+
+def _gears(robot, springs: dict[int, int]) -> dict:
+    """Effects inside gears as rows, each with the number of its spring among the nonlinear ones."""
+    lead, loss, slip = [], [], []
+    for effect in robot.effects:
+        axis = axis_of(robot, effect.joint)
+        match effect:
+            case effects.TransmissionError():
+                orders = np.asarray(effect.order) * float(effect.teeth)
+                lead += [(springs[axis], *row) for row in zip(effect.amplitude, orders, effect.phase, strict=True)]
+            case effects.StructuralDamping():
+                loss.append((springs[axis], effect.loss))
+            case effects.GearHysteresis():
+                slip.append((springs[axis], effect.torque, effect.slip))
+    rows = lambda table, width: np.array(table, float).reshape(-1, width)
+    return {"gear_lead": rows(lead, 4), "gear_loss": rows(loss, 2), "gear_slip": rows(slip, 3)}
+
+
+def _outside(robot, order) -> dict:
+    """The effects of `_outside_effects` as rows."""
+    bristles, drift, stops, drives = [], np.zeros((3, robot.n_axes)), [], robot.drives
+    drift[2] = 1.0
+    for effect in robot.effects:
+        axis = axis_of(robot, effect.joint)
+        match effect.name:
+            case "presliding_friction":
+                level = float(drives.friction.coulomb[axis])
+                damping = 0.6 * np.sqrt(level * float(drives.motor_inertia[axis]) / float(effect.distance))
+                bristles.append((axis, level, effect.distance, damping))
+            case "gain_drift":
+                drift[:, axis] = effect.swing, effect.begin, effect.length
+            case "bumper":
+                stops.append((order[robot.n_motors + axis], effect.stop, effect.side, effect.stiffness))
+    rows = lambda table: np.array(table, float).reshape(-1, 4)
+    return {"bristles": rows(bristles), "drift": drift, "stops": rows(stops)}
 
 
 def _effects(robot, ripple: Ripple | None, substeps: int) -> dict:
@@ -302,7 +353,9 @@ def _effects(robot, ripple: Ripple | None, substeps: int) -> dict:
                 rubbing.append((1, axis, effect.offset, effect.level, effect.smoothing))
             case effects.LoadDependentFriction():
                 rubbing.append((2, axis, effect.coefficient, 0.0, effect.smoothing))
-            case effects.AbstractArmTorque():
+            case effects.AbstractArmTorque() | effects.AbstractGear():
+                pass  # in the model, or in tables of their own
+            case _ if effect.name in ("presliding_friction", "gain_drift"):
                 pass
             case _:
                 raise ValueError(f"{effect.name} on {effect.joint} is not known here, or stands there twice.")

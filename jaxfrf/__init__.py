@@ -90,7 +90,7 @@ _PUBLIC = {
     "d_optimal": "graybox",
     "expected_accuracy": "graybox",
 }
-_NAMESPACES = ("effects", "excitation", "frf", "graybox", "io", "plot", "report", "robot", "simulation", "study")
+_NAMESPACES = ("effects", "excitation", "frf", "gap", "graybox", "io", "plot", "report", "robot", "simulation", "study")
 
 __all__ = ["__version__", *_PUBLIC, *_NAMESPACES]
 
@@ -99,6 +99,7 @@ if TYPE_CHECKING:
         effects as effects,
         excitation as excitation,
         frf as frf,
+        gap as gap,
         graybox as graybox,
         io as io,
         plot as plot,

@@ -247,7 +247,8 @@ class TestLibrary:
         promised = """coulomb_friction viscous_friction arm_viscous_friction stribeck_friction friction_asymmetry
             load_dependent_friction torque_ripple resolver_ripple torque_delay current_loop_lag backlash
             stiffness_hardening torque_constant motor_inertia payload counterbalance extra_flexibility
-            torque_saturation encoder_quantisation dress_pack"""
+            torque_saturation encoder_quantisation dress_pack
+            transmission_error structural_damping gear_hysteresis wrist_coupling"""
         assert set(promised.split()) <= set(ef.library())
 
     @pytest.mark.parametrize("name", ef.library())
@@ -256,7 +257,7 @@ class TestLibrary:
         kind, robot = ef.library()[name], jf.robot.r3x()
         assert set(kind.units) == set(kind.bounds) <= set(inspect.signature(kind).parameters)
         assert kind.signature and kind.confusable and "In data:" in kind.__doc__
-        for axis in (0, 5):
+        for axis in (1, 5):  # the first axis has none before it to be coupled with
             effect = kind.typical(robot, robot.axis_names[axis])
             for key, (low, high) in kind.bounds.items():
                 value = getattr(effect, key)

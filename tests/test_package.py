@@ -174,13 +174,14 @@ MAY_IMPORT = {
     "robot": ROBOT,
     "simulation": SIMULATION,
     "graybox": GRAYBOX,
+    "gap": GRAYBOX | {"gap"},
     "io": IO,
     "plot": IO | {"plot"},
     "pipeline": IO,
     "identification": IO | {"pipeline", "identification"},
     "report": IO | {"plot", "pipeline", "identification", "report"},
     "study": IO | {"plot", "pipeline", "identification", "report", "study"},
-    "commands": IO | {"examples", "plot", "pipeline", "identification", "report", "study", "commands"},
+    "commands": IO | {"examples", "plot", "pipeline", "identification", "report", "study", "gap", "commands"},
 }
 """Which rooms a room may import from. Data flow from excitation over experiment and spectra to the FRF, which know no
 robot; the robot knows no FRF. Files and pictures stand above all containers, the command line above everything, and

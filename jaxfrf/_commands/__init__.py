@@ -3,6 +3,6 @@
 Libraries are imported when a command runs, so that `jaxfrf --help` costs nothing.
 """
 
-from . import estimate, example, excite, identify, positions, simulate, study
+from . import diagnose, estimate, example, excite, identify, positions, simulate, study
 
-COMMANDS = (example, excite, positions, simulate, estimate, identify, study)
+COMMANDS = (example, excite, positions, simulate, estimate, identify, diagnose, study)

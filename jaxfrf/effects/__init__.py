@@ -22,6 +22,10 @@ from .effect import (
     AbstractArmTorque as AbstractArmTorque,
     AbstractEffect as AbstractEffect,
     AbstractFriction as AbstractFriction,
+    AbstractGear as AbstractGear,
+    AbstractGearCoupling as AbstractGearCoupling,
+    AbstractGearError as AbstractGearError,
+    AbstractGearTorque as AbstractGearTorque,
     AbstractMotorTorque as AbstractMotorTorque,
     AbstractSensor as AbstractSensor,
     AbstractStatelessActuator as AbstractStatelessActuator,
@@ -47,4 +51,10 @@ from .structure import (
     MotorInertia as MotorInertia,
     Payload as Payload,
     StiffnessHardening as StiffnessHardening,
+)
+from .transmission import (
+    GearHysteresis as GearHysteresis,
+    StructuralDamping as StructuralDamping,
+    TransmissionError as TransmissionError,
+    WristCoupling as WristCoupling,
 )

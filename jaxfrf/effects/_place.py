@@ -3,6 +3,7 @@
 import difflib
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from .._errors import input_error
@@ -41,6 +42,12 @@ def spring_of(robot, joint: int | str) -> int:
             "Give the joint a finite stiffness, or choose another joint.",
         )
     return robot.flexible_axes.index(axis)
+
+
+def own_spring(robot, joint: int | str):
+    """The spring of the transmission of `joint` alone, as a law of signals of any shape."""
+    place = spring_of(robot, joint)
+    return jax.tree.map(lambda x: jnp.asarray(x)[place], robot.springs)
 
 
 def changed(robot, where, change):

@@ -28,6 +28,7 @@ from .structure import (
     Payload,
     StiffnessHardening,
 )
+from .transmission import GearHysteresis, StructuralDamping, TransmissionError, WristCoupling
 
 _ALL: tuple[type[AbstractEffect], ...] = (
     CoulombFriction,
@@ -50,6 +51,10 @@ _ALL: tuple[type[AbstractEffect], ...] = (
     TorqueSaturation,
     EncoderQuantisation,
     DressPack,
+    TransmissionError,
+    StructuralDamping,
+    GearHysteresis,
+    WristCoupling,
 )
 
 

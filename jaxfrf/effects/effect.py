@@ -11,6 +11,9 @@ class is its point of insertion; that also settles how it appears in the lineari
 | `AbstractActuator` | torque from command to motor | exactly where linear, as a factor of a column of G |
 | `AbstractMotorTorque` | torque on the motor, by its angle | not at all: it is a disturbance |
 | `AbstractSensor` | the measured motor position | not at all: it is a disturbance |
+| `AbstractGearCoupling` | the ratio of a gear to the axis before | exactly |
+| `AbstractGearError` | the deflection of a gear, by the motor's angle | not at all: it is a disturbance |
+| `AbstractGearTorque` | torque beside a gear's spring, with a memory | exactly where linear, as a complex stiffness |
 
 The laws see one joint and the signals of all runs, (run,), and return the same; they are traced, so that parameters
 can be differentiated.
@@ -25,6 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Complex, Float, PyTree
 
 from .._types import Array
+from ._place import axis_of, own_spring, spring_of
 
 Signal = Float[Array, "*run"]
 Joint = int | str
@@ -58,6 +62,10 @@ class AbstractEffect(eqx.Module):
     @abc.abstractmethod
     def typical(cls, robot, joint: Joint) -> Self:
         """The effect on this joint of this robot at a magnitude that is just visible: where a search starts."""
+
+    def check(self, robot) -> None:
+        """**Raises:** `jaxfrf.InputError` where the effect cannot act on its joint of this robot."""
+        axis_of(robot, self.joint)
 
 
 class AbstractStructure(AbstractEffect):
@@ -142,3 +150,105 @@ class AbstractSensor(AbstractEffect):
     @abc.abstractmethod
     def measured(self, angle: Signal) -> Signal:
         """Measured motor position of a true one, rad."""
+
+
+class AbstractGear(AbstractEffect):
+    """An effect inside a flexible transmission, whose spring is deflected by x = q_m/n - q_a (arm side, rad)."""
+
+    def check(self, robot) -> None:
+        spring_of(robot, self.joint)
+
+
+class AbstractGearCoupling(AbstractGear):
+    """A gear that the axis before its own turns too: x = q_m/n - q_a - ratio q_(a, before).
+
+    The torque of its spring, tau on its own axis, is ratio tau on the axis before.
+    """
+
+    ratio: eqx.AbstractVar[Float[Array, ""] | float]
+
+
+class AbstractGearError(AbstractGear):
+    """A gear whose output leads by an angle that depends on the motor's, x = q_m/n + lead(q_m/n) - q_a.
+
+    Power is kept: the motor feels tau (1 + slope)/n of the spring's torque tau.
+    """
+
+    @abc.abstractmethod
+    def lead(self, angle: Signal) -> Signal:
+        """Lead of the output, rad, arm side, at this motor angle on the arm side, q_m/n, rad."""
+
+    def slope(self, angle: Signal) -> Signal:
+        """d lead / d angle."""
+        return jax.jvp(self.lead, (angle,), (jnp.ones_like(angle),))[1]
+
+    def along(
+        self,
+        robot,
+        deflection: Float[Array, "time *run"],
+        rate: Float[Array, "time *run"],
+        angle: Float[Array, "time *run"],
+        step: float,
+    ) -> Float[Array, "time *run"]:
+        """What the effect adds to the transmission's torque along a motion without it; (time, run), N m, arm side.
+
+        The motor feels this, and slope(angle) times the whole torque, over n.
+
+        **Arguments:** `deflection`, `rate`: of the spring of `joint` of `robot`, arm side, rad and rad/s. `angle`: of
+        the motor on the arm side, q_m/n, rad. `step`: between the samples, s.
+        """
+        spring = own_spring(robot, self.joint)
+        lead = self.lead(angle)
+        leading = jnp.gradient(lead, step, axis=0)
+        return spring.torque(deflection + lead, rate + leading) - spring.torque(deflection, rate)
+
+
+class AbstractGearTorque(AbstractGear):
+    """A torque beside the spring of a transmission, that remembers its deflection.
+
+    The laws see the deflection x, rad, and `tension`, the torque of the transmission's own spring there (without its
+    damper), N m, both arm side; their torque adds to the spring's. Between two instants both move in a straight line.
+    """
+
+    @abc.abstractmethod
+    def start(self, deflection: Signal, tension: Signal) -> PyTree:
+        """The state after a deflection that has been constant for ever."""
+
+    @abc.abstractmethod
+    def advance(self, state: PyTree, deflection: Signal, tension: Signal, elapsed: Float[Array, ""] | float):
+        """Torque, N m, and state after the deflection has moved from the state's to this one in `elapsed`, s (0: the
+        torque of the state itself)."""
+
+    @abc.abstractmethod
+    def response(self, s: Complex[Array, "*freq"]) -> Complex[Array, "*freq"]:
+        """Torque over the spring's in small motion, at s = j omega; 0 gives what is left of it at rest."""
+
+    @abc.abstractmethod
+    def stiffness(self, tangent: Signal) -> Signal:
+        """Stiffness that it adds to one of `tangent` in fast small motion, N m/rad."""
+
+    def along(
+        self,
+        robot,
+        deflection: Float[Array, "time *run"],
+        rate: Float[Array, "time *run"],
+        angle: Float[Array, "time *run"],
+        step: float,
+    ) -> Float[Array, "time *run"]:
+        """What the effect adds to the transmission's torque along a motion; (time, run), N m, arm side.
+
+        It starts as at rest at the first sample: of a periodic motion give two periods and keep the second.
+
+        **Arguments:** as of `AbstractGearError.along`; `rate` and `angle` are not used.
+        """
+        deflection = jnp.asarray(deflection)
+        tension = own_spring(robot, self.joint).torque(deflection, jnp.zeros_like(deflection))
+
+        def proceed(state, now):
+            torque, state = self.advance(state, *now, step)
+            return state, torque
+
+        state = self.start(deflection[0], tension[0])
+        first, _ = self.advance(state, deflection[0], tension[0], 0.0)
+        _, torque = jax.lax.scan(proceed, state, (deflection[1:], tension[1:]))
+        return jnp.concatenate([first[None], torque])

@@ -3,6 +3,7 @@
 from .control import from_control as from_control, to_control as to_control
 from .designs import design_from_table as design_from_table, read_design as read_design
 from .fits import read_fit as read_fit, write_fit as write_fit
+from .gaps import read_gap as read_gap, write_gap as write_gap
 from .mjcf import mjcf as mjcf, write_mjcf as write_mjcf
 from .positions import write_positions as write_positions
 from .record_arguments import parse_map as parse_map, parse_scale as parse_scale, parse_values as parse_values

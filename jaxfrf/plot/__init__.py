@@ -11,5 +11,11 @@ from .fit import (
     round_gaps as round_gaps,
     start_paths as start_paths,
 )
+from .gap import (
+    gap_bode as gap_bode,
+    gap_dumbbells as gap_dumbbells,
+    gap_maps as gap_maps,
+    torque_courses as torque_courses,
+)
 from .plan import plan as plan
 from .spectrum import spectrum as spectrum

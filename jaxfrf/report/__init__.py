@@ -1,5 +1,6 @@
 """Pages for people: one HTML file each, with everything in it."""
 
+from .gap import gap_page as gap_page, write_gap_report as write_gap_report
 from .identification import identification_page as identification_page, write_identification as write_identification
 from .page import (
     beside as beside,

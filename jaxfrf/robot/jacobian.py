@@ -3,10 +3,11 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Complex, Float
 
 from .._types import Array
-from .linearise import LinearRobot, gravity_stiffness, linearise, local_stiffness, operating_point
+from .linearise import GearLoss, LinearRobot, gravity_stiffness, linearise, local_stiffness, operating_point
 from .response import ZeroOrderHold, actuated_sampling, aliases, high_frequency, motion
 from .robot import Robot, arm_inertia, spring_directions
 
@@ -42,7 +43,7 @@ def frf_and_jacobian(
 
     an outer product. The stiffness of an elastic joint also moves the equilibrium, and with it inertia,
     gravity and the other springs' local stiffness; that part is included. Stiffness means k at high
-    deflection where a spring is nonlinear.
+    deflection where a spring is nonlinear. Where effects make stiffness complex, k scales that as well.
 
     **Arguments:** `arm_angles`: (*batch, axis), rad. Others as in `frf` and `linearise`.
     """
@@ -57,19 +58,23 @@ def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quan
     model, slopes = _with_slopes(robot, arm_angles.reshape(-1, arm_angles.shape[-1]), friction, swing)
     factor, corrections = actuated_sampling(model, omega, quantity, hold, delay)
     motor, partners = model.motor, model.partners
+    rebuilt = lambda matrices: tuple(GearLoss(x.group, m) for x, m in zip(model.losses, matrices, strict=True))
+
+    complex_share = _complex_share(robot, model, omega)
 
     def at(position):
-        (mass, damping, stiffness), slope = position
-        model = LinearRobot(mass, damping, stiffness, motor, partners)
+        (mass, damping, stiffness, losses), slope = position
+        model = LinearRobot(mass, damping, stiffness, motor, partners, (), rebuilt(losses))
         X = motion(model, omega)
         G = (motor.T @ X) * factor + aliases(model, hold, corrections)
-        derivative = _rank_one(robot, model, slope, X, omega, factor)
+        derivative = _rank_one(robot, model, slope, X, omega, factor, complex_share)
         if hold is not None:
             derivative = derivative + _alias_slopes(robot, model, slope, hold, corrections)
         return G, derivative
 
     # One position after the other: what a position needs then stays in the cache.
-    G, jacobian = jax.lax.map(at, ((model.mass, model.damping, model.stiffness), slopes))
+    lossy = tuple(loss.stiffness for loss in model.losses)
+    G, jacobian = jax.lax.map(at, ((model.mass, model.damping, model.stiffness, lossy), slopes))
     batch = arm_angles.shape[:-1]
     return ParametricResponse(
         G.reshape(*batch, *G.shape[1:]), jacobian.reshape(*batch, *jacobian.shape[1:]), parameter_names(robot)
@@ -118,24 +123,38 @@ def _with_slopes(robot: Robot, arm_angles, friction, swing) -> tuple[LinearRobot
     return linearise(robot, point, friction, swing), _Slopes(own, local[..., motors:], mass, gravity)
 
 
-def _rank_one(robot: Robot, model: LinearRobot, slope: _Slopes, X, omega, factor):
+def _complex_share(robot: Robot, model: LinearRobot, omega):
+    """Complex stiffness of every spring over its real one, (freq, spring), or `None` where nothing is lost in them."""
+    if not model.losses:
+        return None
+    axes = jnp.ones((robot.n_axes, omega.size), complex)
+    for loss in model.losses:
+        axes = loss.group.added(axes, jax.vmap(lambda e: e.response(1j * omega))(loss.group.effects))
+    gears = axes[np.array(robot.flexible_axes, int)]
+    return jnp.concatenate([gears, jnp.ones((robot.n_elastic, omega.size), complex)]).T
+
+
+def _rank_one(robot: Robot, model: LinearRobot, slope: _Slopes, X, omega, factor, complex_share):
     """Derivative of `factor` times the position FRF: (freq, axis, axis, parameter)."""
     springs, n_gears, n_springs = spring_directions(robot), robot.n_motors, robot.n_motors + robot.n_elastic
     directions = jnp.concatenate([springs, springs, model.motor], axis=1)
     across = jnp.einsum("fia,ip->fap", X, directions.astype(X.dtype))
     gears = jnp.arange(n_springs) < n_gears
     static = jnp.broadcast_to(jnp.where(gears, slope.local, 0.0), (omega.size, n_springs))
+    static = static if complex_share is None else static * complex_share
     moving = jnp.broadcast_to(1j * omega[:, None], (omega.size, n_springs + robot.n_axes))
     left = -across * jnp.concatenate([static, moving], axis=1)[:, None]
     late = jnp.swapaxes(jnp.broadcast_to(factor, (omega.size, 1, robot.n_axes)), 1, 2)
     columns = left[:, :, None] * (across * late)[:, None]
     if not robot.n_elastic:
         return columns
-    elastic = _moved_equilibrium(slope, X[:, n_gears:], across[..., :n_springs], omega) * late[:, None]
+    stretch = across[..., :n_springs]
+    tight = stretch if complex_share is None else stretch * complex_share[:, None]
+    elastic = _moved_equilibrium(slope, X[:, n_gears:], stretch, tight, omega) * late[:, None]
     return columns + jnp.pad(elastic, ((0, 0), (0, 0), (0, 0), (n_gears, n_springs + robot.n_axes)))
 
 
-def _moved_equilibrium(slope: _Slopes, X, across, omega):
+def _moved_equilibrium(slope: _Slopes, X, across, tight, omega):
     """-X^T (dK - w^2 dM) X, the derivative in the elastic joints' stiffness: (freq, out, in, elastic)."""
     parts = jnp.stack([X.real, X.imag])  # a real product each: half the work of a complex one
     matrices = jnp.concatenate([slope.gravity, slope.mass], axis=-1)
@@ -144,7 +163,7 @@ def _moved_equilibrium(slope: _Slopes, X, across, omega):
     products = products[..., :n] - jnp.square(omega)[:, None, None, None] * products[..., n:]
     moved = jax.lax.complex(products[0], products[1])
     arm = jnp.sum(X[:, :, :, None, None] * moved[:, :, None], axis=1)
-    tight = jnp.einsum("fos,fas,se->foae", across, across, slope.others.astype(across.dtype))
+    tight = jnp.einsum("fos,fas,se->foae", across, tight, slope.others.astype(across.dtype))
     return -(arm + tight)
 
 
@@ -162,9 +181,11 @@ def _alias_slopes(robot: Robot, model: LinearRobot, slope: _Slopes, hold: ZeroOr
     stiffness = jnp.concatenate([gears, elastic, after])
     damping = jnp.concatenate([none(n_gears + n_elastic), squares, turns])
 
+    plain = LinearRobot(model.mass, model.damping, model.stiffness, model.motor, model.partners)
+
     def along(dm, dd, dk):
         tangent = LinearRobot(dm, dd, dk, jnp.zeros_like(model.motor), model.partners)
-        return jnp.stack(jax.jvp(lambda m: tuple(high_frequency(m, hold.order)), (model,), (tangent,))[1])
+        return jnp.stack(jax.jvp(lambda m: tuple(high_frequency(m, hold.order)), (plain,), (tangent,))[1])
 
     terms = jnp.moveaxis(jax.vmap(along)(mass, damping, stiffness), 0, -1)  # (term, axis, axis, parameter)
     return sum(c[..., None] * term for c, term in zip(corrections, terms, strict=True))

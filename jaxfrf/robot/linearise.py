@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .._types import Array
-from ..effects import AbstractActuator, AbstractFriction
+from ..effects import AbstractActuator, AbstractFriction, AbstractGearError, AbstractGearTorque
 from ..effects.acting import Group, groups
 from .chain import gravity_forces
 from .drive import ViscousFriction, effective_friction
@@ -18,6 +18,8 @@ from .robot import (
     arm_torques,
     chain_angles,
     drive_forces,
+    gear_angles,
+    gear_coupling,
     inertia,
     motor_directions,
     spring_directions,
@@ -42,6 +44,16 @@ class OperatingPoint(eqx.Module):
     converged: Bool[Array, "*batch"]
 
 
+class GearLoss(eqx.Module):
+    """What effects with a memory make of the stiffness of transmissions, K + sum_i response_i(s) stiffness_i.
+
+    **Fields:** `group`: the effects. `stiffness`: of their springs, (*batch, effect, dof, dof).
+    """
+
+    group: Group[AbstractGearTorque]
+    stiffness: Float[Array, "*batch effect dof dof"]
+
+
 class LinearRobot(eqx.Module):
     """Small motions about an operating point, M dz'' + D dz' + K dz = B du, motor angles B^T dz.
 
@@ -49,6 +61,7 @@ class LinearRobot(eqx.Module):
     `partners`: of each of the leading coordinates that are tied to one other coordinate only (a motor to its
     joint), that coordinate; the FRF eliminates them first. Empty where nothing is known.
     `actuators`: effects between command and motor torque; the FRF multiplies by their response.
+    `losses`: effects that make K complex and a function of frequency; the FRF adds them.
     """
 
     mass: Float[Array, "*batch dof dof"]
@@ -57,6 +70,7 @@ class LinearRobot(eqx.Module):
     motor: Float[Array, "dof axis"]
     partners: tuple[int, ...] = eqx.field(static=True, default=())
     actuators: tuple[Group, ...] = ()
+    losses: tuple[GearLoss, ...] = ()
 
 
 @eqx.filter_jit
@@ -74,28 +88,69 @@ def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> Op
         raise ValueError(f"arm_angles have shape {arm_angles.shape}; expected (*batch, {robot.n_axes}).")
     n_gears, flexible = robot.n_motors, np.array(robot.flexible_axes, int)
     held = arm_torques(robot, arm_angles, jnp.zeros_like(arm_angles)) if robot.effects else None
+    coupling, relaxed = gear_coupling(robot), _relaxed(robot)
 
     def load(deflection):
-        """Torque of gravity, and of effects on the arm, on [q_a, q_e]."""
+        """Torque of gravity, and of effects on the arm, on the gears and q_e."""
         torque = _gravity(robot, jnp.concatenate([arm_angles, -deflection[..., n_gears:]], axis=-1))
-        return torque if held is None else torque.at[..., : robot.n_axes].add(held)
+        torque = torque if held is None else torque.at[..., : robot.n_axes].add(held)
+        if coupling is None:
+            return torque
+        return torque.at[..., : robot.n_axes].set(torque[..., : robot.n_axes] @ jnp.linalg.inv(coupling))
 
     def residual(deflection):
         torque = load(deflection)
         carried = jnp.concatenate([torque[..., flexible], torque[..., robot.n_axes :]], axis=-1)
-        return robot.springs.torque(deflection, jnp.zeros_like(deflection)) - carried
+        tension = robot.springs.torque(deflection, jnp.zeros_like(deflection))
+        return (tension if relaxed is None else relaxed * tension) - carried
 
     start = jnp.zeros((*arm_angles.shape[:-1], len(robot.spring_names)), jnp.result_type(arm_angles, float))
     deflection = jax.lax.custom_root(residual, start, _newton, _solve_tangent)
-    torque, gear = load(deflection), robot.drives.gear_ratio
-    motor = gear[flexible] * (arm_angles[..., flexible] + deflection[..., :n_gears])
+    torque, gear = load(deflection)[..., : robot.n_axes], robot.drives.gear_ratio
+    output = gear_angles(robot, arm_angles).at[..., flexible].add(deflection[..., :n_gears])
+    motor, slope = _behind_errors(robot, output)
     error = residual(deflection) / robot.springs.tangent(deflection)
     return OperatingPoint(
-        z=jnp.concatenate([motor, arm_angles, -deflection[..., n_gears:]], axis=-1),
-        torque=torque[..., : robot.n_axes] / gear,
+        z=jnp.concatenate([gear[flexible] * motor[..., flexible], arm_angles, -deflection[..., n_gears:]], axis=-1),
+        torque=torque * slope / gear,
         deflection=deflection,
         converged=jnp.all(jnp.abs(error) <= _CONVERGED, axis=-1) & jnp.all(jnp.isfinite(torque), axis=-1),
     )
+
+
+def _relaxed(robot: Robot) -> Float[Array, "spring"] | None:
+    """Torque of a spring and of the effects beside it at rest, over the spring's own; `None` where all are alone."""
+    losses = groups(robot, AbstractGearTorque)
+    if not losses:
+        return None
+    axes = jnp.ones(robot.n_axes)
+    for group in losses:
+        axes = group.added(axes, jax.vmap(lambda e: jnp.real(e.response(jnp.zeros((), complex))))(group.effects))
+    return jnp.concatenate([axes[np.array(robot.flexible_axes, int)], jnp.ones(robot.n_elastic)])
+
+
+_ROOTS = 4  # Newton steps for a motor angle behind a transmission error: quadratic, from within some 1e-4 rad
+
+
+def _behind_errors(robot: Robot, output):
+    """Motor angles on the arm side whose gears put out `output`, (*batch, axis), and d output / d motor there."""
+    errors = groups(robot, AbstractGearError)
+    if not errors:
+        return output, jnp.ones_like(output)
+    target = jnp.moveaxis(output, -1, 0)
+
+    def put_out(angle):
+        total = angle
+        for group in errors:
+            total = group.added(total, group(lambda effect, x: effect.lead(x), angle))
+        return total
+
+    angle = target
+    for _ in range(_ROOTS):
+        value, slope = jax.jvp(put_out, (angle,), (jnp.ones_like(angle),))
+        angle = angle - (value - target) / slope
+    slope = jax.jvp(put_out, (angle,), (jnp.ones_like(angle),))[1]
+    return jnp.moveaxis(angle, 0, -1), jnp.moveaxis(slope, 0, -1)
 
 
 def _gravity(robot: Robot, arm):
@@ -157,7 +212,7 @@ def linearise(
         drives=dataclasses.replace(robot.drives, friction=viscous),
         effects=tuple(e for e in robot.effects if not isinstance(e, AbstractFriction)),
     )
-    z, rest, motors = point.z, jnp.zeros_like(point.z), robot.n_motors
+    z, rest, motors = _without_errors(robot, point), jnp.zeros_like(point.z), robot.n_motors
     stiffness = -_jacobian(lambda x: drive_forces(smooth, x, rest, point.torque), z)
     damping = -_jacobian(lambda x: drive_forces(smooth, z, x, point.torque), rest)
     stiffness = stiffness.at[..., motors:, motors:].add(gravity_stiffness(robot, z[..., motors:]))
@@ -165,9 +220,28 @@ def linearise(
         more = local_stiffness(robot, point, swing) - local_stiffness(robot, point)
         springs = spring_directions(robot)
         stiffness = stiffness + jnp.einsum("is,...s,js->...ij", springs, more, springs)
-    partners = tuple(motors + axis for axis in robot.flexible_axes)
-    actuators = groups(robot, AbstractActuator)
-    return LinearRobot(inertia(robot, z), damping, stiffness, motor_directions(robot), partners, actuators)
+    partners = tuple(motors + axis for axis in robot.flexible_axes) if gear_coupling(robot) is None else ()
+    actuators, losses = groups(robot, AbstractActuator), _losses(robot, local_stiffness(robot, point, swing))
+    return LinearRobot(inertia(robot, z), damping, stiffness, motor_directions(robot), partners, actuators, losses)
+
+
+def _without_errors(robot: Robot, point: OperatingPoint):
+    """The coordinates at rest with the motors where they would stand behind gears without transmission error."""
+    if not groups(robot, AbstractGearError):
+        return point.z
+    n, flexible = robot.n_motors, np.array(robot.flexible_axes, int)
+    output = gear_angles(robot, point.z[..., n : n + robot.n_axes])[..., flexible] + point.deflection[..., :n]
+    return point.z.at[..., :n].set(robot.drives.gear_ratio[flexible] * output)
+
+
+def _losses(robot: Robot, tangent) -> tuple[GearLoss, ...]:
+    found, W = groups(robot, AbstractGearTorque), spring_directions(robot)
+
+    def loss(group):
+        springs = np.array([robot.flexible_axes.index(axis) for axis in group.axes])
+        return GearLoss(group, jnp.einsum("is,...s,js->...sij", W[:, springs], tangent[..., springs], W[:, springs]))
+
+    return tuple(loss(group) for group in found)
 
 
 def describing_friction(

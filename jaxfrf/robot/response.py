@@ -93,6 +93,9 @@ def motion(model: LinearRobot, omega):
     w = omega[:, None, None]
     mass, damping, stiffness = (x[..., None, :, :] for x in (model.mass, model.damping, model.stiffness))
     dynamic = stiffness - jnp.square(w) * mass + 1j * w * damping
+    for loss in model.losses:
+        share = jax.vmap(lambda e: e.response(1j * omega))(loss.group.effects)
+        dynamic = dynamic + jnp.einsum("ef,...eij->...fij", share, loss.stiffness.astype(share.dtype))
     return _solve(dynamic, model.motor, model.partners)
 
 

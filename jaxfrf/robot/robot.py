@@ -16,8 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import Array
-from ..effects import AbstractArmTorque, AbstractEffect, AbstractFriction, AbstractStructure
-from ..effects._place import axis_of
+from ..effects import AbstractArmTorque, AbstractEffect, AbstractFriction, AbstractGearCoupling, AbstractStructure
 from ..effects.acting import groups
 from .chain import Chain, mass_and_bias, mass_and_bias_columns, mass_matrix, potential_energy
 from .drive import AbstractSpring, Drives
@@ -86,14 +85,15 @@ class Robot(eqx.Module):
         An effect on the robot's own numbers or joints (`AbstractStructure`) becomes part of them; the others stand
         in `effects`.
 
-        **Raises:** `jaxfrf.InputError` where an effect names a joint that the robot does not have.
+        **Raises:** `jaxfrf.InputError` where an effect names a joint that the robot does not have, or where it cannot
+        act.
         """
         robot = self
         for effect in effects:
             if isinstance(effect, AbstractStructure):
                 robot = effect.apply(robot)
             else:
-                axis_of(robot, effect.joint)
+                effect.check(robot)
                 robot = dataclasses.replace(robot, effects=(*robot.effects, effect))
         return robot
 
@@ -219,11 +219,29 @@ def deflections(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*b
     """Deflection of every spring, arm side: q_m/n - q_a of flexible transmissions, then -q_e; linear in z.
 
     The sign makes a positive spring torque drive the arm, tau_g = torque(q_m/n - q_a) and tau_e =
-    torque(-q_e).
+    torque(-q_e). Where effects couple axes, q_a is what their gears see of the arm (`gear_coupling`).
     """
     flexible = np.array(robot.flexible_axes, int)
     motor, arm, elastic = jnp.split(z, [robot.n_motors, robot.n_motors + robot.n_axes], axis=-1)
+    arm = gear_angles(robot, arm)
     return jnp.concatenate([motor / robot.drives.gear_ratio[flexible] - arm[..., flexible], -elastic], axis=-1)
+
+
+def gear_coupling(robot: Robot) -> Float[Array, "axis axis"] | None:
+    """Turn of every gear's output per turn of every driven joint; `None` where each has its own."""
+    coupling = groups(robot, AbstractGearCoupling)
+    if not coupling:
+        return None
+    ratio = jnp.zeros(robot.n_axes)
+    for group in coupling:
+        ratio = group.added(ratio, group(lambda effect: effect.ratio))
+    return jnp.eye(robot.n_axes) + jnp.diag(ratio[1:], -1)
+
+
+def gear_angles(robot: Robot, arm: Float[Array, "*batch axis"]) -> Float[Array, "*batch axis"]:
+    """Angles at the gears' outputs of driven joints at these angles, rad: the same but for coupled axes."""
+    coupling = gear_coupling(robot)
+    return arm if coupling is None else arm @ coupling.T
 
 
 def spring_directions(robot: Robot) -> Float[Array, "dof spring"]:

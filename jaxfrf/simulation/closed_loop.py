@@ -22,6 +22,7 @@ class LoopState(eqx.Module):
     before: Columns  # rate one sample ago, to extrapolate by
     controller: ControllerState
     actuators: tuple[PyTree, ...]
+    gears: tuple[PyTree, ...]
 
 
 class Runs(eqx.Module):
@@ -68,7 +69,8 @@ class ClosedLoop(eqx.Module):
         z, torque = point.z.T, point.torque.T
         rest = jnp.zeros_like(z)
         actuators = tuple(group(lambda e, u: e.start(u, self.step), torque) for group in self.actuators)
-        return LoopState(z, rest, rest, self.cascade.at_rest(self.measured(z), torque), actuators)
+        gears = self.plant.at_rest(point.deflection.T) if self.plant.remembering else ()
+        return LoopState(z, rest, rest, self.cascade.at_rest(self.measured(z), torque), actuators, gears)
 
     @property
     def step(self) -> float:
@@ -105,8 +107,8 @@ class ClosedLoop(eqx.Module):
         middle = state.z + half * state.rate
         slow = self.plant.slow(middle, state.rate + 0.5 * (state.rate - state.before))
         torques, actuators = self.driven(state.actuators, torque)
-        z, rate = advance(self.plant, state.z, state.rate, slow, torques, self.step)
-        return LoopState(z, rate, state.rate, controller, actuators), (torque, reading)
+        z, rate, gears = advance(self.plant, state.z, state.rate, state.gears, slow, torques, self.step)
+        return LoopState(z, rate, state.rate, controller, actuators, gears), (torque, reading)
 
 
 def _normal(key, time, like):

@@ -109,28 +109,35 @@ def replay(
     **Raises:** `jaxfrf.InputError` without `r` or `q`, where the record does not fit the robot, where `r` has a
     mean that lets the motors drift away, and where runs diverge.
     """
-    require_x64("A simulation")
-    _check_record(data)
-    check_fit(robot, data.fs, data.r.shape[3], "record")
     if noise and key is None:
         raise input_error("key", "none", f"a key for a noise of {noise:g} rad", "Give key=jax.random.key(0).")
-    positions = check_positions(robot, data.q)
-    references = references_of_record(robot, data, run_in)
-    loop, point = loop_at_rest(robot, positions, noise, steps)
-    key = jr.key(0) if key is None else key
-    u, y = record(Study(loop, references, point, key, data.n_exp), chunk, progress)
-    played = references.velocity if data.r_quantity == "velocity" else references.position
+    study = study_of_record(robot, data, key, noise, run_in, steps)
+    u, y = record(study, chunk, progress)
+    played = study.references.velocity if data.r_quantity == "velocity" else study.references.position
     return Experiment(
         u=u,
         y=y,
         r=_at_every_position(played, u),
-        q=positions,
+        q=np.asarray(data.q, float),
         fs=data.fs,
         period=data.period,
         lines=data.lines,
         r_quantity=data.r_quantity,
         y_quantity="position",
     )
+
+
+def study_of_record(
+    robot: Robot, data: Experiment, key: PRNGKeyArray | None, noise: float, run_in: float, steps: int | None
+) -> Study:
+    """The runs that play the references of a record, as in `replay`."""
+    require_x64("A simulation")
+    _check_record(data)
+    check_fit(robot, data.fs, data.r.shape[3], "record")
+    positions = check_positions(robot, data.q)
+    references = references_of_record(robot, data, run_in)
+    loop, point = loop_at_rest(robot, positions, noise, steps)
+    return Study(loop, references, point, jr.key(0) if key is None else key, data.n_exp)
 
 
 def _check_record(data: Experiment) -> None:

@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import Array
-from ..effects import AbstractArmTorque, AbstractFriction, AbstractMotorTorque
+from ..effects import AbstractArmTorque, AbstractFriction, AbstractGearError, AbstractGearTorque, AbstractMotorTorque
 from ..effects.acting import Group, groups
 from ..robot import Robot, arm_inertia_and_bias_columns
+from ..robot.robot import gear_coupling
 
 Columns = Float[Array, "row run"]
 
@@ -59,6 +60,17 @@ class Slow(eqx.Module):
     bias: Columns
 
 
+class Lead(eqx.Module):
+    """Transmission errors as straight lines about a motor angle: they cost sines, and a fine step is short.
+
+    All (axis, run), on the arm side: `angle` of the motors, and there the gears' `lead` and its `slope`.
+    """
+
+    angle: Columns
+    lead: Columns
+    slope: Columns
+
+
 class Plant(eqx.Module):
     """A robot made ready for stepping many runs at once; `robot` keeps plain parameters, the laws have columns."""
 
@@ -71,10 +83,13 @@ class Plant(eqx.Module):
     rubbing: tuple[Group[AbstractFriction], ...]
     pulling: tuple[Group[AbstractArmTorque], ...]
     rippling: tuple[Group[AbstractMotorTorque], ...]
+    erring: tuple[Group[AbstractGearError], ...]
+    remembering: tuple[Group[AbstractGearTorque], ...]
+    coupling: Columns | None  # of every gear to the axis before
 
     @classmethod
     def of(cls, robot: Robot) -> "Plant":
-        drives = columns(robot.drives)
+        drives, coupling = columns(robot.drives), gear_coupling(robot)
         return cls(
             dataclasses.replace(robot, effects=(), controller=None),
             drives.gear_ratio,
@@ -85,6 +100,9 @@ class Plant(eqx.Module):
             groups(robot, AbstractFriction),
             groups(robot, AbstractArmTorque),
             groups(robot, AbstractMotorTorque),
+            groups(robot, AbstractGearError),
+            groups(robot, AbstractGearTorque),
+            None if coupling is None else jnp.concatenate([jnp.zeros(1), jnp.diag(coupling, -1)])[:, None],
         )
 
     def motor(self, z: Columns) -> Columns:
@@ -96,9 +114,11 @@ class Plant(eqx.Module):
         return w.interleave(z[: w.motors], w.pick(self.gear * arm, w.rigid))
 
     def deflection(self, z: Columns) -> Columns:
-        """Of every spring, arm side: q_m/n - q_a, then -q_e."""
+        """Of every spring, arm side: q_m/n - q_a, then -q_e; without transmission errors."""
         w = self.wiring
         arm, elastic = z[w.motors : w.motors + w.axes], z[w.motors + w.axes :]
+        if self.coupling is not None:
+            arm = arm + self.coupling * jnp.concatenate([jnp.zeros_like(arm[:1]), arm[:-1]])
         gears = z[: w.motors] / w.pick(self.gear, w.flexible) - w.pick(arm, w.flexible)
         return jnp.concatenate([gears, -elastic])
 
@@ -108,10 +128,20 @@ class Plant(eqx.Module):
         matrix, bias = arm_inertia_and_bias_columns(self.robot, z[motors:], rate[motors:])
         return Slow(inverse_columns(matrix), bias)
 
-    def acceleration(self, slow: Slow, z: Columns, rate: Columns, torque: Columns) -> Columns:
-        """z'' under a motor torque, (axis, run), with the slow part held."""
+    def acceleration(
+        self, slow: Slow, z: Columns, rate: Columns, torque: Columns, lead: Lead | None, memory, elapsed: float
+    ) -> Columns:
+        """z'' under a motor torque, (axis, run), with the slow part held.
+
+        `lead`: transmission errors, `None` without. `memory`: states of effects with one, `elapsed` s ago.
+        """
         w = self.wiring
-        spring = self.springs.torque(self.deflection(z), self.deflection(rate))
+        deflection, stretching = self.deflection(z), self.deflection(rate)
+        if lead is not None:
+            deflection, stretching = self.led(lead, z, deflection), stretching + self.leading(lead, rate)
+        spring = self.springs.torque(deflection, stretching)
+        if self.remembering:
+            spring = spring + self.remember(memory, deflection, elapsed)[0]
         speed = self.motor(rate)
         net = torque - self.friction.torque(speed)
         gears = spring[: w.motors]
@@ -119,13 +149,66 @@ class Plant(eqx.Module):
             load = w.interleave(gears / w.pick(self.gear, w.flexible), w.pick(torque, w.rigid))
             for group in self.rubbing:
                 net = group.added(net, -group(lambda e, v, x: e.torque(v, x), speed, load))
-        motor = (w.pick(net, w.flexible) - gears / w.pick(self.gear, w.flexible)) / w.pick(self.inertia, w.flexible)
+        back = gears if lead is None else gears * (1.0 + w.pick(lead.slope, w.flexible))
+        motor = (w.pick(net, w.flexible) - back / w.pick(self.gear, w.flexible)) / w.pick(self.inertia, w.flexible)
         arm = w.interleave(gears, w.pick(self.gear * net, w.rigid))
+        if self.coupling is not None:
+            pull = self.coupling * arm  # zero on rigid axes
+            arm = arm + jnp.concatenate([pull[1:], jnp.zeros_like(pull[:1])])
         for group in self.pulling:
             row = slice(w.motors, w.motors + w.axes)
             arm = group.added(arm, -group(lambda e, q, v: e.torque(q, v), z[row], rate[row]))
         force = jnp.concatenate([arm, spring[w.motors :]]) - slow.bias
         return jnp.concatenate([motor, product(slow.inverse, force)])
+
+    def lead(self, z: Columns) -> Lead | None:
+        """The transmission errors about these coordinates."""
+        if not self.erring:
+            return None
+        angle = self.motor(z) / self.gear
+        lead, slope = jnp.zeros_like(angle), jnp.zeros_like(angle)
+        for group in self.erring:
+            value, tangent = group(lambda e, x: jax.jvp(e.lead, (x,), (jnp.ones_like(x),)), angle)
+            lead, slope = group.added(lead, value), group.added(slope, tangent)
+        return Lead(angle, lead, slope)
+
+    def led(self, lead: Lead | None, z: Columns, deflection: Columns) -> Columns:
+        """Deflections with the transmission errors."""
+        if lead is None:
+            return deflection
+        return deflection + self.on_springs(lead.lead + lead.slope * (self.motor(z) / self.gear - lead.angle))
+
+    def leading(self, lead: Lead, rate: Columns) -> Columns:
+        """What they add to the rates of the deflections."""
+        return self.on_springs(lead.slope * self.motor(rate) / self.gear)
+
+    def on_springs(self, rows: Columns) -> Columns:
+        """Rows of the axes as rows of the springs, zero for elastic joints."""
+        w = self.wiring
+        elastic = len(self.robot.elastic_joints)
+        return jnp.concatenate([w.pick(rows, w.flexible), jnp.zeros((elastic, rows.shape[1]), rows.dtype)])
+
+    def remember(self, memory, deflection: Columns, elapsed: float):
+        """Torque beside the springs by effects with a memory, and their states after `elapsed` s."""
+        rows = self._gear_rows(deflection)
+        total, after = jnp.zeros_like(rows[0]), []
+        for group, state in zip(self.remembering, memory, strict=True):
+            advance_one = lambda e, state, x, tension: e.advance(state, x, tension, elapsed)
+            torque, state = jax.vmap(advance_one)(group.effects, state, *(group.pick(x) for x in rows))
+            total = group.added(total, torque)
+            after.append(state)
+        return self.on_springs(total), tuple(after)
+
+    def at_rest(self, deflection: Columns):
+        """States of effects with a memory, after these deflections of the springs for ever."""
+        rows = self._gear_rows(deflection)
+        return tuple(group(lambda e, x, tension: e.start(x, tension), *rows) for group in self.remembering)
+
+    def _gear_rows(self, deflection: Columns) -> tuple[Columns, Columns]:
+        """Deflection and torque of the transmissions' springs, (axis, run)."""
+        w, tension = self.wiring, self.springs.torque(deflection, jnp.zeros_like(deflection))
+        rigid = jnp.zeros((len(w.rigid), deflection.shape[1]), deflection.dtype)
+        return w.interleave(deflection[: w.motors], rigid), w.interleave(tension[: w.motors], rigid)
 
     def ripple(self, angle: Columns, torque: Columns) -> Columns:
         """Motor torque with what depends on the motor's angle."""
@@ -158,24 +241,31 @@ def inverse_columns(matrix: Float[Array, "row row run"]) -> Float[Array, "row ro
     return -jax.lax.fori_loop(0, matrix.shape[0], sweep, matrix)
 
 
-def advance(plant: Plant, z: Columns, rate: Columns, slow: Slow, torques, step: float) -> tuple[Columns, Columns]:
+def advance(plant: Plant, z: Columns, rate: Columns, memory, slow: Slow, torques, step: float):
     """One control sample in as many classical Runge-Kutta steps as `torques`, (fine step, axis, run), has rows.
 
-    Ripple, which costs sines, is evaluated once a step, at the motor angle in its middle.
+    Ripple and transmission errors, which cost sines, are evaluated once a step, at the motor angle in its middle.
+    `memory`: states of effects with one, advanced once a step; a stage sees them moved on to itself.
+
+    **Returns:** z, rate and memory.
     """
 
     def fine(state, torque):
-        z, v = state
+        z, v, memory = state
         if plant.rippling:
             torque = plant.ripple(plant.motor(z) + 0.5 * step * plant.motor(v), torque)
-        f = lambda z, v: plant.acceleration(slow, z, v, torque)
-        a1 = f(z, v)
+        lead = plant.lead(z + 0.5 * step * v) if plant.erring else None
+        f = lambda z, v, elapsed: plant.acceleration(slow, z, v, torque, lead, memory, elapsed)
+        a1 = f(z, v, 0.0)
         v2 = v + 0.5 * step * a1
-        a2 = f(z + 0.5 * step * v, v2)
+        a2 = f(z + 0.5 * step * v, v2, 0.5 * step)
         v3 = v + 0.5 * step * a2
-        a3 = f(z + 0.5 * step * v2, v3)
+        a3 = f(z + 0.5 * step * v2, v3, 0.5 * step)
         v4 = v + step * a3
-        a4 = f(z + step * v3, v4)
-        return (z + step / 6 * (v + 2 * v2 + 2 * v3 + v4), v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)), None
+        a4 = f(z + step * v3, v4, step)
+        z, v = z + step / 6 * (v + 2 * v2 + 2 * v3 + v4), v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        if plant.remembering:
+            memory = plant.remember(memory, plant.led(lead, z, plant.deflection(z)), step)[1]
+        return (z, v, memory), None
 
-    return jax.lax.scan(fine, (z, rate), torques)[0]
+    return jax.lax.scan(fine, (z, rate, memory), torques)[0]

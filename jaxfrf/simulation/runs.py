@@ -22,6 +22,7 @@ _SEGMENT = 2000  # samples between two looks at the runs: bounds the memory and 
 _ASTRAY = 0.3  # rad on the arm side between reference and motion, which no working controller lets happen
 
 Progress = Callable[[float], None]
+Player = Callable[..., tuple]  # as `closed_loop.play`
 Records = Float[np.ndarray, "pos exp time axis"]
 
 
@@ -42,14 +43,15 @@ class Study(eqx.Module):
         return len(self.point.z) * self.n_exp
 
 
-def record(study: Study, chunk: int, progress: Progress | None) -> tuple[Records, Records]:
+def record(study: Study, chunk: int, progress: Progress | None, player: Player = play) -> tuple[Records, ...]:
     """Torque commands and measured positions behind the run-in, `chunk` runs or fewer together on a core.
+
+    `player`: `closed_loop.play`, or one that gives more signals after these two; all that it gives are recorded.
 
     **Raises:** `jaxfrf.InputError` where runs diverge, naming them.
     """
     blocks = _blocks(study.n_runs, chunk)
-    shape = (study.n_runs, study.references.recorded, study.loop.plant.wiring.axes)
-    u, y = np.empty(shape), np.empty(shape)
+    kept: dict[int, Records] = {}
     lost: dict[int, float] = {}
     total, done = len(blocks) * math.ceil(study.references.n_time / _SEGMENT), itertools.count(1)
 
@@ -58,15 +60,17 @@ def record(study: Study, chunk: int, progress: Progress | None) -> tuple[Records
             progress(min(next(done) / total, 1.0))
 
     def work(block):
-        for start, stretch in _segments(study, block, lost):
-            _store(u, y, block, start - study.references.run_in, stretch)
+        for start, stretch in _segments(study, block, lost, player):
+            for number, signal in enumerate(stretch):
+                shape = (study.n_runs, study.references.recorded, signal.shape[1])
+                whole = kept.setdefault(number, np.empty(shape))
+                _store(whole, block, start - study.references.run_in, signal)
             yield
 
     _share([work(block) for block in blocks], advanced)
     if lost:
         raise _diverged(study, lost)
-    shape = (-1, study.n_exp, *shape[1:])
-    return u.reshape(shape), y.reshape(shape)
+    return tuple(kept[i].reshape(-1, study.n_exp, *kept[i].shape[1:]) for i in sorted(kept))
 
 
 def _blocks(n_runs: int, chunk: int) -> list[np.ndarray]:
@@ -107,21 +111,21 @@ def _share(jobs: list[Iterator], advanced: Callable[[], None]) -> None:
                 waiting[pool.submit(next, job, _END)] = job
 
 
-def _segments(study: Study, block: np.ndarray, lost: dict[int, float]) -> Iterator:
-    """Number of the first sample, and torque commands and readings, (time, axis, run), of one segment at a time."""
+def _segments(study: Study, block: np.ndarray, lost: dict[int, float], player: Player) -> Iterator:
+    """Number of the first sample, and torque commands, readings and what else is played, (time, row, run)."""
     loop, references = study.loop, study.references
     tracks, track = references.tracks(block)
     state, runs = _start(study, block, track)
     for start in range(0, references.n_time, _SEGMENT):
         played = references.stretch(start, _SEGMENT, tracks)
-        state, *stretch = play(loop, state, runs, jnp.asarray(start), played)
-        torque, reading = (np.asarray(x) for x in stretch)
+        state, *stretch = player(loop, state, runs, jnp.asarray(start), played)
         left = min(_SEGMENT, references.n_time - start)
-        astray = _astray(loop, reading[:left], played[:left, 1], runs)
+        stretch = tuple(np.asarray(x)[:left] for x in stretch)
+        astray = _astray(loop, stretch[1], played[:left, 1], runs)
         for run, when in zip(block, astray, strict=True):
             if np.isfinite(when):
                 lost.setdefault(int(run), (start + float(when)) / loop.fs)
-        yield start, (torque[:left], reading[:left])
+        yield start, stretch
         if np.isfinite(astray).all():
             return
 
@@ -156,9 +160,8 @@ def _diverged(study: Study, lost: dict[int, float]) -> InputError:
     )
 
 
-def _store(u, y, block: np.ndarray, start: int, stretch) -> None:
+def _store(whole, block: np.ndarray, start: int, signal) -> None:
     """Keep what lies behind the run-in."""
-    torque, reading = (x[max(-start, 0) :] for x in stretch)
-    if len(torque):
-        span = slice(max(start, 0), max(start, 0) + len(torque))
-        u[block, span], y[block, span] = torque.transpose(2, 0, 1), reading.transpose(2, 0, 1)
+    signal = signal[max(-start, 0) :]
+    if len(signal):
+        whole[block, max(start, 0) : max(start, 0) + len(signal)] = signal.transpose(2, 0, 1)

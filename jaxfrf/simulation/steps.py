@@ -5,6 +5,8 @@ import math
 import numpy as np
 
 from .._errors import input_error
+from ..effects import AbstractGearTorque
+from ..effects.acting import groups
 from ..robot import OperatingPoint, Robot, friction_effects, linearise, local_stiffness, spring_directions
 
 _LEAST = 3  # steps at which the error of R3X is below that of holding the inertia over a sample
@@ -50,6 +52,18 @@ def _friction_rate(robot: Robot) -> float:
 def _fastest_mode(robot: Robot, point: OperatingPoint) -> float:
     """Highest undamped natural frequency over the positions, rad/s, springs as stiff as they get."""
     model, W = linearise(robot, point), np.asarray(spring_directions(robot))
-    more = np.asarray(robot.springs.tangent(np.ones(W.shape[1])) - local_stiffness(robot, point))
+    stiffest = robot.springs.tangent(np.ones(W.shape[1]))
+    more = np.asarray(_beside_springs(robot, stiffest) + stiffest - local_stiffness(robot, point))
     mass, stiffness = np.asarray(model.mass), model.stiffness + np.einsum("is,...s,js->...ij", W, more, W)
     return float(np.sqrt(np.max(np.abs(np.linalg.eigvals(np.linalg.solve(mass, stiffness))), initial=0.0)))
+
+
+def _beside_springs(robot: Robot, tangent) -> np.ndarray:
+    """Stiffness that effects with a memory add to the springs' `tangent` in fast motion, (spring,)."""
+    flexible, added = list(robot.flexible_axes), np.zeros(len(tangent))
+    rows = np.zeros(robot.n_axes)
+    rows[flexible] = tangent[: len(flexible)]
+    for group in groups(robot, AbstractGearTorque):
+        springs = [flexible.index(axis) for axis in group.axes]
+        added[springs] += np.asarray(group(lambda e, k: e.stiffness(k), rows))
+    return added

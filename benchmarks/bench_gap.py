@@ -1,0 +1,179 @@
+"""How often a hidden effect is found and named, and how often one is named that is not there.
+
+    python benchmarks/bench_gap.py --part report -o report [--cases 0-63] [--make-only] [--jobs 1]
+    python benchmarks/bench_gap.py --score -o report [tune ...]
+
+Every case (`_hidden_cases.py`) is a simulated machine that differs from the robot that the diagnosis is given: a little
+everywhere, and by one effect of the library, two, one that the library does not hold, or none. Half of the records are
+MuJoCo's. The diagnosis sees `FOLDER/cases/NNN` (record and nominal robot); what was hidden stands in
+`FOLDER/truth/NNN.json`, what it found in `FOLDER/results/NNN.json`: gap.json with the wall time, and the shrink of the
+gap on the sealed positions if the true effect is refitted ("oracle") or some other one ("placebo").
+
+Data and results that are there are kept, so an interrupted run goes on; a diagnosis that ended in an error is made
+again. `--make-only` makes the data; a case takes half a minute and 83 MB. `--score` prints the tables, and writes
+`score.json`, `score.txt` and `confusion.png` into the (first) folder. Tune on "tune", report on "report".
+"""
+
+import argparse
+import gc
+import json
+import os
+import pathlib
+import sys
+import time
+
+os.environ.setdefault("NPROC", "4")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("JAX_ENABLE_X64", "1")
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+sys.path.insert(0, str(pathlib.Path(__file__).parent))
+
+import jax
+import numpy as np
+from _gap_picture import draw
+from _gap_score import load, report, score
+from _hidden_cases import PARTS, Case, can_be_made, cases, class_of, make
+from _hidden_effects import JOINTS, MAIN, kind_of
+
+from jaxfrf.effects import AbstractEffect
+from jaxfrf.effects.catalogue import effect_from_table
+from jaxfrf.gap.diagnose import THROUGH, investigate
+from jaxfrf.gap.present import linear_shrink, present, shrink_with
+from jaxfrf.io._json import write_json
+from jaxfrf.io.gaps import gap_contents
+from jaxfrf.io.records import read
+from jaxfrf.io.robots import read_robot
+
+_FORGET = 10  # cases after which compiled programs are dropped: they keep memory
+
+
+class Looked:
+    """A case as the diagnosis sees it, and what it found."""
+
+    def __init__(self, folder: pathlib.Path):
+        robot, record = read_robot(folder / "robot.toml"), read(folder / "data.nc")
+        self.search = investigate(robot, record)
+        self.found = present(self.search, THROUGH, frf=False)
+
+    def shrink(self, effects: list[AbstractEffect]) -> float | None:
+        """Shrink of the gap on the sealed positions once these effects, started from these values, are fitted with the
+        robot's own parameters; `None` where that cannot be told."""
+        return shrink_with(self.search, effects)
+
+    def linear_shrink(self, effects: list[AbstractEffect]) -> float:
+        """The same to first order, without a simulation."""
+        return linear_shrink(self.search, effects)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--output", type=pathlib.Path, nargs="+", required=True, metavar="FOLDER")
+    parser.add_argument("--part", choices=PARTS, default="report")
+    parser.add_argument("--cases", type=_numbers, metavar="0-63", help="numbers and ranges, separated by commas")
+    parser.add_argument("--make-only", action="store_true")
+    parser.add_argument("--score", action="store_true", help="tables only")
+    parser.add_argument("--jobs", type=int, default=1, help="processes of MuJoCo")
+    options = parser.parse_args()
+    folder = options.output[0]
+    if not options.score:
+        chosen = [c for c in cases(options.part) if options.cases is None or c.number in options.cases]
+        run(chosen, folder, options.make_only, options.jobs)
+    if not options.make_only:
+        tell(options.output)
+
+
+def run(chosen: list[Case], folder: pathlib.Path, make_only: bool = False, jobs: int = 1) -> None:
+    """Data of all these cases and, unless `make_only`, what the diagnosis says of them."""
+    began, done = time.monotonic(), 0
+    for k, case in enumerate(chosen):
+        result = folder / "results" / f"{case.name}.json"
+        if not can_be_made(case):
+            print(f"{case.name}: left out, the library does not have its effects", flush=True)
+            continue
+        if (make_only and (folder / "cases" / case.name).exists()) or (not make_only and _finished(result)):
+            continue
+        start = time.monotonic()
+        make(case, folder, jobs)
+        said = "made" if make_only else _diagnosed(case, folder, result)
+        done += 1
+        if done % _FORGET == 0:
+            jax.clear_caches()
+            gc.collect()
+        now = time.monotonic()
+        left = (now - began) / done * (len(chosen) - k - 1)
+        print(f"{case.name}: {said}, {now - start:.0f} s; {_duration(left)} left", flush=True)
+
+
+def _finished(result: pathlib.Path) -> bool:
+    return result.exists() and json.loads(result.read_text())["verdict"] != "failed"
+
+
+def _diagnosed(case: Case, folder: pathlib.Path, result: pathlib.Path) -> str:
+    """Diagnose a case, then refit the true effects and others in their place; a few words about the end."""
+    place = folder / "cases" / case.name
+    start = time.monotonic()
+    looked = None
+    try:
+        looked = Looked(place)
+        found = gap_contents(looked.found)
+    except Exception as error:  # one case must not end the others; it counts as failed
+        found = {"verdict": "failed", "error": f"{type(error).__name__}: {error}"}
+    found["wall_s"] = time.monotonic() - start
+    truth = json.loads((folder / "truth" / f"{case.name}.json").read_text())
+    if case.kind in ("single", "double") and looked is not None:
+        found["oracle"] = _oracle(looked, truth["effects"])
+        found["placebo"] = looked.linear_shrink(_others(case, looked.search.given))
+    result.parent.mkdir(parents=True, exist_ok=True)
+    write_json(result, found)
+    named = ", ".join(f"{e['name']} {e.get('joint') or ''}".strip() for e in found.get("effects") or ())
+    return f"{found['verdict']} {named}".strip()
+
+
+def _oracle(looked: Looked, hidden: list[dict]) -> float | None:
+    """Shrink with the true effects; what was named is not fitted a second time where it is the same."""
+    named = {(effect.name, effect.joint) for effect in looked.found.effects}
+    if named == {(effect["name"], effect["joint"]) for effect in hidden}:
+        return looked.found.gap.shrink
+    return looked.shrink([_hidden(effect) for effect in hidden])
+
+
+def _hidden(effect: dict) -> AbstractEffect:
+    return effect_from_table({"name": effect["name"], "joint": effect["joint"], **effect["parameters"]})
+
+
+def _others(case: Case, robot) -> list[AbstractEffect]:
+    """As many typical effects of other classes, on joints of their own choice."""
+    rng = np.random.default_rng([case.seed, 9])
+    hidden = {name for effect in case.hidden for name in class_of(effect.name)}
+    names = rng.permutation([name for name in MAIN if name not in hidden])[: len(case.hidden)]
+    return [kind_of(name).typical(robot, str(rng.choice(JOINTS[name]))) for name in names]
+
+
+def tell(folders: list[pathlib.Path]) -> None:
+    """Print and write the scores of all results in these folders."""
+    scores = score(load(*folders))
+    if not scores["all"]["cases"]:
+        print("No results yet.")
+        return
+    text = report(scores)
+    print(text)
+    write_json(folders[0] / "score.json", scores)
+    (folders[0] / "score.txt").write_text(text + "\n", encoding="utf-8")
+    draw(scores["confusion"], folders[0] / "confusion.png")
+
+
+def _numbers(text: str) -> set[int]:
+    """ "0-3,7" as {0, 1, 2, 3, 7}."""
+    found: set[int] = set()
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        found |= set(range(int(first), int(last or first) + 1))
+    return found
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,213 @@
+"""What happens inside a transmission, beside its spring."""
+
+import math
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._errors import input_error
+from .._types import Array
+from ._harmonics import checked, harmonics
+from ._place import axis_of
+from .effect import AbstractGearCoupling, AbstractGearError, AbstractGearTorque, Joint
+
+Number = Float[Array, ""] | float
+
+
+class TransmissionError(AbstractGearError):
+    """The gear's output leads by an error of its teeth, e = sum_h amplitude_h sin(order_h N q_m/n + phase_h).
+
+    The spring's deflection is x = q_m/n + e(q_m) - q_a then, and x' its rate; the motor feels tau (1/n + de/dq_m).
+
+    **Arguments:** `amplitude`: (order,), rad, arm side; 3e-5 is visible. `teeth`: N, errors per turn of the arm, not
+    necessarily a multiple of the ratio n. `order`: of the teeth's frequency, whole numbers. `phase`: (order,), rad; 0
+    by default.
+
+    In data: torque and acceleration at orders N/n of the motor's angle, which are mostly not whole, strongest where
+    they meet a mode. In the linearised robot: not at all, but the point of rest knows it.
+    """
+
+    name: ClassVar = "transmission_error"
+    units: ClassVar = {"amplitude": "rad", "teeth": "1", "order": "1", "phase": "rad"}
+    bounds: ClassVar = {
+        "amplitude": (0.0, 3e-4),
+        "teeth": (1.0, 1000.0),
+        "order": (1.0, 50.0),
+        "phase": (-math.pi, math.pi),
+    }
+    signature: ClassVar = "orders of the gear, mostly not whole orders of the motor's angle; strongest at the modes"
+    confusable: ClassVar = {"torque_ripple": "orders of the motor's angle that are not whole"}
+
+    joint: Joint = eqx.field(static=True)
+    amplitude: Float[Array, "order"]
+    teeth: Number
+    order: tuple[int, ...] = eqx.field(static=True)
+    phase: Float[Array, "order"]
+
+    def __init__(self, joint: Joint, amplitude, teeth: Number, order=(1, 2), phase=None):
+        self.joint, self.teeth = joint, teeth
+        self.amplitude, self.order, self.phase = checked(self.name, amplitude, order, phase)
+
+    @classmethod
+    def typical(cls, robot, joint):
+        """Two errors a turn between motor and output, as of a strain-wave gear: 2 + 2/n per turn of the motor."""
+        return cls(joint, [3e-5], 2.0 * (robot.drives.gear_ratio[axis_of(robot, joint)] + 1.0), (1,))
+
+    def lead(self, angle):
+        return harmonics(self.amplitude, self.order, self.phase, self.teeth * angle)
+
+
+_CORNERS = np.array([3.0, 17.3, 100.0])  # Hz, of the Maxwell elements
+_WEIGHTS = np.array([1.5, 1.0, 1.5])  # their stiffness over loss k: the loss is within .75 % of it from 4 to 80 Hz
+_TIMES = 1.0 / (2.0 * np.pi * _CORNERS)
+_KEPT = 20.0  # Hz, where the stiffness is k
+_SOFTER = float(np.sum(_WEIGHTS / (1.0 + np.square(_CORNERS / _KEPT))))  # times loss: at rest
+
+
+class StructuralDamping(AbstractGearTorque):
+    """Loss inside the gear's material, a stiffness k (1 + j loss) at every frequency.
+
+    Causal by three Maxwell elements beside the transmission's spring, springs of 1.5, 1 and 1.5 loss k in series with
+    dampers, corners at 3, 17.3 and 100 Hz: the loss is within .75 % of `loss` k from 4 to 80 Hz and falls beyond, to
+    half at .95 and 320 Hz. The real part stays k at 20 Hz and rises by loss k (2/pi) ln(f/20 Hz), as causality asks;
+    at rest the gear is softer by 2.1 loss k. A nonlinear spring loses `loss` of its local stiffness.
+
+    **Arguments:** `loss`: eta, 0-0.1; 0.02 is visible.
+
+    In data: the same damping ratio over modes of all frequencies; two thirds of it hide in the damping d. In the
+    linearised robot: exactly, as a complex stiffness (some 1e-9 of G in the aliases of a held torque); its state space
+    does without.
+    """
+
+    name: ClassVar = "structural_damping"
+    units: ClassVar = {"loss": "1"}
+    bounds: ClassVar = {"loss": (0.0, 0.1)}
+    signature: ClassVar = "the same damping ratio over modes of all frequencies"
+    confusable: ClassVar = {
+        "damping error": "positions with other mode frequencies",
+        "arm_viscous_friction": "positions with other mode frequencies",
+    }
+
+    joint: Joint = eqx.field(static=True)
+    loss: Number
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 0.02)
+
+    def start(self, deflection, tension):
+        return tension, jnp.zeros((len(_TIMES), *tension.shape), tension.dtype)
+
+    def advance(self, state, deflection, tension, elapsed):
+        """State: the tension, and how much of it the damper of each element has not yet let go of."""
+        before, stretch = state
+        each = lambda x: jnp.reshape(jnp.asarray(x), (-1, *[1] * tension.ndim))
+        part = elapsed / each(_TIMES)
+        ramp = jnp.where(part > 0.0, -jnp.expm1(-part) / jnp.where(part > 0.0, part, 1.0), 1.0)
+        stretch = jnp.exp(-part) * stretch + ramp * (tension - before)
+        torque = self.loss * (jnp.sum(each(_WEIGHTS) * stretch, axis=0) - _SOFTER * tension)
+        return torque, (tension, stretch)
+
+    def response(self, s):
+        elements = sum(weight * s * time / (1.0 + s * time) for weight, time in zip(_WEIGHTS, _TIMES, strict=True))
+        return self.loss * (elements - _SOFTER)
+
+    def stiffness(self, tangent):
+        return self.loss * (_WEIGHTS.sum() - _SOFTER) * tangent
+
+
+_YIELDS = np.array([0.25, 0.75, 1.25, 1.75])  # of `slip`: where each of the elements slips
+
+
+class GearHysteresis(AbstractGearTorque):
+    """Rate-independent friction inside the gear, between its output and its input.
+
+    Four springs in series with a dry slider each (Jenkin elements, a Maxwell-slip model) beside the transmission's
+    spring, each torque/(4 slip) stiff; they slip at 1/4, 3/4, 5/4 and 7/4 of `slip`. The torque rises with the slope
+    torque/slip and bends over to `torque`; after a reversal it does so from the other side, over twice the way.
+
+    **Arguments:** `torque`: N m, arm side, where all slip, 0 or more; 2 % of the torque limit (n times the motor's) is
+    visible. `slip`: rad, arm side, above 0; deflection at which they slip on average.
+
+    In data: a loop of the gear's torque over its deflection that is the same at all speeds; odd distortion; damping
+    and resonance fall with amplitude. In the linearised robot: not at all, its stiffness and damping are those of an
+    amplitude. At rest it has relaxed: the spring carries all.
+    """
+
+    name: ClassVar = "gear_hysteresis"
+    units: ClassVar = {"torque": "N m", "slip": "rad"}
+    bounds: ClassVar = {"torque": (0.0, 500.0), "slip": (1e-5, 2e-3)}
+    signature: ClassVar = "a loop of torque over deflection that is the same at all speeds; odd distortion"
+    confusable: ClassVar = {
+        "coulomb_friction": "slow runs of small amplitude: the torque bends over within the deflection `slip`",
+        "stribeck_friction": "slow runs",
+        "backlash": "positions with preload, where backlash vanishes",
+    }
+
+    joint: Joint = eqx.field(static=True)
+    torque: Number
+    slip: Number = 1e-4
+
+    @classmethod
+    def typical(cls, robot, joint):
+        axis = axis_of(robot, joint)
+        limit, gear = robot.drives.torque_limit[axis], jnp.abs(robot.drives.gear_ratio[axis])
+        return cls(joint, 0.02 * jnp.where(jnp.isfinite(limit), limit * gear, 1000.0))
+
+    def start(self, deflection, tension):
+        return deflection, jnp.zeros((len(_YIELDS), *deflection.shape), deflection.dtype)
+
+    def advance(self, state, deflection, tension, elapsed):
+        """State: the deflection, and that of every element's spring."""
+        before, stretch = state
+        most = self.slip * jnp.reshape(jnp.asarray(_YIELDS), (-1, *[1] * deflection.ndim))
+        stretch = jnp.clip(stretch + (deflection - before), -most, most)
+        return self.torque / self.slip * jnp.mean(stretch, axis=0), (deflection, stretch)
+
+    def response(self, s):
+        return jnp.zeros_like(s)
+
+    def stiffness(self, tangent):
+        return jnp.broadcast_to(self.torque / self.slip, jnp.shape(tangent))
+
+
+class WristCoupling(AbstractGearCoupling):
+    """A gear that the axis before turns too, as in wrists whose shafts run through one another.
+
+    q_m = n (q_a + ratio q_(a, before)) of a stiff gear: `joint` is the axis whose motor is turned, the axis before it
+    is the one that turns it. Its spring is deflected by x = q_m/n - q_a - ratio q_(a, before) and pulls the axis before
+    by ratio times its torque.
+
+    **Arguments:** `ratio`: turns of the gear's output for a turn of the axis before, +-0.1; 0.02 is visible.
+
+    In data: the off-diagonal elements of G between the two axes, at all frequencies and positions. In the linearised
+    robot: exactly.
+
+    **Raises:** (in `with_effects`) `jaxfrf.InputError` on the first axis, and on a rigid transmission.
+    """
+
+    name: ClassVar = "wrist_coupling"
+    units: ClassVar = {"ratio": "1"}
+    bounds: ClassVar = {"ratio": (-0.1, 0.1)}
+    signature: ClassVar = "the off-diagonal elements between neighbouring axes (G45, G56) at all frequencies"
+    confusable: ClassVar = {"inertia error": "positions: the coupling does not depend on them"}
+
+    joint: Joint = eqx.field(static=True)
+    ratio: Number
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 0.02)
+
+    def check(self, robot):
+        super().check(robot)
+        if axis_of(robot, self.joint) == 0:
+            raise input_error(
+                f"wrist_coupling on {robot.name}",
+                f"{robot.axis_names[0]}, the first axis",
+                "an axis with another one before it",
+                "Name the axis whose motor is turned by the one before.",
+            )

@@ -1,0 +1,13 @@
+"""Where a model and its measurement disagree, which effect is missing, and what it is worth to add it."""
+
+from .diagnose import diagnose as diagnose
+from .result import (
+    Cell as Cell,
+    Diagnosis as Diagnosis,
+    Estimate as Estimate,
+    Gap as Gap,
+    Maps as Maps,
+    Named as Named,
+    Ranked as Ranked,
+)
+from .torque import diagnose_torque as diagnose_torque

@@ -1,0 +1,151 @@
+"""Find where a model and its measurement disagree, name what is missing, add it, and see the gap shrink."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import input_error
+from .._types import require_x64
+from ..effects import AbstractEffect
+from ..experiment import Experiment
+from ..robot import Controller, Robot
+from ..robot.quantity import derivatives
+from .measured import fewer, measured
+from .present import present
+from .result import Diagnosis
+from .search import Say, Search, search
+
+_EXPERIMENTS = 3  # of a position that are used: what limits the search is the model, not the noise
+
+THROUGH = "through the experiment: the robot plays the record's references under its controller"
+TRACKED = "by the torque that the model needs for the measured motion: its reference or controller is not known"
+
+
+def diagnose(
+    robot: Robot,
+    data: Experiment | Sequence[Experiment],
+    *,
+    own: Sequence[type[AbstractEffect]] = (),
+    sealed: int | None = None,
+    say: Say | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Diagnosis:
+    """Which effect a robot's model lacks, from periodic records at several positions.
+
+    The robot is simulated through the experiment; what the measured torque is beyond what the robot would have asked,
+    referred to its motors, is the residual, at every line from 0 to the highest excited one, unexcited ones and the
+    slow motion included. Its own parameters give way first: stiffness and damping freely, friction, masses and rotors
+    within their tolerances, ripple below what is visible. Every effect of the library on every joint is then scored by
+    what its law, evaluated along the simulated motion, takes off the residual; the best are refined, simulated and
+    compared; this repeats with the effect in the model. Positions that are sealed are opened once, at the end.
+
+    Thresholds are those of `search`; they were set on simulated records. Wrong where several effects of a similar
+    signature act at once, and where an effect that the library does not hold looks like one that it does: then the
+    remaining misfit tells, and nothing is named. Rigid robots of non-periodic records: `diagnose_torque`.
+
+    **Arguments:**
+
+    - `robot`: nominal, with a controller and the record's sampling frequency; without one the robot is made to follow
+      the measured motion, which compares torques only.
+    - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`.
+    - `own`: effects of your own, classes like those of `jaxfrf.effects`.
+    - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
+    - `say`: called with a line of progress. `progress`: with the part that is done.
+
+    **Raises:** `jaxfrf.InputError` for records without period or arm configurations, and for a robot that does not fit.
+
+    Source: Bosworth & Hosking style score tests with nuisance parameters; the workflow is this project's own.
+    """
+    record = joined([data] if isinstance(data, Experiment) else list(data))
+    compared = THROUGH
+    if robot.controller is None or record.r is None:
+        robot, record, compared = tracked(robot, record)
+    return present(investigate(robot, record, own=own, sealed=sealed, say=say, progress=progress), compared)
+
+
+def investigate(
+    robot: Robot,
+    record: Experiment,
+    *,
+    own: Sequence[type[AbstractEffect]] = (),
+    sealed: int | None = None,
+    say: Say | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Search:
+    """The search of `diagnose`, with all that was simulated, on one record with references."""
+    require_x64("A diagnosis")
+    robot = jax.tree.map(jnp.asarray, robot)
+    some = measured(fewer(record, _EXPERIMENTS))
+    return search(robot, some, opened_positions(record, sealed), tuple(own), say, progress)
+
+
+def joined(records: Sequence[Experiment]) -> Experiment:
+    """Several records as one: their positions one after the other.
+
+    **Raises:** `jaxfrf.InputError` where they do not belong together.
+    """
+    if not records:
+        raise input_error("data", "no record", "one or more", "Give the files of the experiment.")
+    first = records[0]
+    for other in records[1:]:
+        for name in ("fs", "period", "n_exp", "n_time", "y_quantity", "r_quantity", "transient_periods"):
+            if getattr(other, name) != getattr(first, name):
+                raise input_error(
+                    f"{name} of the records",
+                    f"{getattr(first, name)} and {getattr(other, name)}",
+                    "the same in all files",
+                    "Diagnose them one by one.",
+                )
+        if (other.r is None) != (first.r is None):
+            raise input_error("r", "in some of the records only", "in all of them, or in none", "Leave it out.")
+    for record in records:
+        if record.q is None:
+            raise input_error("q", "none", "the arm configuration of every position", "Store q with the records.")
+    if len(records) == 1:
+        return first
+    stack = lambda name: np.concatenate([np.asarray(getattr(r, name)) for r in records])
+    lines = np.unique(np.concatenate([np.asarray(r.lines) for r in records if r.lines is not None]))
+    return dataclasses.replace(
+        first,
+        u=stack("u"),
+        y=stack("y"),
+        r=None if first.r is None else stack("r"),
+        q=stack("q"),
+        lines=lines if len(lines) else None,
+        sources=tuple(s for r in records for s in r.sources),
+    )
+
+
+def opened_positions(record: Experiment, sealed: int | None) -> np.ndarray:
+    """Which positions are fitted, (pos,): the sealed ones stand between them. Records of one place stay together."""
+    places = np.unique(np.round(np.asarray(record.q), 9), axis=0, return_inverse=True)[1].reshape(-1)
+    count = places.max() + 1
+    if sealed is None:
+        sealed = count // 3 if count >= 3 else 0
+    if not 0 <= sealed < count:
+        raise input_error(
+            "sealed positions", f"{sealed}", f"0 to {count - 1} of {count} positions", "Leave some for the fit."
+        )
+    order = dict.fromkeys(places.tolist())
+    names = list(order)
+    chosen = {names[int(i)] for i in np.round((np.arange(sealed) + 1) * count / max(sealed, 1)) - 1}
+    return np.array([place not in chosen for place in places])
+
+
+def tracked(robot: Robot, record: Experiment) -> tuple[Robot, Experiment, str]:
+    """The robot under a controller that makes its motors follow the measured motion, which becomes the reference."""
+    if derivatives(record.y_quantity) == 2:
+        raise input_error(
+            "y", "accelerations", "positions or speeds that a motor can follow", "Give the motors' positions."
+        )
+    gain = 200.0 * np.asarray(robot.drives.motor_inertia)
+    controller = Controller(jnp.asarray(20.0), jnp.asarray(0.1), jnp.asarray(gain), True)
+    y = np.asarray(record.y)
+    reference = dataclasses.replace(
+        record, r=y, r_quantity="position" if derivatives(record.y_quantity) == 0 else "velocity"
+    )
+    limitless = dataclasses.replace(robot.drives, torque_limit=jnp.full(robot.n_axes, jnp.inf))
+    return dataclasses.replace(robot, controller=controller, drives=limitless), reference, TRACKED

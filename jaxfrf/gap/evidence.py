@@ -1,0 +1,169 @@
+"""What a record says against a robot: the torque that its motors gave beyond what the robot asks of them."""
+
+import concurrent.futures
+import os
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import numpy as np
+import scipy.ndimage
+from jaxtyping import Complex, Float
+
+from ..robot import Robot
+from ..simulation import replay_motion
+from ..simulation.runs import Progress
+from .frozen import frozen
+from .measured import Measured, mean_period
+from .scene import Scene
+
+# Of the torque around a line: what two simulators of the same robot differ by, slow motion and resonances.
+_SLOW_MISMATCH, _MISMATCH = 0.004, 0.02
+_CORNERS = (1.5, 4.0)  # Hz, between the two
+_AROUND = 20  # lines
+
+
+class Evidence:
+    """A robot simulated through the experiment, and the residual of the record, referred to the motors' commands.
+
+    **Fields:** `residual`: measured less simulated torque, less what the robot asks for the difference in motion, (pos,
+    exp, line, axis), N m. `floor`: rms of what noise and an honest model leave of it, (line, axis), N m. `scenes`: one
+    for each position. `U`, `Y`: of the simulation.
+    """
+
+    def __init__(self, robot: Robot, record: Measured, steps: int | None = None, progress: Progress | None = None):
+        self.robot = robot
+        motion = replay_motion(robot, record.data, steps=steps, progress=progress)
+        stills = frozen(robot, motion, record.data.q, record.frequency)
+        count = len(record.frequency)
+        self.U, self.Y = (_lines(x, count) for x in (motion.u, motion.y))
+        self.Y[..., 0, :] = 0.0
+        self.residual = np.stack(
+            [
+                record.U[p] - self.U[p] - np.einsum("lab,elb->ela", s.impedance, record.Y[p] - self.Y[p]) / s.command
+                for p, s in enumerate(stills)
+            ]
+        )
+        self.noise = _noise(stills, record.noise)
+        self.plain = self.floor = _floor(self.U, self.noise, record.frequency)
+        self.scenes = [Scene(robot, motion, p, s, mean_period(record.data, p)) for p, s in enumerate(stills)]
+
+
+def _lines(x, count):
+    return np.stack([np.fft.rfft(run, axis=1)[:, :count] / run.shape[1] for run in x])
+
+
+def _noise(stills, noise) -> Float[np.ndarray, "line axis"]:
+    """rms of the noise of the measured positions in the residual."""
+    power = [np.einsum("lab,b->la", np.abs(s.impedance / s.command[:, :, None]) ** 2, noise**2) for s in stills]
+    return np.sqrt(np.mean(power, axis=0))
+
+
+def _floor(U, noise, frequency):
+    around = np.mean(np.abs(U) ** 2, axis=(0, 1))
+    smooth = scipy.ndimage.uniform_filter1d(around[1:], _AROUND, axis=0, mode="nearest")
+    around[1:] = smooth
+    around[0] = np.maximum(around[0], smooth[0])
+    mismatch = np.exp(np.interp(frequency, _CORNERS, np.log([_SLOW_MISMATCH, _MISMATCH])))
+    return np.sqrt(noise**2 + mismatch[:, None] ** 2 * around)
+
+
+def inflated(floor, left) -> Float[np.ndarray, "line axis"]:
+    """The floor with the usual size of a remainder, (pos, exp, line, axis), around every line: where a model is far
+    off, no few lines shall rule."""
+    power = np.median(np.abs(left) ** 2, axis=(0, 1))
+    smooth = scipy.ndimage.median_filter(power, size=(2 * _AROUND + 1, 1), mode="nearest")
+    return np.sqrt(floor**2 + smooth / np.log(2.0))
+
+
+def refloored(weighed: "Weighed", old, new) -> "Weighed":
+    """The same columns over another floor."""
+    factor = np.concatenate([(old / new).ravel()] * 2).astype(np.float32)
+    parts = tuple(part * factor for part in weighed.parts)
+    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
+        every = np.concatenate(list(pool.map(lambda X: _products(X, X), parts)))
+    return Weighed(parts, _gram(every, parts))
+
+
+def cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Gram(eqx.Module):
+    """Products of weighted columns and residual, run by run: all that least squares needs.
+
+    **Fields:** `A`: (run, column, column). `b`: (run, column). `rr`: (run,). `position`: of each run, (run,). `count`:
+    real numbers in a run.
+    """
+
+    A: Float[np.ndarray, "run column column"]
+    b: Float[np.ndarray, "run column"]
+    rr: Float[np.ndarray, "run"]
+    position: np.ndarray
+    count: int = eqx.field(static=True)
+
+
+Column = Callable[[Scene], Complex[np.ndarray, "exp line axis"]]
+
+
+class Weighed(eqx.Module):
+    """Columns and residual over the floor, position by position, and their products.
+
+    **Fields:** `parts`: (exp, column, number) for each position, the residual last. `gram`: products of every run.
+    """
+
+    parts: tuple[np.ndarray, ...]
+    gram: Gram
+
+
+def weigh(evidence: Evidence, columns: Sequence[Column], base: Weighed | None = None) -> Weighed:
+    """Weighted columns beside those of `base`, whose products are not made again."""
+
+    def one(pos):
+        scene, floor = evidence.scenes[pos], evidence.floor
+        rows = [column(scene) / floor for column in columns]
+        if base is None:
+            rows.append(evidence.residual[pos] / floor)
+        X = np.stack(rows, axis=1).reshape(len(rows[0]), len(rows), -1)
+        X = np.concatenate([X.real, X.imag], axis=-1).astype(np.float32)
+        if base is None:
+            return X, _products(X, X)
+        old = base.parts[pos]
+        return np.concatenate([old[:, :-1], X, old[:, -1:]], axis=1), (_products(old, X), _products(X, X))
+
+    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
+        found = list(pool.map(one, range(len(evidence.scenes))))
+    parts = tuple(part for part, _ in found)
+    if base is None:
+        every = np.concatenate([products for _, products in found])
+        return Weighed(parts, _gram(every, parts))
+    across = np.concatenate([a for _, (a, _) in found])
+    own = np.concatenate([b for _, (_, b) in found])
+    g = base.gram
+    A = np.block([[g.A, across[:, :-1]], [across[:, :-1].swapaxes(1, 2), own]])
+    return Weighed(parts, Gram(A, np.concatenate([g.b, across[:, -1]], axis=1), g.rr, g.position, g.count))
+
+
+def _products(X, Y):
+    return (X @ Y.swapaxes(1, 2)).astype(float)
+
+
+def _gram(every, parts) -> Gram:
+    position = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
+    return Gram(every[:, :-1, :-1], every[:, :-1, -1], every[:, -1, -1], position, parts[0].shape[-1])
+
+
+def reweighed(weighed: Weighed, evidence: Evidence) -> Weighed:
+    """The same columns beside the residual of another simulation, over the floor that they have."""
+
+    def one(pos):
+        rows = evidence.residual[pos] / evidence.floor
+        rows = rows.reshape(len(rows), 1, -1)
+        rows = np.concatenate([rows.real, rows.imag], axis=-1).astype(np.float32)
+        X = np.concatenate([weighed.parts[pos][:, :-1], rows], axis=1)
+        return X, _products(X, rows)[..., 0]
+
+    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
+        found = list(pool.map(one, range(len(weighed.parts))))
+    products = np.concatenate([b for _, b in found])
+    g = weighed.gram
+    return Weighed(tuple(X for X, _ in found), Gram(g.A, products[:, :-1], products[:, -1], g.position, g.count))

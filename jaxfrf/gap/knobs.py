@@ -1,0 +1,77 @@
+"""What the base model may change of itself before an effect is called missing."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..robot import Robot
+from ..robot.drive import Friction, Spring
+
+STIFFNESS, DAMPING = 0.3, 1.0
+LINKS, MOTORS, FRICTION, CORNER = 0.01, 0.005, 0.03, 0.3
+
+
+class Knob(eqx.Module):
+    """One number of the robot as a relative change x, zero where the robot is as given.
+
+    **Fields:** `name`: `joint1.stiffness`. `tolerance`: standard deviation of x before the experiment. `free`: whether
+    it is a parameter of the base model, which the experiment shall give; others are only known to their tolerance.
+    """
+
+    name: str = eqx.field(static=True)
+    tolerance: float = eqx.field(static=True)
+    free: bool = eqx.field(static=True)
+    kind: str = eqx.field(static=True)
+    row: int = eqx.field(static=True)
+
+    def turned(self, robot: Robot, x: float) -> Robot:
+        """The robot with this number (1 + x) times as large."""
+        where = _PLACES[self.kind]
+        rows = jnp.asarray(where(robot))
+        if self.row < 0:
+            return eqx.tree_at(where, robot, rows * (1.0 + x))
+        return eqx.tree_at(where, robot, rows.at[self.row].multiply(1.0 + x))
+
+
+_PLACES = {
+    "stiffness": lambda r: r.springs.stiffness,
+    "damping": lambda r: r.springs.damping,
+    "motor_inertia": lambda r: r.drives.motor_inertia,
+    "viscous_friction": lambda r: r.drives.friction.viscous,
+    "coulomb_friction": lambda r: r.drives.friction.coulomb,
+    "smoothing": lambda r: r.drives.friction.smoothing,
+    "mass": lambda r: r.chain.mass,
+    "com": lambda r: r.chain.com,
+    "inertia": lambda r: r.chain.inertia,
+}
+
+
+def knobs(robot: Robot) -> tuple[Knob, ...]:
+    """Stiffness and damping of every spring, which are free; friction, motors and links to their tolerances."""
+    found = []
+
+    def add(kind, names, tolerance, free=False, needed=None):
+        values = np.asarray(_PLACES[kind](robot))
+        for row, name in enumerate(names):
+            if np.any(values[row] != 0.0) and np.all(np.isfinite(values[row])):
+                found.append(Knob(f"{name}.{kind}", tolerance, free, kind, row))
+
+    if isinstance(robot.springs, Spring):
+        add("stiffness", robot.spring_names, STIFFNESS, True)
+        add("damping", robot.spring_names, DAMPING, True)
+    add("motor_inertia", robot.axis_names, MOTORS)
+    if isinstance(robot.drives.friction, Friction):
+        add("viscous_friction", robot.axis_names, FRICTION)
+        add("coulomb_friction", robot.axis_names, FRICTION)
+        if np.any(np.asarray(robot.drives.friction.coulomb) != 0.0):
+            found.append(Knob("friction.smoothing", CORNER, False, "smoothing", -1))
+    for kind in ("mass", "com", "inertia"):
+        add(kind, robot.joint_names, LINKS)
+    return tuple(found)
+
+
+def turned(robot: Robot, knobs: tuple[Knob, ...], x) -> Robot:
+    """The robot with all of these changes."""
+    for knob, value in zip(knobs, x, strict=True):
+        robot = knob.turned(robot, float(value))
+    return robot

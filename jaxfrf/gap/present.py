@@ -1,0 +1,399 @@
+"""From a search to what a person reads: verdict, effects, where, gap, maps."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import scipy.fft
+
+from ..effects import library
+from ..experiment import Experiment
+from ..graybox.through import default_method, measured_frf
+from ..robot import parameters
+from .evidence import weigh
+from .refine import refine
+from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
+from .score import family_wise, fit_beside
+from .search import CLASSES, FLOOR, Search, Step, passes, with_effect
+from .signature import signature
+from .stage import Stage, bounds, remainder
+
+_BANDS = np.array([0.0, 1.5, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 60.0, 1e9])  # Hz
+_BINS = 24
+_FAR_OFF, _UNEXPLAINED = 2.0, 0.25  # misfit, and part of the reducible one, that must not be left
+_TOLERANCE = 0.06  # of the torque: half a decibel
+_NEAR = 0.1  # of what an effect explains: a rival this close is as good
+_SHOWN = 12
+
+
+def present(search: Search, compared: str, frf: bool = True) -> Diagnosis:
+    """The result of a search."""
+    base, last = _left(search, search.base), _left(search, search.last)
+    verdict, says, effects = _verdict(search, base)
+    extended = search.last if effects else search.base
+    after = last if effects else base
+    gap = _gap(search, base, after, extended)
+    values, changed = _parameters(search, extended)
+    maps = _maps(search, base, after, bool(effects))
+    sealed = np.flatnonzero(~search.opened)
+    return Diagnosis(
+        verdict=verdict,
+        says=says,
+        effects=effects,
+        ranking=_ranking(search),
+        where=_where(search, maps),
+        gap=gap,
+        maps=maps,
+        parameters=values,
+        changed=changed,
+        given=search.given,
+        base=search.base.robot,
+        extended=extended.robot,
+        compared=compared,
+        fitted=tuple(int(i) for i in np.flatnonzero(search.opened)),
+        sealed=tuple(int(i) for i in sealed),
+        frf=_responses(search, extended, sealed) if frf and len(sealed) else None,
+        next_experiment=_next(verdict, effects, search),
+        sources=tuple(search.record.data.sources),
+        settings={"lines": len(search.record.frequency), "highest_hz": float(search.record.frequency[-1])},
+    )
+
+
+def _left(search: Search, stage: Stage) -> np.ndarray:
+    """Residual of a stage after its own numbers gave way, (pos, exp, line, axis), N m."""
+    return remainder(stage.evidence, stage.weighed, stage.fit, stage.fit.columns, stage.fit.x)
+
+
+def _sealed(search: Search) -> np.ndarray:
+    return ~search.opened if not search.opened.all() else search.opened
+
+
+def _mean_square(left, floor, where) -> float:
+    return float(np.mean(np.abs(left[where] / floor) ** 2))
+
+
+def _verdict(search: Search, base):
+    before, after = search.base.misfit, search.last.misfit
+    steps = search.steps
+    left = (after - FLOOR) / max(before - FLOOR, 1e-9)
+    relative = _relative(search, base)
+    if steps and after > _FAR_OFF and left > _UNEXPLAINED:
+        return "unexplained", _tell_unexplained(search, left), ()
+    if not steps:
+        counted = _counting(search)
+        if counted:
+            names = ", ".join(f"{n.effect.name} on {n.joint}" for n in counted)
+            return "named", f"The readings move in whole counts: {names}.", counted
+        if before > _FAR_OFF:
+            return "unexplained", _tell_unexplained(search, 1.0), ()
+        if np.all(relative < _TOLERANCE):
+            return (
+                "sufficient",
+                f"Nothing is missing that these data show: the torque is met within "
+                f"{100 * relative.max():.1f} % (rms, worst axis), and no effect explains more of the rest than chance.",
+                (),
+            )
+        return "inconclusive", "No effect stands out, but the gap is not bounded below the tolerance either.", ()
+    effects = tuple(_named(search, step) for step in steps) + _counting(search)
+    rivals = _close_rivals(steps[0])
+    names = " and ".join(f"{e.name.replace('_', ' ')}" + (f" on {e.joint}" if e.joint else "") for e in effects)
+    if rivals:
+        others = ", ".join(f"{k[0].replace('_', ' ')} on {k[1]}" for k in rivals)
+        return (
+            "ambiguous",
+            f"{names[0].upper() + names[1:]} explains the gap; {others} does so nearly as well.",
+            effects,
+        )
+    part = 100 * (1 - max(left, 0.0))
+    return (
+        "named",
+        f"Missing: {names}. It explains {part:.0f} % of what the refitted model left above the floor.",
+        effects,
+    )
+
+
+def _tell_unexplained(search: Search, left: float) -> str:
+    return (
+        f"The misfit is {search.base.misfit:.3g} times the floor's, and the best effects leave {100 * left:.0f} % of "
+        "it: something is missing that the library does not hold. The maps show where."
+    )
+
+
+def _relative(search: Search, left) -> np.ndarray:
+    """rms residual over rms torque about its mean, per axis."""
+    U = search.record.U
+    return np.sqrt(np.sum(np.abs(left) ** 2, axis=(0, 1, 2)) / np.sum(np.abs(U[:, :, 1:]) ** 2, axis=(0, 1, 2)))
+
+
+def _close_rivals(step: Step) -> list[tuple[str, str]]:
+    won = step.before - step.after
+    close = []
+    for option, misfit in step.rivals:
+        same = {step.effect.name, option.key[0]}
+        if any(same <= c for c in CLASSES) and option.key[1] == step.option.key[1]:
+            continue
+        if misfit is not None and misfit - step.after < _NEAR * won:
+            close.append(option.key)
+    return close
+
+
+def _equivalent(step: Step) -> tuple[str, ...]:
+    names = [n for c in CLASSES if step.effect.name in c for n in sorted(c - {step.effect.name})]
+    return tuple(dict.fromkeys(names + [k[0] for k in _close_rivals(step) if k[0] != step.effect.name]))
+
+
+def _named(search: Search, step: Step) -> Named:
+    effect, runs = step.effect, int(np.sum(search.base.fit.runs))
+    first = step.option.scored
+    equivalent = _equivalent(step)
+    confusable = [f"{other}: {how}" for other, how in effect.confusable.items() if other in equivalent]
+    return Named(
+        effect=effect,
+        joint=step.option.key[1],
+        parameters=_effect_parameters(step),
+        p_value=family_wise(first.part, first.found.t, runs, len(search.scored)),
+        equivalent=equivalent,
+        separating_experiment="; ".join(confusable),
+        explains=float(np.clip((step.before - step.after) / max(search.base.misfit - FLOOR, 1e-9), 0, 1)),
+        visible=first.size,
+    )
+
+
+def _effect_parameters(step: Step) -> dict[str, Estimate]:
+    effect, names = step.effect, step.option.refined.names
+    if names:
+        return {
+            n: Estimate(float(getattr(effect, n)), float(s), effect.units[n])
+            for n, s in zip(names, step.std, strict=True)
+        }
+    found = {}
+    for name, unit in effect.units.items():
+        value = (
+            np.ravel(np.asarray(getattr(effect, name), float)) if getattr(effect, name) is not None else np.array([])
+        )
+        for i, v in enumerate(value):
+            found[name if len(value) == 1 else f"{name}_{i + 1}"] = Estimate(float(v), float("nan"), unit)
+    return found
+
+
+def _counting(search: Search) -> tuple[Named, ...]:
+    """Encoders that count, seen in the readings themselves."""
+    from ..effects import EncoderQuantisation
+    from .quantised import resolution
+
+    data = search.record.data
+    if data.y_quantity != "position":
+        return ()
+    found = []
+    for axis, joint in enumerate(search.given.axis_names):
+        count = resolution(np.asarray(data.y[0, :, :, axis]), 0.0)
+        if count > 0:
+            effect = EncoderQuantisation(joint, count)
+            visible = count / float(EncoderQuantisation.typical(search.given, joint).resolution)
+            value = {"resolution": Estimate(count, 1e-3 * count, "rad")}
+            found.append(Named(effect, joint, value, 0.0, (), "", 1.0, visible))
+    return tuple(found)
+
+
+def _ranking(search: Search) -> tuple[Ranked, ...]:
+    seen, found = set(), []
+    runs = int(np.sum(search.base.fit.runs))
+    taken = {step.option.key: i for i, step in enumerate(search.steps)}
+    simulated = {o.key: m for step in search.steps for o, m in step.rivals if m is not None}
+    for scored in search.scored:
+        if scored.candidate.key in seen:
+            continue
+        seen.add(scored.candidate.key)
+        effect = scored.effect()
+        first = next(iter(effect.units))
+        expected = {first: float(np.ravel(np.asarray(getattr(effect, first)))[0])}
+        if scored.candidate.key in taken:
+            why = "taken" if taken[scored.candidate.key] == 0 else "taken after the first"
+        elif scored.candidate.key in simulated:
+            why = f"simulated, leaves a misfit of {simulated[scored.candidate.key]:.3g}"
+        elif scored.size < 0.5:
+            why = f"{scored.size:.2g} of what is visible"
+        elif passes(scored, len(search.scored), runs):
+            why = "explains less than the one taken"
+        else:
+            why = "explains too little"
+        p = family_wise(scored.part, scored.found.t, runs, len(search.scored))
+        found.append(Ranked(*scored.candidate.key, scored.part, p, expected, scored.size, why))
+        if len(found) == _SHOWN:
+            break
+    return tuple(found)
+
+
+def _gap(search: Search, base, after, extended: Stage) -> Gap:
+    where, floor = _sealed(search), extended.evidence.plain
+    b, a = (np.sqrt(_mean_square(x, floor, where)) for x in (base, after))
+    low = min(np.sqrt(FLOOR), b)
+    shrink = float(np.clip(1.0 - (a - low) / max(b - low, 1e-9), -9.0, 1.0)) if b > low * 1.001 else 0.0
+    U = search.record.U[where][:, :, 1:]
+    torque = lambda x: np.sqrt(np.sum(np.abs(x[where]) ** 2, axis=(0, 1, 2)) / np.sum(np.abs(U) ** 2, axis=(0, 1, 2)))
+    on = "sealed positions" if not search.opened.all() else "the fitted positions (none were sealed)"
+    return Gap(float(b), float(a), float(low), shrink, "1", on, torque(base), torque(after))
+
+
+def shrink_with(search: Search, effects) -> float | None:
+    """Shrink of the gap on the sealed positions with these effects instead, fitted from these values and simulated."""
+    stage, before = search.base, []
+    for effect in effects:
+        effect = refine(stage, effect, _visible_of(effect)).effect
+        after = with_effect(stage, search.given, search.record, search.opened, effect, before)
+        if after is None:
+            return None
+        again = refine(after, effect, _visible_of(effect), effect).effect
+        better = with_effect(after, search.given, search.record, search.opened, again, before, effect)
+        stage, effect = (better, again) if better is not None and better.misfit < after.misfit else (after, effect)
+        before.append(effect)
+    return _gap(search, _left(search, search.base), _left(search, stage), stage).shrink
+
+
+def linear_shrink(search: Search, effects) -> float:
+    """As `shrink_with`, to first order in the effects, without a simulation."""
+    stage = search.base
+    found = [refine(stage, effect, _visible_of(effect)).effect for effect in effects]
+    weighed = weigh(stage.evidence, [lambda s: sum(signature(e, s) for e in found)], stage.weighed)
+    row = stage.weighed.gram.b.shape[1]
+    low, high = bounds(stage.knobs, stage.turns, len(stage.orders))
+    columns = stage.fit.columns
+    x = fit_beside(weighed.gram, columns, low[columns], high[columns], stage.fit.runs, row)
+    left = remainder(stage.evidence, weighed, stage.fit, np.append(columns, row), np.append(x, 1.0))
+    return _gap(search, _left(search, stage), left, stage).shrink
+
+
+def _visible_of(effect) -> float:
+    value = np.ravel(np.asarray(getattr(effect, next(iter(effect.units)))))
+    return float(np.max(np.abs(value)))
+
+
+def _parameters(search: Search, stage: Stage):
+    """Stiffnesses and dampings of the last model with their standard deviations."""
+    gram, fit = stage.weighed.gram, stage.fit
+    A = gram.A[fit.runs].sum(axis=0)[np.ix_(fit.columns, fit.columns)]
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    inverse = np.linalg.pinv(A / np.outer(size, size) + 1e-9 * np.eye(len(A))) / np.outer(size, size)
+    std = np.sqrt(np.maximum(np.diag(inverse) * max(fit.misfit, 1.0), 0.0))
+    own = {**parameters(stage.robot)}
+    values, changed = {}, {}
+    units = {"stiffness": "N m/rad", "damping": "N m s/rad"}
+    for i, knob in enumerate(search.knobs):
+        if knob.free:
+            value = float(own[knob.name]) * (1.0 + float(fit.x[i]))
+            values[knob.name] = Estimate(value, float(own[knob.name]) * float(std[i]), units[knob.kind])
+            changed[knob.name] = float((1.0 + stage.turns[i]) * (1.0 + fit.x[i]) - 1.0)
+    return values, changed
+
+
+def _maps(search: Search, base, after, named: bool) -> Maps:
+    frequency = search.record.frequency
+    edges = np.minimum(_BANDS, frequency[-1])
+    edges = edges[: int(np.argmax(_BANDS >= frequency[-1])) + 1]
+    floor = search.base.evidence.plain
+
+    def rms(left):
+        power = np.mean(np.abs(left / floor) ** 2, axis=1)
+        parts = [
+            power[:, (frequency >= a) & ((frequency < b) | (b == edges[-1]))].mean(axis=1)
+            for a, b in itertools.pairwise(edges)
+        ]
+        return np.sqrt(np.stack(parts, axis=-1))
+
+    before = rms(base)
+    return Maps(before, rms(after) if named else before, edges, _courses(search, base, after))
+
+
+def _courses(search: Search, base, after):
+    scenes = search.base.evidence.scenes
+    count = 1024
+    some = np.round(np.arange(count) * scenes[0].period / count).astype(int)
+    back = lambda X: scipy.fft.irfft(np.swapaxes(X, 1, 2), n=count, axis=2) * count
+    signals = {"speed": [], "angle": [], "load": []}
+    for scene in scenes:
+        signals["speed"].append(scene.speed[:, some])
+        signals["load"].append(scene.load[:, some])
+        signals["angle"].append(scene.angle[:, some] / scene.gear)
+    courses = [np.concatenate([np.moveaxis(back(x[p]), 1, 2) for p in range(len(x))]) for x in (base, after)]
+    result = {}
+    for name, signal in signals.items():
+        x = np.concatenate(signal)
+        rows = [_binned(x[..., a], [c[..., a] for c in courses]) for a in range(x.shape[-1])]
+        result[name] = tuple(np.stack([row[i] for row in rows]) for i in range(3))
+    return result
+
+
+def _binned(x, courses):
+    edges = np.quantile(x, np.linspace(0, 1, _BINS + 1))
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, _BINS - 1)
+    number = np.maximum(np.bincount(place.ravel(), minlength=_BINS), 1)
+    mean = lambda y: np.bincount(place.ravel(), y.ravel(), _BINS) / number
+    return mean(x), mean(courses[0]), mean(courses[1])
+
+
+def _where(search: Search, maps: Maps) -> tuple[Cell, ...]:
+    """The largest cells, those that hold at all positions as one."""
+    names = search.given.axis_names
+    overall = np.median(maps.before, axis=0)
+    cells = []
+    for axis, band in np.argwhere(overall > 2.0):
+        lo, hi = float(maps.bands[band]), float(maps.bands[band + 1])
+        z = float(overall[axis, band])
+        says = f"torque of {names[axis]}, {lo:g}-{hi:g} Hz, at all positions: {z:.3g} times the floor"
+        cells.append(Cell(None, names[axis], (lo, hi), z, says))
+    for pos, axis, band in np.argwhere((maps.before > 3.0) & (maps.before > 2.0 * overall)):
+        lo, hi = float(maps.bands[band]), float(maps.bands[band + 1])
+        z = float(maps.before[pos, axis, band])
+        says = f"torque of {names[axis]}, {lo:g}-{hi:g} Hz, at position {pos}: {z:.3g} times the floor"
+        cells.append(Cell(int(pos), names[axis], (lo, hi), z, says))
+    return tuple(sorted(cells, key=lambda c: -c.z)[:8])
+
+
+def _responses(search: Search, extended: Stage, sealed):
+    """FRFs of measurement, base and extended model, estimated alike."""
+    data = search.record.at(sealed).data
+    method = default_method()
+    found = [measured_frf(data, method, "acceleration")]
+    for stage in (search.base, extended):
+        found.append(measured_frf(_played(data, stage, sealed), method, "acceleration"))
+    return tuple(found)
+
+
+def _played(data: Experiment, stage: Stage, sealed) -> Experiment:
+    scenes = [stage.evidence.scenes[i] for i in sealed]
+    first = data.transient_periods * data.period
+    return dataclasses.replace(
+        data,
+        u=np.stack([s.u for s in scenes]),
+        y=np.stack([s.y for s in scenes]),
+        r=np.asarray(data.r)[:, :, first : first + data.period],
+        y_quantity="position",
+        transient_periods=0,
+    )
+
+
+def _next(verdict: str, effects, search: Search) -> str:
+    if verdict == "ambiguous":
+        how = [e.separating_experiment for e in effects if e.separating_experiment]
+        if how:
+            return "To separate them: " + "; ".join(how) + "."
+        return (
+            "Measure at another amplitude of the slow motion and with another payload, and diagnose the files together."
+        )
+    if verdict == "named":
+        kinds = library()
+        how = [
+            f"{other}: {what}"
+            for e in effects
+            for other, what in (kinds[e.name].confusable.items() if e.name in kinds else ())
+        ]
+        text = "Measure once more at another amplitude or payload, and see the gap stay closed"
+        return f"{text}. What could look alike: {'; '.join(how)}." if how else f"{text}."
+    if verdict == "unexplained":
+        return (
+            "Repeat the experiment at another amplitude of the slow motion and with another payload: how the map "
+            "changes tells friction from springs and drives. Then write the effect as a class of your own (--effects)."
+        )
+    if verdict == "inconclusive":
+        return "More experiments at these positions, or a larger excitation, would bound the gap."
+    return "None needed for this model at these amplitudes."

@@ -1,0 +1,129 @@
+"""What a diagnosis says."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ..effects import AbstractEffect
+from ..frf import FRF
+from ..robot import Robot
+
+VERDICTS = ("sufficient", "named", "ambiguous", "unexplained", "inconclusive")
+
+
+class Estimate(eqx.Module):
+    """A number with its standard deviation and unit."""
+
+    value: float = eqx.field(static=True)
+    std: float = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+
+
+class Named(eqx.Module):
+    """An effect that was found missing.
+
+    **Fields:** `effect`: with its fitted parameters; `joint`: name of the joint, "" where it has none. `parameters`: by
+    name. `p_value`: family-wise, of the null that nothing is missing. `equivalent`: names of effects that the data
+    cannot tell from it. `separating_experiment`: what would. `explains`: part of the misfit above the floor that it
+    removes, on the positions of the fit. `visible`: its size over the just visible one.
+    """
+
+    effect: AbstractEffect
+    joint: str = eqx.field(static=True)
+    parameters: dict[str, Estimate]
+    p_value: float = eqx.field(static=True)
+    equivalent: tuple[str, ...] = eqx.field(static=True)
+    separating_experiment: str = eqx.field(static=True)
+    explains: float = eqx.field(static=True)
+    visible: float = eqx.field(static=True)
+
+    @property
+    def name(self) -> str:
+        return self.effect.name
+
+
+class Ranked(eqx.Module):
+    """A candidate in the order of what it explains alone. `score`: part of the misfit that it removes; `p_value`:
+    family-wise; `expected`: its parameters without a refit; `why`: why it was taken or not, in words."""
+
+    name: str = eqx.field(static=True)
+    joint: str = eqx.field(static=True)
+    score: float = eqx.field(static=True)
+    p_value: float = eqx.field(static=True)
+    expected: dict[str, float]
+    visible: float = eqx.field(static=True)
+    why: str = eqx.field(static=True)
+
+
+class Cell(eqx.Module):
+    """Where model and measurement differ: one joint's torque in one band at one position (None: at all positions).
+    `z`: rms over the floor; `says`: one sentence."""
+
+    position: int | None = eqx.field(static=True)
+    channel: str = eqx.field(static=True)
+    band_hz: tuple[float, float] = eqx.field(static=True)
+    z: float = eqx.field(static=True)
+    says: str = eqx.field(static=True)
+
+
+class Gap(eqx.Module):
+    """rms torque residual before and after, over its floor, on positions that nothing was fitted to.
+
+    `floor`: what noise and an honest model leave. `shrink` = 1 - (after - floor)/(before - floor). `torque_before`,
+    `torque_after`: the same residual over the rms torque, per axis, (axis,).
+    """
+
+    before: float = eqx.field(static=True)
+    after: float = eqx.field(static=True)
+    floor: float = eqx.field(static=True)
+    shrink: float = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    on: str = eqx.field(static=True)
+    torque_before: Float[np.ndarray, "axis"]
+    torque_after: Float[np.ndarray, "axis"]
+
+
+class Maps(eqx.Module):
+    """Pictures of the residual before and after, on all positions.
+
+    **Fields:** `before`, `after`: rms over the floor, (pos, axis, band). `bands`: edges, Hz, (band + 1,). `courses`:
+    mean torque residual of every axis, N m, against a signal: {"speed" | "angle" | "load": (signal (axis, bin), before
+    (axis, bin), after (axis, bin))}; signals in rad/s motor side, rad arm side, N m motor side.
+    """
+
+    before: Float[np.ndarray, "pos axis band"]
+    after: Float[np.ndarray, "pos axis band"]
+    bands: Float[np.ndarray, "edge"]
+    courses: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+class Diagnosis(eqx.Module):
+    """The result of `jaxfrf.gap.diagnose`.
+
+    **Fields:** `verdict`: one of `VERDICTS`; `says`: the verdict in a sentence or two. `effects`: named ones, in the
+    order in which they were found. `ranking`: of all candidates, the first few. `where`: the largest cells before.
+    `gap`, `maps`. `parameters`: of the extended model, by name, with `changed` the relative change from the given robot
+    in the same order. `given`, `base`, `extended`: robots: as given, refitted, with the effects. `compared`: how
+    measurement and model were compared. `fitted`, `sealed`: positions. `frf`: measured, base and extended FRF on the
+    sealed positions, estimated alike. `next_experiment`: what to do next. `sources`: of the data. `settings`.
+    """
+
+    verdict: str = eqx.field(static=True)
+    says: str = eqx.field(static=True)
+    effects: tuple[Named, ...]
+    ranking: tuple[Ranked, ...]
+    where: tuple[Cell, ...]
+    gap: Gap
+    maps: Maps
+    parameters: dict[str, Estimate]
+    changed: dict[str, float]
+    given: Robot
+    base: Robot
+    extended: Robot
+    compared: str = eqx.field(static=True)
+    fitted: tuple[int, ...] = eqx.field(static=True)
+    sealed: tuple[int, ...] = eqx.field(static=True)
+    frf: tuple[FRF, FRF, FRF] | None
+    next_experiment: str = eqx.field(static=True)
+    sources: tuple = ()
+    settings: dict = eqx.field(default_factory=dict)

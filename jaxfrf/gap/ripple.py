@@ -1,0 +1,103 @@
+"""Ripple over the motor's angle: which orders a residual holds, of torque, of the resolver, of the gear."""
+
+import equinox as eqx
+import numpy as np
+import scipy.fft
+from jaxtyping import Float
+
+from .scene import Scene, Signature
+
+_ORDERS = np.arange(1, 51)
+_RATE = 500.0  # Hz, enough for what lies below the highest line
+
+
+class Order(eqx.Module):
+    """One order of ripple of one motor: sine and cosine are two columns.
+
+    **Fields:** `kind`: "torque", "resolver" or "gear". `axis`; `order`: per motor turn.
+    """
+
+    kind: str = eqx.field(static=True)
+    axis: int = eqx.field(static=True)
+    order: float = eqx.field(static=True)
+
+    def columns(self, scene: Scene) -> tuple[Signature, Signature]:
+        """Of sin(order theta) and cos(order theta), N m or rad."""
+        return self._columns(scene, slice(None))
+
+    def one(self, scene: Scene) -> Signature:
+        """The first column of the first run."""
+        return self._columns(scene, slice(0, 1))[0]
+
+    def _columns(self, scene: Scene, runs: slice):
+        angle = scene.angle[runs, :, self.axis]
+        waves = np.sin(self.order * angle), np.cos(self.order * angle)
+        if self.kind == "torque":
+            return tuple(scene.by_motor(self.axis, -x) for x in waves)
+        if self.kind == "resolver":
+            return tuple(scene.by_sensor(self.axis, x) for x in waves)
+        spring = scene.robot.flexible_axes.index(self.axis)
+        load = scene.load[runs, :, self.axis]
+        slopes = self.order * waves[1] * scene.gear[self.axis], -self.order * waves[0] * scene.gear[self.axis]
+        return tuple(
+            scene.by_shift(spring, 1e-5 * x) * 1e5 + scene.by_motor(self.axis, slope * load)
+            for x, slope in zip(waves, slopes, strict=True)
+        )
+
+
+def strength(
+    scene: Scene, weighted: np.ndarray, kind: str, axis: int, orders: Float[np.ndarray, "order"] = _ORDERS
+) -> np.ndarray:
+    """Correlation of a residual with e^{j order theta}, (order,), complex; positions add up.
+
+    **Arguments:** `weighted`: residual times the inverse of its floor squared, (exp, line, axis).
+    """
+    count = 2 * int(np.ceil(0.5 * _RATE * scene.period / scene.fs))
+    weighted = weighted[..., axis]
+    if kind == "resolver":
+        weighted = weighted * -np.conj(scene.still.impedance[:, axis, axis])
+    elif kind == "gear":
+        weighted = weighted * scene.robot.springs.stiffness[0]
+    course = scipy.fft.irfft(weighted, n=count, axis=1) * count
+    step = scene.period / count
+    some = np.round(np.arange(count) * step).astype(int)
+    angle = scene.angle[:, some, axis]
+    return np.array([np.vdot(np.exp(1j * h * angle), course) for h in orders])
+
+
+def find_orders(scenes, residuals, floor, kind: str, axis: int, orders=_ORDERS, most: int = 6) -> list[Order]:
+    """The strongest orders of one motor in a residual, those first that would take most away from it alone."""
+    weight = 1.0 / np.square(floor)
+    b = sum(strength(s, r * weight, kind, axis, orders) for s, r in zip(scenes, residuals, strict=True))
+    size = np.array([_power(scenes[0], Order(kind, axis, float(h)), floor) for h in orders])
+    drop = np.abs(b) ** 2 / np.maximum(size, 1e-12 * size.max())
+    best = np.argsort(drop)[::-1][:most]
+    return [Order(kind, axis, float(orders[i])) for i in best]
+
+
+def _power(scene: Scene, order: Order, floor) -> float:
+    """Weighted power of an order in the first run."""
+    return float(np.sum(np.abs(order.one(scene) / floor) ** 2))
+
+
+def gear_orders(scenes, residuals, floor, axis: int, most: int = 4) -> list[float]:
+    """Orders of the motor's angle, not whole, that a gear's error would have, coarsely by power, then in phase."""
+    weight = 1.0 / np.square(floor)
+    coarse = np.arange(0.25, 8.0, 0.1)
+    by_scene = [
+        np.abs(strength(s, r * weight, "torque", axis, coarse)) ** 2 for s, r in zip(scenes, residuals, strict=True)
+    ]
+    size = np.array([_power(scenes[0], Order("torque", axis, float(h)), floor) for h in coarse[::4]])
+    power = np.sum(by_scene, axis=0) / np.interp(coarse, coarse[::4], size)
+    found: list[float] = []
+    for i in np.argsort(power)[::-1]:
+        if all(abs(coarse[i] - f) > 0.3 for f in found):
+            found.append(float(coarse[i]))
+        if len(found) == most:
+            break
+    result = []
+    for peak in found:
+        fine = peak + np.arange(-0.12, 0.12, 0.003)
+        b = sum(strength(s, r * weight, "torque", axis, fine) for s, r in zip(scenes, residuals, strict=True))
+        result.append(float(fine[int(np.argmax(np.abs(b)))]))
+    return result

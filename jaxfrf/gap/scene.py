@@ -1,0 +1,311 @@
+"""What moves in a simulated robot at one position, and what a change of the robot would add to the motors' torque."""
+
+import dataclasses
+from functools import cached_property
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.fft
+from jaxtyping import Complex, Float
+
+from ..robot import (
+    Robot,
+    arm_inertia_and_bias_columns,
+    mass_matrix,
+    motor_directions,
+    motor_values,
+    spring_directions,
+)
+from ..robot.drive import Spring
+from ..simulation import Motion
+from ..simulation.plant import product
+from .frozen import Frozen
+
+_SPRINGS = 500.0  # Hz, samples of springs and arm, which move below 100 Hz
+_BLOCK = 500  # samples
+_LINKS = 250.0  # Hz, samples of the links' forces
+
+Signal = Float[np.ndarray, "exp time"]
+Signature = Complex[np.ndarray, "exp line axis"]
+
+
+class Scene:
+    """Signals of all experiments at one position, with what the effects' laws ask for.
+
+    Those of the motors are (exp, time, axis); those of springs and arm, which move slowly, have fewer samples.
+    Quantities are computed when they are first needed and kept.
+    """
+
+    def __init__(self, robot: Robot, motion: Motion, pos: int, still: Frozen, command=None):
+        self.robot, self.still, self.fs = robot, still, motion.fs
+        self.u, self.y, self.z = motion.u[pos], motion.y[pos], motion.z[pos]
+        self.period = self.z.shape[1]
+        self.command = self.u if command is None else command  # as measured, if it is known: a drive clips that
+        self.lines = len(still.command)
+        self.gear = np.asarray(robot.drives.gear_ratio)
+        self._hinges: dict = {}
+
+    @cached_property
+    def _Z(self):
+        return scipy.fft.rfft(self.z, axis=1)
+
+    @cached_property
+    def _s(self):
+        return (2j * np.pi * np.arange(self.period // 2 + 1) * self.fs / self.period)[:, None]
+
+    # The motors, at every sample: friction turns with the sign of their speed
+
+    @cached_property
+    def angle(self) -> Float[np.ndarray, "exp time axis"]:
+        """rad, motor side."""
+        return np.asarray(motor_values(self.robot, self.z))
+
+    @cached_property
+    def speed(self) -> Float[np.ndarray, "exp time axis"]:
+        return self._motors(1)
+
+    @cached_property
+    def acceleration(self) -> Float[np.ndarray, "exp time axis"]:
+        return self._motors(2)
+
+    def _motors(self, derivatives: int):
+        Z = self._Z @ np.asarray(motor_directions(self.robot)) * self._s**derivatives
+        return scipy.fft.irfft(Z, n=self.period, axis=1)
+
+    @cached_property
+    def load(self) -> Float[np.ndarray, "exp time axis"]:
+        """Torque in the gears on the motor side; the motor's own where the transmission is rigid."""
+        load = self.u.copy()
+        flexible = list(self.robot.flexible_axes)
+        gears = scipy.fft.rfft(self.spring_torque[..., : len(flexible)], axis=1)
+        gears = scipy.fft.irfft(gears, n=self.period, axis=1) * (self.period / self.coarse)
+        load[..., flexible] = gears / self.gear[flexible]
+        return load
+
+    # Springs and arm, coarsely
+
+    @cached_property
+    def coarse(self) -> int:
+        """Samples of a period that springs and arm have."""
+        return min(self.period, 2 * int(np.ceil(0.5 * _SPRINGS * self.period / self.fs)))
+
+    def _coarse(self, derivatives: int, count: int):
+        Z = self._Z[:, : count // 2 + 1] * self._s[: count // 2 + 1] ** derivatives * (count / self.period)
+        return scipy.fft.irfft(Z, n=count, axis=1)
+
+    @cached_property
+    def _coarse_z(self):
+        return self._coarse(0, self.coarse)
+
+    @cached_property
+    def _coarse_rate(self):
+        return self._coarse(1, self.coarse)
+
+    @cached_property
+    def deflection(self) -> Float[np.ndarray, "exp sample spring"]:
+        return self._coarse_z @ np.asarray(spring_directions(self.robot))
+
+    @cached_property
+    def deflection_rate(self) -> Float[np.ndarray, "exp sample spring"]:
+        return self._coarse_rate @ np.asarray(spring_directions(self.robot))
+
+    @cached_property
+    def spring_torque(self) -> Float[np.ndarray, "exp sample spring"]:
+        return np.asarray(self.robot.springs.torque(self.deflection, self.deflection_rate))
+
+    @cached_property
+    def arm_angle(self) -> Float[np.ndarray, "exp sample axis"]:
+        return self._coarse_z[..., self.robot.n_motors : self.robot.n_motors + self.robot.n_axes]
+
+    @cached_property
+    def arm_rate(self) -> Float[np.ndarray, "exp sample axis"]:
+        return self._coarse_rate[..., self.robot.n_motors : self.robot.n_motors + self.robot.n_axes]
+
+    def spectrum(self, x) -> Complex[np.ndarray, "exp line ..."]:
+        """Lines of periodic signals, (exp, time, ...); amplitudes do not depend on the number of samples."""
+        return scipy.fft.rfft(x, axis=1)[:, : self.lines] / x.shape[1]
+
+    # What asks for more torque of the motors, as spectra of their commands, (exp, line, axis)
+
+    def by_force(self, d: Complex[np.ndarray, "exp line dof"]) -> Signature:
+        """A force on the coordinates."""
+        return np.einsum("lad,eld->ela", self.still.to_torque, d) / self.still.command + self._settled(d[:, 0].real)
+
+    def by_direction(self, direction: Float[np.ndarray, "dof"], signal: Signal) -> Signature:
+        """A force of this course along one direction of the coordinates."""
+        mean = np.mean(signal, axis=1)
+        return self._along(direction, signal) + self._settled(mean[:, None] * direction)
+
+    def _along(self, direction, signal: Signal) -> Signature:
+        column = self.still.to_torque @ direction / self.still.command
+        return self.spectrum(signal)[..., None] * column
+
+    def _settled(self, force: Float[np.ndarray, "exp dof"]) -> Signature:
+        """What a steady force does by moving the springs' points of rest: their stiffness there is another."""
+        shift = force @ self.still.compliance[0].real @ np.asarray(spring_directions(self.robot))
+        total = np.zeros((len(force), self.lines, self.robot.n_axes), complex)
+        bent = np.asarray(self.robot.springs.stiffness_ratio) != 1.0 if self._bends else np.zeros(shift.shape[1], bool)
+        if not np.any(np.abs(shift[:, bent]) > 1e-9):
+            return total
+        runs = len(force)
+        moved = self.deflection[:runs] + shift[:, None]
+        more = np.asarray(self.robot.springs.torque(moved, self.deflection_rate[:runs])) - self.spring_torque[:runs]
+        more -= more.mean(axis=1, keepdims=True)
+        for spring in np.flatnonzero(bent & np.any(np.abs(shift) > 1e-9, axis=0)):
+            total += self._along(-np.asarray(spring_directions(self.robot))[:, spring], more[..., spring])
+        return total
+
+    @property
+    def _bends(self) -> bool:
+        return isinstance(self.robot.springs, Spring)
+
+    def by_motor(self, axis: int, signal: Signal) -> Signature:
+        """A torque against one motor."""
+        more = np.zeros((len(signal), self.lines, self.robot.n_axes), complex)
+        more[..., axis] = self.spectrum(signal) / self.still.command[:, axis]
+        return more
+
+    def by_arm(self, axis: int, signal: Signal) -> Signature:
+        """A torque against one joint, on the arm side."""
+        direction = np.zeros(self.robot.dof)
+        direction[self.robot.n_motors + axis] = -1.0
+        return self.by_direction(direction, signal)
+
+    def by_spring(self, spring: int, signal: Signal) -> Signature:
+        """More torque in one spring."""
+        return self.by_direction(-np.asarray(spring_directions(self.robot))[:, spring], signal)
+
+    def by_command(self, axis: int, more: Complex[np.ndarray, "exp line"]) -> Signature:
+        """More of one command."""
+        result = np.zeros((*more.shape, self.robot.n_axes), complex)
+        result[..., axis] = more
+        return result
+
+    def by_sensor(self, axis: int, error: Signal) -> Signature:
+        """An error of one measured motor position."""
+        return -self.spectrum(error)[..., None] * self.still.impedance[:, :, axis] / self.still.command
+
+    def by_impedance(self, impedance: Complex[np.ndarray, "line axis axis"]) -> Signature:
+        """Another impedance of the robot to the motion of its motors."""
+        more = impedance - self.still.impedance
+        return np.einsum("lab,elb->ela", more, self.spectrum(self.angle - self.angle[:, :1])) / self.still.command
+
+    def by_shift(self, spring: int, shift: Signal) -> Signature:
+        """A shift of one spring's deflection, (exp, time), over which its torque changes by its tangent."""
+        fewer = scipy.fft.rfft(shift, axis=1)[:, : self.coarse // 2 + 1] * (self.coarse / self.period)
+        s = self._s[: self.coarse // 2 + 1, 0]
+        moved, rate = (scipy.fft.irfft(x, n=self.coarse, axis=1) for x in (fewer, fewer * s))
+        runs = len(shift)
+        x, v = self.deflection[:runs].copy(), self.deflection_rate[:runs].copy()
+        x[..., spring] += moved
+        v[..., spring] += rate
+        more = np.asarray(self.robot.springs.torque(x, v)) - self.spring_torque[:runs]
+        return self.by_spring(spring, more[..., spring])
+
+    def by_hinge(self, axis: int, direction, stiffness: float, damping: float) -> Signature:
+        """A spring hinge in the link just before a joint, about `direction` in its frame at zero.
+
+        Its coordinate is eliminated from the frozen robot; gravity's part of its stiffness is left out."""
+        coupling, own = self._hinge(axis, tuple(float(x) for x in direction))
+        s = 2j * np.pi * self.still.frequency
+        across = s[:, None] ** 2 * coupling
+        v = np.einsum("lad,ld->la", self.still.to_torque, across)
+        within = np.einsum("ld,lde,le->l", across, self.still.compliance, across)
+        stiff = s**2 * own + s * damping + stiffness - within
+        impedance = self.still.impedance - v[:, :, None] * v[:, None, :] / stiff[:, None, None]
+        return self.by_impedance(impedance)
+
+    def _hinge(self, axis: int, direction):
+        """Inertia of a hinge before a joint: against the coordinates z, and its own."""
+        if (axis, direction) not in self._hinges:
+            self._hinges[axis, direction] = _hinge_inertia(self.robot, self.still.q, axis, np.asarray(direction))
+        return self._hinges[axis, direction]
+
+    def by_robot(self, changed: Robot) -> Signature:
+        """Another robot in the place of this one, its coordinates the same: what its springs, motors and links ask."""
+        if changed.dof != self.robot.dof:
+            raise ValueError("The changed robot has other coordinates.")
+        total = np.zeros((*self.u.shape[:1], self.lines, self.robot.n_axes), complex)
+        own = self.robot
+        if _differ(changed.springs, own.springs):
+            more = np.asarray(changed.springs.torque(self.deflection, self.deflection_rate)) - self.spring_torque
+            for spring in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
+                total += self.by_spring(spring, more[..., spring])
+        if _differ(changed.drives.friction, own.drives.friction):
+            more = np.asarray(changed.drives.friction.torque(self.speed)) - self._friction
+            for axis in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
+                total += self.by_motor(axis, more[..., axis])
+        inertia = np.asarray(changed.drives.motor_inertia) - np.asarray(own.drives.motor_inertia)
+        for axis in np.flatnonzero(inertia):
+            total += self.by_motor(axis, inertia[axis] * self.acceleration[..., axis])
+        if _differ(changed.chain, own.chain):
+            more = np.zeros((len(self.z), self.lines, own.dof), complex)
+            more[..., own.n_motors :] = self.spectrum(self._own_links - self._links(changed))
+            total += self.by_force(more)
+        return total
+
+    @cached_property
+    def _friction(self):
+        return np.asarray(self.robot.drives.friction.torque(self.speed))
+
+    @cached_property
+    def _own_links(self):
+        return self._links(self.robot)
+
+    @cached_property
+    def _arm(self):
+        """Angles, rates and accelerations of the arm, (row, exp sample)."""
+        count = min(self.period, 2 * int(np.ceil(0.5 * _LINKS * self.period / self.fs)))
+        rows = slice(self.robot.n_motors, None)
+        return tuple(self._coarse(n, count)[..., rows].reshape(-1, self.robot.dof - rows.start).T for n in range(3))
+
+    def _links(self, robot: Robot) -> Float[np.ndarray, "exp sample arm"]:
+        """Forces that the links need for the motion."""
+        force = np.asarray(_needed(jax.tree.map(jnp.asarray, robot), *self._arm))
+        return force.T.reshape(len(self.z), -1, len(force))
+
+
+@eqx.filter_jit
+def _needed(robot: Robot, angle, rate, acceleration):
+    """M_ae q'' + c_ae + g_ae of many samples, (row, sample), in blocks that fit the cache."""
+
+    def force(now):
+        matrix, bias = arm_inertia_and_bias_columns(robot, now[0], now[1])
+        return product(matrix, now[2]) + bias
+
+    count = angle.shape[1]
+    whole = -count % _BLOCK
+    block = lambda x: jnp.pad(x, ((0, 0), (0, whole)), mode="edge").reshape(len(x), -1, _BLOCK).swapaxes(0, 1)
+    forces = jax.lax.map(force, jnp.stack([block(x) for x in (angle, rate, acceleration)], axis=1))
+    return forces.swapaxes(0, 1).reshape(len(angle), -1)[:, :count]
+
+
+def _hinge_inertia(robot: Robot, q, axis: int, direction):
+    chain, at = robot.chain, robot.driven_joints[axis]
+    insert = lambda x, row: np.insert(np.asarray(x), at, row, axis=0)
+    offset = insert(chain.offset, np.asarray(chain.offset)[at])
+    offset[at + 1] = 0.0
+    longer = dataclasses.replace(
+        chain,
+        axis=insert(chain.axis, direction / np.linalg.norm(direction)),
+        offset=offset,
+        mass=insert(chain.mass, 0.0),
+        com=insert(chain.com, np.zeros(3)),
+        inertia=insert(chain.inertia, np.zeros(6)),
+    )
+    angles = np.zeros(chain.n_joints)
+    angles[list(robot.driven_joints)] = q
+    M = np.asarray(mass_matrix(longer, np.insert(angles, at, 0.0)))
+    arm = np.array(robot.arm_joints)
+    coupling = np.zeros(robot.dof)
+    coupling[robot.n_motors :] = M[at, arm + (arm >= at)]
+    return coupling, M[at, at]
+
+
+def _differ(one, other) -> bool:
+    leaves = jax.tree.leaves(one), jax.tree.leaves(other)
+    return len(leaves[0]) != len(leaves[1]) or any(
+        np.shape(a) != np.shape(b) or np.any(np.asarray(a) != np.asarray(b)) for a, b in zip(*leaves, strict=True)
+    )

@@ -1,0 +1,261 @@
+"""Which effects are missing: scored, refined, simulated, one after the other, until nothing more is found."""
+
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..effects import AbstractEffect
+from ..robot import Robot
+from .candidates import candidates
+from .knobs import Knob, knobs, turned
+from .measured import Measured
+from .refine import Refined, refine
+from .score import family_wise
+from .stage import (
+    FAR,
+    Scored,
+    Stage,
+    Table,
+    gear_candidates,
+    look,
+    look_again,
+    remainder,
+    retold,
+    score,
+    table,
+)
+
+MOST = 3  # effects
+_PART, _CLEAR_PART = 0.012, 0.002  # of the misfit that a candidate must explain; with a t beyond _CLEAR_T
+_CLEAR_T = 15.0
+_SIZE = 0.5  # of the visible one
+_SIGNIFICANT = 0.05
+_RIVAL = 0.35  # of the best candidate's drop: less is not worth a simulation
+_SIMULATED = 3  # candidates in a round
+_CORRECTIONS = 3
+_HELPS = 0.97  # of the misfit: more after a correction, and it was of no use
+_SHORT = 5  # candidates that are refined
+_REDUCED = 0.2  # of the reducible misfit must go
+FLOOR = 1.0  # misfit of an honest model
+
+CLASSES = (
+    frozenset(("torque_delay", "current_loop_lag")),
+    frozenset(("counterbalance", "dress_pack")),
+)
+
+Say = Callable[[str], None]
+
+
+class Option(eqx.Module):
+    """A candidate after its parameters were refined. `drop`: part of the misfit that it takes."""
+
+    scored: Scored
+    refined: Refined
+    drop: float
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.scored.candidate.key
+
+
+class Step(eqx.Module):
+    """One effect found. `stage`: the robot with it. `rivals`: other options of the round, with the misfit after their
+    own simulation where they were simulated. `misfit`: before and after."""
+
+    option: Option
+    effect: AbstractEffect
+    std: tuple[float, ...] = eqx.field(static=True)
+    stage: Stage
+    rivals: tuple[tuple[Option, float | None], ...]
+    before: float
+    after: float
+
+
+class Search(eqx.Module):
+    """A finished search.
+
+    **Fields:** `given`: robot. `base`: stage of the refitted robot. `steps`: effects found. `scored`: the first
+    ranking. `opened`: positions that were fitted.
+    """
+
+    given: Robot
+    knobs: tuple[Knob, ...]
+    base: Stage
+    steps: tuple[Step, ...]
+    scored: tuple[Scored, ...]
+    opened: Bool[np.ndarray, "pos"]
+    record: Measured
+
+    @property
+    def last(self) -> Stage:
+        return self.steps[-1].stage if self.steps else self.base
+
+
+def search(
+    robot: Robot,
+    record: Measured,
+    opened,
+    own: Sequence[type[AbstractEffect]] = (),
+    say: Say | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Search:
+    """Find what the robot lacks, on the opened positions.
+
+    **Returns:** a `Search`.
+    """
+    say, done = say or (lambda text: None), progress or (lambda part: None)
+    these = knobs(robot)
+    base = look(robot, record, these, np.zeros(len(these)), opened)
+    say(f"base model: misfit {base.misfit:.3g} times the floor's")
+    if base.misfit > FAR:
+        turns = _together(np.zeros(len(these)), base.fit.x[: len(these)])
+        base = look_again(base, turned(robot, these, turns), record, turns, opened)
+        say(f"refitted: misfit {base.misfit:.3g}")
+    done(0.3)
+    columns = _table(base, record, opened, own)
+    stage, steps, first = base, [], ()
+    while len(steps) < MOST:
+        columns = retold(columns, stage) if steps else columns
+        scored = score(stage, columns)
+        first = first or tuple(scored)
+        had = {step.option.key for step in steps}
+        step = _best(stage, robot, record, opened, [s for s in scored if s.candidate.key not in had], steps, say)
+        if step is None:
+            break
+        say(f"{step.effect.name} {step.option.key[1]}: misfit {step.before:.3g} -> {step.after:.3g}")
+        steps.append(step)
+        stage = step.stage
+        done(0.3 + 0.6 * len(steps) / MOST)
+    done(0.95)
+    return Search(robot, these, base, tuple(steps), first, opened, record)
+
+
+def _together(turns, more):
+    return (1.0 + turns) * (1.0 + more) - 1.0
+
+
+def _table(stage: Stage, record: Measured, opened, own) -> Table:
+    largest = np.abs(np.asarray(record.data.u)).max(axis=(0, 1, 2))
+    return table(stage, [*candidates(stage.robot, largest, own), *gear_candidates(stage, opened)])
+
+
+def passes(scored: Scored, tests: int, runs: int) -> bool:
+    """Whether a candidate is large and sure enough to be looked at."""
+    if scored.size < _SIZE:
+        return False
+    if scored.part >= _PART:
+        return family_wise(scored.part, scored.found.t, runs, tests) < _SIGNIFICANT
+    waves = "ripple" in scored.candidate.name or scored.candidate.name == "transmission_error"
+    return not waves and scored.part >= _CLEAR_PART and abs(scored.found.t) > _CLEAR_T
+
+
+def options(stage: Stage, scored: Sequence[Scored]) -> list[Option]:
+    """The best candidates, one for each effect and joint, with their parameters refined."""
+    runs = int(np.sum(stage.fit.runs))
+    found, seen = [], set()
+    for this in scored:
+        if this.candidate.key in seen or not passes(this, len(scored), runs):
+            continue
+        if found and (this.part < 0.1 * scored[0].part or len(found) == _SHORT):
+            break
+        seen.add(this.candidate.key)
+        refined = Refined(this.effect(), this.found.drop, (), ())
+        if this.candidate.basis and len(this.candidate.basis) == 1:
+            again = refine(stage, this.effect(), _visible(this))
+            refined = again if again.drop > 0.9 * this.found.drop else refined
+        found.append(Option(this, refined, refined.drop / stage.fit.squares))
+    return sorted(found, key=lambda o: -o.drop)
+
+
+def _visible(scored: Scored) -> float:
+    """The first parameter's just visible value."""
+    effect, candidate = scored.effect(), scored.candidate
+    first = float(np.ravel(np.asarray(getattr(effect, next(iter(effect.units)))))[0])
+    return first / max(scored.size, 1e-6) if candidate.visible == 1.0 else candidate.visible
+
+
+def _best(stage: Stage, given: Robot, record: Measured, opened, scored, steps, say) -> Step | None:
+    found = options(stage, scored)
+    if not found:
+        return None
+    tried: list[_Trial] = []
+    before = [s.effect for s in steps]
+    for option in found[:_SIMULATED]:
+        if option.drop < _RIVAL * found[0].drop:
+            break
+        trial = _tried(stage, given, record, opened, option, before)
+        if trial is not None:
+            say(f"  simulated {option.key[0]} {option.key[1]}: misfit {trial.stage.misfit:.3g}")
+            tried.append(trial)
+    if not tried:
+        return None
+    tried.sort(key=lambda trial: trial.stage.misfit)
+    best = tried[0]
+    option, effect, after, std = best.option, best.effect, best.stage, best.std
+    reducible = stage.misfit - FLOOR
+    if stage.misfit - after.misfit < _REDUCED * reducible * min(1.0, option.drop / 0.1) and option.scored.part > _PART:
+        return None
+    if after.misfit > stage.misfit:
+        return None
+    others = {id(trial.option): trial.stage.misfit for trial in tried}
+    rivals = tuple((o, others.get(id(o))) for o in found if o is not option)
+    return Step(option, effect, std, after, rivals, stage.misfit, after.misfit)
+
+
+class _Trial(eqx.Module):
+    option: Option
+    effect: AbstractEffect
+    std: tuple[float, ...] = eqx.field(static=True)
+    stage: Stage
+
+
+def _tried(stage: Stage, given: Robot, record: Measured, opened, option: Option, before) -> _Trial | None:
+    """A candidate simulated, and its parameters and the base's corrected while that helps."""
+    effect, std = option.refined.effect, option.refined.std
+    after = with_effect(stage, given, record, opened, effect, before)
+    if after is None:
+        return None
+    for _ in range(_CORRECTIONS if option.refined.names else 0):
+        again = refine(after, effect, _visible(option.scored), effect)
+        std = again.std or std
+        if not again.names or not _moves(effect, again):
+            break
+        better = with_effect(after, given, record, opened, again.effect, before, effect)
+        if better is None or better.misfit > _HELPS * after.misfit:
+            break
+        after, effect = better, again.effect
+    return _Trial(option, effect, std, after)
+
+
+def _moves(effect, again: Refined) -> bool:
+    return any(
+        abs(float(getattr(again.effect, n)) - float(getattr(effect, n))) > 0.02 * abs(float(getattr(effect, n)))
+        for n in again.names
+    )
+
+
+def with_effect(
+    stage: Stage, given: Robot, record: Measured, opened, effect, before=(), simulated=None
+) -> Stage | None:
+    """The robot with one more effect, its own numbers adjusted beside it, simulated; `None` where it cannot be."""
+    turns = _together(stage.turns, base_beside(stage, effect, simulated))
+    try:
+        robot = turned(given, stage.knobs, turns).with_effects(*before, effect)
+        return look_again(stage, robot, record, turns, opened)
+    except ValueError:
+        return None
+
+
+def base_beside(stage: Stage, effect, simulated=None) -> Float[np.ndarray, "knob"]:
+    """Changes of the knobs where this effect is there, or has this value in the place of the simulated one."""
+    from .refine import beside
+
+    return beside(stage, effect, simulated)[: len(stage.knobs)]
+
+
+def sealed_misfit(stage: Stage, sealed, floor) -> Float[np.ndarray, "pos line axis"]:
+    """Mean square over the experiments of what a stage leaves on positions that were not fitted, over a floor."""
+    left = remainder(stage.evidence, stage.weighed, stage.fit, stage.fit.columns, stage.fit.x)
+    return np.mean(np.abs(left[sealed] / floor) ** 2, axis=1)

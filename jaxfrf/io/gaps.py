@@ -1,0 +1,148 @@
+"""gap.json: what a diagnosis found, as plain data.
+
+    verdict, says  one of sufficient, named, ambiguous, unexplained, inconclusive; the same in a sentence or two
+    effects        [{name, joint, parameters: {name: {value, std, unit, interval95}}, p_value, equivalent,
+                   separating_experiment, explains, visible, equation}], in the order in which they were found
+    ranking        [{name, joint, score, p_value, expected, visible, why}]: candidates by what each explains alone
+    where          [{position, channel, band_hz, z, says}], position null: at all
+    gap            {before, after, floor, shrink, unit, on, torque_before, torque_after: {axis: part}}
+    parameters     {name: {value, std, unit, start, identifiable, interval95, changed}} of the extended model; start: of
+                   the robot as given, changed: relative to it
+    compared       how measurement and model were compared
+    next_experiment
+    positions      {fitted: [...], sealed: [...]}
+    settings, sources [{name, sha256}], version
+
+Standard JSON: what is not finite is null.
+"""
+
+import inspect
+import json
+import math
+import os
+import pathlib
+from typing import Any
+
+from .. import __version__
+from .._errors import input_error
+from ..effects import AbstractEffect
+from ..robot import PARAMETER_UNITS, Robot, parameters
+from ._json import plain_data, write_json
+
+_Z = 1.959964  # of a 95 % interval
+_NEEDED = ("verdict", "effects", "ranking", "where", "gap", "parameters")
+
+
+def write_gap(path: str | os.PathLike, diagnosis) -> None:
+    """Write what `jaxfrf.gap.diagnose` returned as JSON, whole or not at all.
+
+    **Raises:** `jaxfrf.InputError` if the folder is not there."""
+    write_json(path, gap_contents(diagnosis))
+
+
+def read_gap(path: str | os.PathLike) -> dict[str, Any]:
+    """What `write_gap` wrote: dictionaries, lists, numbers, texts and `None`.
+
+    **Raises:** `jaxfrf.InputError` if the file is missing, no JSON, or holds no diagnosis.
+    """
+    path = pathlib.Path(path)
+    if not path.is_file():
+        raise input_error(str(path), "no such file", "a gap.json", "Check the name and the folder.")
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise input_error(str(path), f"no JSON ({error})", "a gap.json", "Write it again.") from error
+    missing = [name for name in _NEEDED if not isinstance(found, dict) or name not in found]
+    if missing:
+        lacks = "JSON without " + (missing[0] if len(missing) == 1 else f"{', '.join(missing[:-1])} and {missing[-1]}")
+        raise input_error(str(path), lacks, "what `jaxfrf diagnose` writes", "Name that file.")
+    return found
+
+
+def gap_contents(diagnosis) -> dict[str, Any]:
+    """What `jaxfrf.gap.diagnose` returned as it stands in gap.json (see above): plain data without NaN."""
+    d = diagnosis
+    contents = {
+        "verdict": d.verdict,
+        "says": d.says,
+        "effects": [_named(x) for x in d.effects],
+        "ranking": [_ranked(x) for x in d.ranking],
+        "where": [_cell(x) for x in d.where],
+        "gap": _gap(d.gap, d.base.axis_names),
+        "parameters": _parameters(d),
+        "compared": d.compared,
+        "next_experiment": d.next_experiment,
+        "positions": {"fitted": list(d.fitted), "sealed": list(d.sealed)},
+        "settings": dict(d.settings),
+        "sources": [{"name": s.name, "sha256": s.sha256} for s in d.sources],
+        "version": __version__,
+    }
+    return plain_data(contents)
+
+
+def equation(effect: AbstractEffect) -> str:
+    """What an effect is, with its equation: the first paragraph of its docstring, or its signature in data."""
+    kind = type(effect)
+    text = inspect.cleandoc(kind.__dict__.get("__doc__") or "").split("\n\n")[0]
+    if text.startswith(f"{kind.__name__}("):  # what a dataclass without a docstring says
+        text = ""
+    return " ".join(text.replace("`", "").split()) or effect.signature
+
+
+def _named(x) -> dict[str, Any]:
+    return {
+        "name": x.name,
+        "joint": x.joint,
+        "parameters": {name: _estimate(e) for name, e in x.parameters.items()},
+        "p_value": x.p_value,
+        "equivalent": list(x.equivalent),
+        "separating_experiment": x.separating_experiment,
+        "explains": x.explains,
+        "visible": x.visible,
+        "equation": equation(x.effect),
+    }
+
+
+def _ranked(x) -> dict[str, Any]:
+    names = ("name", "joint", "score", "p_value", "expected", "visible", "why")
+    return {name: getattr(x, name) for name in names}
+
+
+def _cell(x) -> dict[str, Any]:
+    return {name: getattr(x, name) for name in ("position", "channel", "band_hz", "z", "says")}
+
+
+def _gap(gap, axes: tuple[str, ...]) -> dict[str, Any]:
+    whole = {name: getattr(gap, name) for name in ("before", "after", "floor", "shrink", "unit", "on")}
+    each = {name: dict(zip(axes, getattr(gap, name), strict=True)) for name in ("torque_before", "torque_after")}
+    return whole | each
+
+
+def _estimate(x) -> dict[str, Any]:
+    known = math.isfinite(x.std)
+    interval = [x.value - _Z * x.std, x.value + _Z * x.std] if known else None
+    return {"value": x.value, "std": x.std, "unit": x.unit, "interval95": interval}
+
+
+def _parameters(d) -> dict[str, dict[str, Any]]:
+    begun = _numbers(d.given)
+    return {
+        name: _estimate(x)
+        | {
+            "start": begun.get(name, _undone(x.value, d.changed.get(name, math.nan))),
+            "identifiable": math.isfinite(x.std),
+            "changed": d.changed.get(name),
+        }
+        for name, x in d.parameters.items()
+    }
+
+
+def _numbers(robot: Robot) -> dict[str, float]:
+    """The robot's parameters that are single numbers."""
+    found = parameters(robot, PARAMETER_UNITS)
+    return {name: float(x) for name, x in found.items() if getattr(x, "ndim", 0) == 0}
+
+
+def _undone(value: float, change: float) -> float:
+    """The value before a relative change."""
+    return value / (1.0 + change) if math.isfinite(change) and change != -1.0 else math.nan

@@ -1,0 +1,380 @@
+"""Diagnosis by inverse dynamics, by deflection and by the FRF of a drive, where the truth is known in closed form."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import jaxfrf as jf
+from jaxfrf.effects import CoulombFriction, LoadDependentFriction, ResolverRipple, TorqueDelay, TorqueRipple
+from jaxfrf.gap.coupling import diagnose_drive
+from jaxfrf.gap.deflection import diagnose_deflection
+from jaxfrf.gap.torque import diagnose_torque
+from jaxfrf.gap.torque_as_diagnosis import as_diagnosis
+from jaxfrf.gap.torque_candidates import Candidate, allowed
+from jaxfrf.gap.torque_model import added_torque, needed_torque, torque_slopes
+from jaxfrf.gap.torque_motion import Motion, measured_motions
+from jaxfrf.gap.torque_score import covariance, family_wise, numbered, projector, score
+from jaxfrf.io.gaps import gap_contents
+
+# --- a planar arm of two links, its equations as textbooks write them
+
+L1, M1, C1, I1, M2, C2, I2 = 0.5, 8.0, 0.25, 0.3, 4.0, 0.2, 0.1
+GEAR, ROTOR = np.array([50.0, 40.0]), np.array([1e-3, 8e-4])
+VISCOUS, COULOMB, SMOOTHING = np.array([4e-3, 3e-3]), np.array([0.3, 0.2]), 0.2
+
+
+def arm():
+    def joint(axis, name, offset, mass, com, inertia):
+        return {
+            "name": name,
+            "type": "driven",
+            "axis": [0.0, 0.0, 1.0],
+            "offset": [offset, 0.0, 0.0],
+            "mass": mass,
+            "com": [com, 0.0, 0.0],
+            "inertia": [inertia / 2, inertia / 2, inertia, 0.0, 0.0, 0.0],
+            "gear_ratio": GEAR[axis],
+            "motor_inertia": float(ROTOR[axis]),
+            "stiffness": float("inf"),
+            "damping": 0.0,
+            "viscous_friction": float(VISCOUS[axis]),
+            "coulomb_friction": float(COULOMB[axis]),
+        }
+
+    joints = [joint(0, "shoulder", 0.0, M1, C1, I1), joint(1, "elbow", L1, M2, C2, I2)]
+    table = {"name": "arm", "gravity": [0.0, -9.81, 0.0], "friction": {"smoothing": SMOOTHING}, "joint": joints}
+    return jf.robot.robot_from_table(table)
+
+
+def path(t, seed):
+    """Six sines a joint: angles, speeds and accelerations, exact."""
+    rng, q = np.random.default_rng(seed), np.zeros((3, len(t), 2))
+    for axis in range(2):
+        for f in rng.uniform(0.1, 1.5, 6):
+            w, phase = 2 * np.pi * f, rng.uniform(0, 2 * np.pi)
+            for order in range(3):
+                q[order, :, axis] += 0.35 / (1 + 2 * f) * w**order * np.sin(w * t + phase + order * np.pi / 2)
+    return q
+
+
+def torque(q, v, a, m2=M2):
+    cosine, sine, g, h = np.cos(q[:, 1]), np.sin(q[:, 1]), 9.81, m2 * L1 * C2
+    m22 = I2 + m2 * C2**2
+    m12 = m22 + h * cosine
+    m11 = I1 + M1 * C1**2 + m2 * L1**2 + m22 + 2 * h * cosine
+    low, high = M1 * C1 * np.cos(q[:, 0]) + m2 * L1 * np.cos(q[:, 0]), m2 * C2 * np.cos(q[:, 0] + q[:, 1])
+    first = m11 * a[:, 0] + m12 * a[:, 1] - h * sine * (2 * v[:, 0] * v[:, 1] + v[:, 1] ** 2) + g * (low + high)
+    second = m12 * a[:, 0] + m22 * a[:, 1] + h * sine * v[:, 0] ** 2 + g * high
+    motor = v * GEAR
+    rubbing = VISCOUS * motor + COULOMB * np.tanh(motor / SMOOTHING)
+    return np.stack([first, second], axis=1) / GEAR + ROTOR * GEAR * a + rubbing
+
+
+def record(seed, more=lambda q, v, a: 0.0, fs=250.0, seconds=12.0):
+    """Coloured torque noise of 2 %, a 16-bit encoder; the torque is held from sample to sample, so that the command is
+    the torque half a sample later."""
+    t = np.arange(int(seconds * fs)) / fs
+    later = path(t + 0.5 / fs, seed)
+    u = torque(*later) + more(*later)
+    noise = np.random.default_rng(seed + 1000).standard_normal(u.shape)
+    for k in range(1, len(noise)):
+        noise[k] = 0.9 * noise[k - 1] + np.sqrt(1 - 0.9**2) * noise[k]
+    count = 2 * np.pi / 2**16
+    y = np.round(path(t, seed)[0] * GEAR / count) * count
+    return jf.Experiment(u + 0.02 * u.std(axis=0) * noise, y, fs, y_quantity="position")
+
+
+def exact(seed=0, fs=500.0, seconds=4.0):
+    q, v, a = path(np.arange(int(seconds * fs)) / fs, seed)
+    return (q, v, a), Motion(q * GEAR, v * GEAR, a * GEAR, torque=torque(q, v, a), fs=fs, cutoff=0.45 * fs)
+
+
+def test_needed_torque_is_the_textbook_s():
+    (q, v, a), motion = exact()
+    np.testing.assert_allclose(needed_torque(arm(), motion), torque(q, v, a), rtol=1e-10, atol=1e-10)
+
+
+def test_slopes_are_what_the_parameters_multiply():
+    (_, v, a), motion = exact()
+    names = ("shoulder.motor_inertia", "elbow.viscous_friction")
+    slopes = torque_slopes(arm(), names, dict(zip(names, (1e-3, 3e-3), strict=True)), motion)
+    np.testing.assert_allclose(slopes[0], np.stack([a[:, 0] * GEAR[0], 0 * a[:, 0]], axis=1), atol=1e-9)
+    np.testing.assert_allclose(slopes[1], np.stack([0 * v[:, 0], v[:, 1] * GEAR[1]], axis=1), atol=1e-9)
+
+
+def test_effects_add_what_their_equations_say():
+    robot, ((q, v, _), motion) = arm(), exact()
+    # The load goes through a filter, which would round the steps of Coulomb friction.
+    steps = COULOMB * np.tanh(v * GEAR / SMOOTHING)
+    motion = eqx.tree_at(lambda m: m.torque, motion, motion.torque - steps)
+    needed = needed_torque(robot, motion)
+    motor, angle = v[:, 1] * GEAR[1], q[:, 1] * GEAR[1]
+    cases = [
+        (CoulombFriction("elbow", 0.1), 0.1 * np.tanh(motor / SMOOTHING)),
+        (LoadDependentFriction("elbow", 0.05, 0.3), 0.05 * np.abs(motion.torque[:, 1]) * np.tanh(motor / 0.3)),
+        (TorqueRipple("elbow", [0.02], (6,), [0.3]), -0.02 * np.sin(6 * angle + 0.3)),
+    ]
+    for effect, expected in cases:
+        added = added_torque(robot, effect, motion, needed)
+        inner = slice(200, -200)
+        np.testing.assert_allclose(added[inner, 1], expected[inner], atol=2e-5)
+        np.testing.assert_allclose(added[:, 0], 0.0, atol=1e-12)
+
+
+def test_a_late_torque_is_commanded_earlier():
+    """u(t) = tau(t + delay): the torque of the same motion, looked up later."""
+    names = ("shoulder.coulomb_friction", "elbow.coulomb_friction")
+    robot, (_, motion) = jf.robot.with_parameters(arm(), dict.fromkeys(names, 0.0)), exact()
+    delay, t = 1e-3, np.arange(len(motion.angle)) / motion.fs
+
+    def smooth_torque(t):
+        q, v, a = path(t, 0)
+        return (torque(q, v, a) - COULOMB * np.tanh(v * GEAR / SMOOTHING))[300:-300, 0]
+
+    expected = smooth_torque(t + delay) - smooth_torque(t)
+    added = added_torque(robot, TorqueDelay("shoulder", delay), motion, needed_torque(robot, motion))[300:-300, 0]
+    np.testing.assert_allclose(added, expected, atol=0.01 * np.abs(expected).max())
+
+
+def test_a_resolver_error_adds_an_acceleration():
+    """a h^2 v^2 at order h of the motor's angle, to first order (the docstring of the effect)."""
+    robot, (_, motion) = arm(), exact(fs=4000.0, seconds=2.0)
+    effect = ResolverRipple("elbow", [1e-5], (2,))
+    added = added_torque(robot, effect, motion, needed_torque(robot, motion))[:, 1]
+    inertia = ROTOR[1] + (I2 + M2 * C2**2) / GEAR[1] ** 2
+    angle, speed = motion.angle[:, 1], motion.speed[:, 1]
+    expected = inertia * 1e-5 * 4 * speed**2 * np.sin(2 * angle)
+    fast = np.abs(speed) > 0.5 * np.abs(speed).max()
+    assert np.corrcoef(added[fast], expected[fast])[0, 1] > 0.98
+
+
+@pytest.mark.parametrize("quantity", ["position", "velocity", "acceleration"])
+def test_motion_from_any_quantity(quantity):
+    """Sines of whole periods about the configuration q: all three quantities give the same motion, ends apart."""
+    fs, t = 500.0, np.arange(5000) / 500.0
+    w, amplitude = 2 * np.pi * np.array([0.5, 1.1]), np.array([0.3, 0.2])
+    q = np.array([[0.4, -0.7]])
+    waves = [amplitude * w**k * np.sin(np.outer(t, w) + k * np.pi / 2) for k in range(3)]
+    exact_motion = [(waves[0] + q) * GEAR, waves[1] * GEAR, waves[2] * GEAR]
+    y = exact_motion[("position", "velocity", "acceleration").index(quantity)]
+    data = jf.Experiment(np.zeros_like(y), y, fs, q=q, y_quantity=quantity)
+    (found,) = measured_motions(arm(), data, 40.0)
+    for got, expected in zip((found.angle, found.speed, found.acceleration), exact_motion, strict=True):
+        size = np.abs(expected - expected.mean(axis=0)).max()
+        np.testing.assert_allclose(got[50:-50], expected[50:-50], atol=5e-3 * size)
+
+
+HIDDEN = {
+    "coulomb_friction": (lambda q, v, a: 0.08 * np.tanh(v * GEAR / SMOOTHING) * [0, 1], "elbow", {"level": 0.08}),
+    "friction_asymmetry": (lambda q, v, a: 0.1 + 0 * q * [1, 0] - 0.1 * np.array([0, 1]), "shoulder", {"offset": 0.1}),
+    "payload": (lambda q, v, a: torque(q, v, a, M2 + 0.5) - torque(q, v, a), "elbow", {"mass": 0.5}),
+    "torque_ripple": (lambda q, v, a: -0.05 * np.sin(6 * q * GEAR + 0.4) * [0, 1], "elbow", {"amplitude": 0.05}),
+}
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_hidden_effects_are_named(name):
+    more, joint, values = HIDDEN[name]
+    pool = ("coulomb_friction", "friction_asymmetry", "stribeck_friction", "payload", "torque_ripple", "torque_delay")
+    found = diagnose_torque(arm(), record(3, more), record(4, more), effects=pool, draws=499)
+    assert found.verdict == "named"
+    assert [(e.name, e.joint) for e in found.effects] == [(name, joint)]
+    for key, true in values.items():
+        value = found.effects[0].parameters[key]
+        assert abs(value.value - true) < min(4 * value.std, 0.1 * true)
+    assert found.gap.shrink > 0.9 and found.gap.after < 0.85 * found.gap.before
+    # The robot that comes back has it.
+    (_, motion) = exact()
+    assert np.std(needed_torque(found.robot, motion) - motion.torque - more(*path(np.arange(2000) / 500, 0))) < 0.02
+
+
+def test_it_is_written_as_any_diagnosis():
+    """gap.json of it, as `jaxfrf diagnose` writes it."""
+    more, joint, _ = HIDDEN["coulomb_friction"]
+    data = record(3, more)
+    found = diagnose_torque(arm(), data, effects=("coulomb_friction", "torque_delay"), draws=199)
+    whole = as_diagnosis(found, data)
+    contents = gap_contents(whole)
+    assert contents["verdict"] == "named" and "coulomb_friction (elbow)" in contents["says"]
+    assert contents["effects"][0]["joint"] == joint
+    level = contents["effects"][0]["parameters"]["level"]
+    assert level["unit"] == "N m" and level["interval95"][0] < 0.08 < level["interval95"][1]
+    assert set(contents["gap"]) >= {"before", "after", "floor", "shrink", "unit", "on"}
+    assert contents["parameters"]["elbow.motor_inertia"]["start"] == ROTOR[1]
+    # The maps: most of the gap is in the elbow, and gone afterwards; all bands together are the residual.
+    before, after = whole.maps.before[0], whole.maps.after[0]
+    assert before[1].max() > 3 * after.max() and before[0].max() < 2 * after[0].max() + 1
+    # The step of .08 N m at the turn of the speed, of which viscous friction took the slope away from it.
+    speed, course, gone = (x[1] for x in whole.maps.courses["speed"])
+    forward, backward = np.searchsorted(speed, 0) + np.array([1, -2])
+    assert course[forward] > 0.03 and course[backward] < -0.03 and np.abs(gone).max() < 0.01
+
+
+def test_nothing_is_named_where_nothing_is_missing():
+    found = diagnose_torque(arm(), record(5), record(6), draws=499)
+    assert found.verdict == "sufficient" and not found.effects
+    assert found.gap.before == found.gap.after < 0.03
+    for key, true in (("shoulder.motor_inertia", ROTOR[0]), ("elbow.viscous_friction", VISCOUS[1])):
+        assert abs(found.parameters[key].value - true) < 4 * found.parameters[key].std
+    assert "backlash" in found.left_out and "rigid" in found.left_out["backlash"]
+
+
+def test_wrong_numbers_are_no_missing_effect():
+    """Rotors 30 % off: the refit says so, and nothing is named."""
+    wrong = jf.robot.with_parameters(arm(), {"shoulder.motor_inertia": 1.3e-3, "elbow.motor_inertia": 5e-4})
+    found = diagnose_torque(wrong, record(7), effects=("coulomb_friction", "torque_delay", "payload"), draws=499)
+    assert not found.effects and found.fit_gap.nominal > 2 * found.fit_gap.before
+    assert any("wrong numbers, no missing effect" in text for text in found.remarks)
+
+
+def test_what_the_library_lacks_is_not_named():
+    """A torque that depends on both angles, as no effect does."""
+    more = lambda q, v, a: 0.3 * (np.sin(9 * q[:, :1]) * np.cos(11 * q[:, 1:])) * [0, 1]
+    pool = ("coulomb_friction", "friction_asymmetry", "stribeck_friction", "torque_delay", "load_dependent_friction")
+    found = diagnose_torque(arm(), record(8, more, seconds=24.0), effects=pool, draws=499)
+    assert not found.effects and found.verdict in ("unexplained", "inconclusive")
+    assert found.gap.after > 0.05
+
+
+def test_values_must_make_sense():
+    """Levels only have to keep their sign and the size of the torque; times keep their bounds."""
+    robot = arm()
+    stribeck = Candidate("stribeck_friction", "elbow", {"width": 2.0, "smoothing": 0.2}, ("level",))
+    coulomb = Candidate("coulomb_friction", "elbow", {}, ("level",))
+    delay = Candidate("torque_delay", "elbow", {}, ("delay",))
+    assert allowed(stribeck, np.array([20.0]), robot, 100.0)  # far outside bounds that are for a robot of R3X's size
+    assert not allowed(stribeck, np.array([200.0]), robot, 100.0) and not allowed(
+        stribeck, np.array([-0.1]), robot, 9.0
+    )
+    assert allowed(coulomb, np.array([-0.15]), robot, 9.0) and not allowed(coulomb, np.array([-0.25]), robot, 9.0)
+    assert allowed(delay, np.array([1e-3]), robot, 9.0)
+    assert not allowed(delay, np.array([-1e-4]), robot, 9.0) and not allowed(delay, np.array([0.1]), robot, 9.0)
+
+
+# --- scores
+
+
+def coloured(rng, n, memory=0.9):
+    e = rng.standard_normal(n)
+    for k in range(1, n):
+        e[k] = memory * e[k - 1] + np.sqrt(1 - memory**2) * e[k]
+    return e
+
+
+def test_family_wise_level_in_coloured_noise():
+    """Twelve candidates that add nothing: 5 % of the records may name one (200 records: fewer than 21 at 99.9 %)."""
+    rng, n = np.random.default_rng(0), 1200
+    t = np.arange(n)
+    block = numbered([n], 40, 1)
+    S = np.stack([np.ones(n), np.sin(0.05 * t)], axis=1)
+    pool = [
+        np.stack([np.sin(w * t), np.cos(w * t)][: 1 + i % 2], axis=1) for i, w in enumerate(0.02 + 0.01 * np.arange(12))
+    ]
+    rejected = 0
+    for seed in range(200):
+        project = projector(S)
+        r = project(coloured(rng, n))
+        rejected += family_wise([score(r, P, project, block) for P in pool], 199, seed).min() <= 0.05
+    assert rejected < 21
+
+
+def test_covariance_in_coloured_noise():
+    """Against the scatter of 400 estimates; white-noise formulas are three times too small here."""
+    rng, n = np.random.default_rng(1), 1500
+    S = np.stack([np.ones(n), np.sin(0.01 * np.arange(n))], axis=1)
+    block, values, said = numbered([n], 60, 1), [], []
+    for _ in range(400):
+        y = S @ [1.0, 2.0] + coloured(rng, n)
+        theta = np.linalg.lstsq(S, y, rcond=None)[0]
+        values.append(theta)
+        said.append(np.diag(covariance(y - S @ theta, S, block)))
+    true, mean = np.var(values, axis=0), np.mean(said, axis=0)
+    np.testing.assert_allclose(mean, true, rtol=0.3)
+    assert np.all(true > 4 * np.diag(np.linalg.inv(S.T @ S)))
+
+
+# --- deflections
+
+
+def deflection_runs(more, n=3, fs=250.0):
+    """A gear of 256:1 with a linear spring of 5e6 N m/rad; `more(u, v)` is added to the deflection."""
+    runs = []
+    for seed in range(n):
+        t = np.arange(int(10 * fs)) / fs
+        q, v, a = (x[:, :1] for x in path(t, seed))
+        u = 3 * np.sin(q) + 0.4 * a + 2 * np.tanh(v / 0.02)
+        link = q - 256 * u / 5e6 - more(u, v)
+        runs.append(jf.Experiment(u, np.concatenate([q, link], axis=1), fs, y_quantity="position"))
+    return runs
+
+
+def test_friction_before_the_gear_is_named():
+    found = diagnose_deflection(deflection_runs(lambda u, v: -256 * 2 * np.tanh(v / 0.02) / 5e6))
+    assert found.verdict == "named" and [e.name for e in found.effects] == ["coulomb_friction"]
+    assert abs(found.effects[0].value.value / (-256 * 2 / 5e6) - 1) < 0.05
+    assert abs(found.compliance[0].value / (256 / 5e6) - 1) < 0.05
+    assert np.all(found.held_out["named"] < 0.1 * found.held_out["linear spring"] + 0.1)
+
+
+def test_a_late_link_encoder_is_named():
+    found = diagnose_deflection(deflection_runs(lambda u, v: 2e-3 * v))
+    assert [e.name for e in found.effects] == ["sensor_delay"]
+    assert abs(found.effects[0].value.value - 2e-3) < 1e-5
+    assert not found.wrong_sign["sensor_delay"][0] and found.wrong_sign["viscous_friction"][0]
+
+
+def test_a_linear_spring_needs_nothing():
+    rng = np.random.default_rng(0)
+    found = diagnose_deflection(deflection_runs(lambda u, v: 1e-6 * rng.standard_normal(u.shape)))
+    assert found.verdict == "unexplained" and not found.effects
+    assert np.all(found.held_out["linear spring"] < 0.05)
+
+
+def test_deflections_need_both_sides():
+    runs = deflection_runs(lambda u, v: 0.0)
+    with pytest.raises(jf.InputError, match="2: the positions of all motors, then those of all links"):
+        diagnose_deflection([jf.Experiment(x.u, x.y[..., :1], 250.0, y_quantity="position") for x in runs])
+    with pytest.raises(jf.InputError, match="two or more"):
+        diagnose_deflection(runs[:1])
+
+
+# --- the FRF of a drive
+
+
+def drive_frf(effects, seed=0, noise=0.01):
+    """Speed of an inertia, and what else it is said to have; relative noise, known."""
+    f, rng = np.arange(10.0, 250.0), np.random.default_rng(seed)
+    s = 2j * np.pi * f
+    G = 100.0 / (s + effects.get("friction", 0.0))
+    if "mode" in effects:
+        for w, sign in zip(effects["mode"], (1, -1), strict=True):
+            G = G * (1 + 0.06 * s / (2 * np.pi * w) + (s / (2 * np.pi * w)) ** 2) ** sign
+    G = G * np.exp(-s * effects.get("delay", 0.0)) / (1 + s * effects.get("lag", 0.0))
+    G = G * (1 + noise * (rng.standard_normal(len(f)) + 1j * rng.standard_normal(len(f))) / np.sqrt(2))
+    cov = (noise * np.abs(G)) ** 2
+    one = np.ones((1, len(f)))
+    return jf.FRF(G[None, :, None, None], f, cov[None, :, None, None] + 0j, 20 * one, 0 * one.astype(int), one)
+
+
+@pytest.mark.parametrize(
+    ("truth", "names"),
+    [
+        ({}, []),
+        ({"friction": 40.0}, ["viscous_friction"]),
+        ({"lag": 2e-3}, ["current_loop_lag"]),
+        ({"delay": 1e-3}, ["torque_delay"]),
+        ({"mode": (50.0, 75.0), "lag": 3e-3}, ["current_loop_lag", "extra_flexibility"]),
+    ],
+)
+def test_drives(truth, names):
+    found = diagnose_drive(drive_frf(truth), drive_frf(truth, seed=1))
+    assert sorted(e.name for e in found.effects) == names
+    assert found.verdict == ("named" if names else "sufficient")
+    values = {k: v.value for k, v in found.parameters.items()}
+    assert abs(values["gain"] / 100.0 - 1) < 0.02
+    for key, name in (("friction", "friction"), ("lag", "time_constant"), ("delay", "delay")):
+        if key in truth:
+            assert abs(values[name] / truth[key] - 1) < 0.05
+    if "mode" in truth:
+        assert abs(values["antiresonance"] - 50) < 0.5 and abs(values["resonance"] - 75) < 0.5
+    np.testing.assert_allclose(found.gap["after"], found.gap["floor"], rtol=0.1)
