@@ -14,7 +14,7 @@ from .evidence import weigh
 from .refine import refine
 from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
 from .score import family_wise, fit_beside
-from .search import CLASSES, FLOOR, Search, Step, passes, with_effect
+from .search import CLASSES, FLOOR, Search, Step, passes, usual_misfit, with_effect
 from .signature import signature
 from .stage import Stage, bounds, remainder
 
@@ -75,7 +75,9 @@ def _mean_square(left, floor, where) -> float:
 def _verdict(search: Search, base):
     before, after = search.base.misfit, search.last.misfit
     steps = search.steps
-    left = (after - FLOOR) / max(before - FLOOR, 1e-9)
+    least = float(np.mean((search.base.evidence.plain / search.base.evidence.floor) ** 2))
+    usual = [usual_misfit(stage, search.base) - least for stage in (search.base, search.last)]
+    left = usual[1] / max(usual[0], 1e-9)
     relative = _relative(search, base)
     if steps and after > _FAR_OFF and left > _UNEXPLAINED:
         return "unexplained", _tell_unexplained(search, left), ()
@@ -154,7 +156,7 @@ def _named(search: Search, step: Step) -> Named:
         p_value=family_wise(first.part, first.found.t, runs, len(search.scored)),
         equivalent=equivalent,
         separating_experiment="; ".join(confusable),
-        explains=float(np.clip((step.before - step.after) / max(search.base.misfit - FLOOR, 1e-9), 0, 1)),
+        explains=float(np.clip((step.before - step.after) / max(step.before, 1e-9), 0, 1)),
         visible=first.size,
     )
 

@@ -85,10 +85,22 @@ def _projected(gram: Gram, base: BaseFit, rows):
     S = A[np.ix_(own, own)]
     size = np.diag(S)
     S = S + np.diag(np.where(size > 0, _RIDGE * size, 1.0))
-    share = scipy.linalg.solve(S, np.column_stack([A[np.ix_(own, rows)], b[own]]), assume_a="pos")
+    share = _solved(S, np.column_stack([A[np.ix_(own, rows)], b[own]]))
     a = A[np.ix_(rows, rows)] - A[np.ix_(rows, own)] @ share[:, :-1]
     p = b[rows] - A[np.ix_(rows, own)] @ share[:, -1]
     return a, p, share, np.diag(A)[rows]
+
+
+def _solved(S, right):
+    """S^-1 right of products that should be positive definite, even where single precision made them less than that:
+    columns that say the same, as many of the links' of a small robot do."""
+    try:
+        return scipy.linalg.solve(S, right, assume_a="pos")
+    except np.linalg.LinAlgError:
+        size = np.sqrt(np.diag(S))
+        values, vectors = np.linalg.eigh(S / np.outer(size, size))
+        inverse = vectors / np.maximum(values, _RIDGE) @ vectors.T
+        return inverse @ (right / size[:, None]) / size[:, None]
 
 
 def drop(gram: Gram, base: BaseFit, rows, low, high) -> Drop:

@@ -27,17 +27,19 @@ from .stage import (
     table,
 )
 
-MOST = 3  # effects
+MOST = 2  # effects
 _PART, _CLEAR_PART = 0.012, 0.002  # of the misfit that a candidate must explain; with a t beyond _CLEAR_T
+_WAVES_PART = 0.03  # for ripple: motors have some, which is not told from a resolver's where a motor turns little
 _CLEAR_T = 15.0
 _SIZE = 0.5  # of the visible one
 _SIGNIFICANT = 0.05
-_RIVAL = 0.35  # of the best candidate's drop: less is not worth a simulation
-_SIMULATED = 3  # candidates in a round
-_CORRECTIONS = 3
+_RIVAL = 0.5  # of the best candidate's drop: less is not worth a simulation
+_SIMULATED = 2  # candidates in a round
+_CORRECTIONS = 2
 _HELPS = 0.97  # of the misfit: more after a correction, and it was of no use
 _SHORT = 5  # candidates that are refined
-_REDUCED = 0.2  # of the reducible misfit must go
+_SECOND = 0.05  # of the misfit that a second effect must promise: what the first left undone is no effect
+_KEPT = 0.3  # of what a candidate promised must be kept by its simulation
 FLOOR = 1.0  # misfit of an honest model
 
 CLASSES = (
@@ -62,7 +64,7 @@ class Option(eqx.Module):
 
 class Step(eqx.Module):
     """One effect found. `stage`: the robot with it. `rivals`: other options of the round, with the misfit after their
-    own simulation where they were simulated. `misfit`: before and after."""
+    own simulation where they were simulated. `before`, `after`: misfit, weighed as before the step."""
 
     option: Option
     effect: AbstractEffect
@@ -145,9 +147,9 @@ def passes(scored: Scored, tests: int, runs: int) -> bool:
     """Whether a candidate is large and sure enough to be looked at."""
     if scored.size < _SIZE:
         return False
-    if scored.part >= _PART:
-        return family_wise(scored.part, scored.found.t, runs, tests) < _SIGNIFICANT
     waves = "ripple" in scored.candidate.name or scored.candidate.name == "transmission_error"
+    if scored.part >= (_WAVES_PART if waves else _PART):
+        return family_wise(scored.part, scored.found.t, runs, tests) < _SIGNIFICANT
     return not waves and scored.part >= _CLEAR_PART and abs(scored.found.t) > _CLEAR_T
 
 
@@ -178,7 +180,7 @@ def _visible(scored: Scored) -> float:
 
 def _best(stage: Stage, given: Robot, record: Measured, opened, scored, steps, say) -> Step | None:
     found = options(stage, scored)
-    if not found:
+    if not found or (steps and found[0].drop < _SECOND):
         return None
     tried: list[_Trial] = []
     before = [s.effect for s in steps]
@@ -187,21 +189,20 @@ def _best(stage: Stage, given: Robot, record: Measured, opened, scored, steps, s
             break
         trial = _tried(stage, given, record, opened, option, before)
         if trial is not None:
-            say(f"  simulated {option.key[0]} {option.key[1]}: misfit {trial.stage.misfit:.3g}")
+            text = f"misfit {trial.stage.misfit:.3g} ({usual_misfit(trial.stage, stage):.3g})"
+            say(f"  simulated {option.key[0]} {option.key[1]}: {text}")
             tried.append(trial)
     if not tried:
         return None
-    tried.sort(key=lambda trial: trial.stage.misfit)
+    usual = lambda this: usual_misfit(this, stage)
+    tried.sort(key=lambda trial: usual(trial.stage))
     best = tried[0]
     option, effect, after, std = best.option, best.effect, best.stage, best.std
-    reducible = stage.misfit - FLOOR
-    if stage.misfit - after.misfit < _REDUCED * reducible * min(1.0, option.drop / 0.1) and option.scored.part > _PART:
+    if usual(stage) - usual(after) < _KEPT * option.drop * usual(stage):
         return None
-    if after.misfit > stage.misfit:
-        return None
-    others = {id(trial.option): trial.stage.misfit for trial in tried}
+    others = {id(trial.option): usual(trial.stage) for trial in tried}
     rivals = tuple((o, others.get(id(o))) for o in found if o is not option)
-    return Step(option, effect, std, after, rivals, stage.misfit, after.misfit)
+    return Step(option, effect, std, after, rivals, usual(stage), usual(after))
 
 
 class _Trial(eqx.Module):
@@ -223,7 +224,7 @@ def _tried(stage: Stage, given: Robot, record: Measured, opened, option: Option,
         if not again.names or not _moves(effect, again):
             break
         better = with_effect(after, given, record, opened, again.effect, before, effect)
-        if better is None or better.misfit > _HELPS * after.misfit:
+        if better is None or usual_misfit(better, stage) > _HELPS * usual_misfit(after, stage):
             break
         after, effect = better, again.effect
     return _Trial(option, effect, std, after)
@@ -246,6 +247,13 @@ def with_effect(
         return look_again(stage, robot, record, turns, opened)
     except ValueError:
         return None
+
+
+def usual_misfit(this: Stage, like: Stage) -> float:
+    """Mean square of what a stage leaves on the fitted positions, weighed as in another: no few lines rule."""
+    left = remainder(this.evidence, this.weighed, this.fit, this.fit.columns, this.fit.x)
+    runs = np.reshape(this.fit.runs, left.shape[:2])
+    return float(np.mean(np.abs(left[runs] / like.evidence.floor) ** 2))
 
 
 def base_beside(stage: Stage, effect, simulated=None) -> Float[np.ndarray, "knob"]:
