@@ -1,6 +1,7 @@
 """Find where a model and its measurement disagree, name what is missing, add it, and see the gap shrink."""
 
 import dataclasses
+import pathlib
 from collections.abc import Callable, Sequence
 
 import jax
@@ -18,7 +19,7 @@ from .present import present
 from .result import Diagnosis
 from .search import Say, Search, search
 
-_EXPERIMENTS = 3  # of a position that are used: what limits the search is the model, not the noise
+_EXPERIMENTS = 2  # of a position that are used: what limits the search is the model, not the noise
 
 THROUGH = "through the experiment: the robot plays the record's references under its controller"
 TRACKED = "by the torque that the model needs for the measured motion: its reference or controller is not known"
@@ -32,6 +33,7 @@ def diagnose(
     sealed: int | None = None,
     say: Say | None = None,
     progress: Callable[[float], None] | None = None,
+    parts: pathlib.Path | None = None,
 ) -> Diagnosis:
     """Which effect a robot's model lacks, from periodic records at several positions.
 
@@ -54,6 +56,7 @@ def diagnose(
     - `own`: effects of your own, classes like those of `jaxfrf.effects`.
     - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
     - `say`: called with a line of progress. `progress`: with the part that is done.
+    - `parts`: a folder in which finished rounds are kept; a run that finds them there goes on behind them.
 
     **Raises:** `jaxfrf.InputError` for records without period or arm configurations, and for a robot that does not fit.
 
@@ -63,7 +66,8 @@ def diagnose(
     compared = THROUGH
     if robot.controller is None or record.r is None:
         robot, record, compared = tracked(robot, record)
-    return present(investigate(robot, record, own=own, sealed=sealed, say=say, progress=progress), compared)
+    found = investigate(robot, record, own=own, sealed=sealed, say=say, progress=progress, parts=parts)
+    return present(found, compared)
 
 
 def investigate(
@@ -74,12 +78,13 @@ def investigate(
     sealed: int | None = None,
     say: Say | None = None,
     progress: Callable[[float], None] | None = None,
+    parts: pathlib.Path | None = None,
 ) -> Search:
     """The search of `diagnose`, with all that was simulated, on one record with references."""
     require_x64("A diagnosis")
     robot = jax.tree.map(jnp.asarray, robot)
     some = measured(fewer(record, _EXPERIMENTS))
-    return search(robot, some, opened_positions(record, sealed), tuple(own), say, progress)
+    return search(robot, some, opened_positions(record, sealed), tuple(own), say, progress, parts)
 
 
 def joined(records: Sequence[Experiment]) -> Experiment:
@@ -107,14 +112,14 @@ def joined(records: Sequence[Experiment]) -> Experiment:
     if len(records) == 1:
         return first
     stack = lambda name: np.concatenate([np.asarray(getattr(r, name)) for r in records])
-    lines = np.unique(np.concatenate([np.asarray(r.lines) for r in records if r.lines is not None]))
+    known = [np.asarray(r.lines) for r in records if r.lines is not None]
     return dataclasses.replace(
         first,
         u=stack("u"),
         y=stack("y"),
         r=None if first.r is None else stack("r"),
         q=stack("q"),
-        lines=lines if len(lines) else None,
+        lines=np.unique(np.concatenate(known)) if known else None,
         sources=tuple(s for r in records for s in r.sources),
     )
 

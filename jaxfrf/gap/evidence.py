@@ -2,7 +2,7 @@
 
 import concurrent.futures
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -45,7 +45,12 @@ class Evidence:
         )
         self.noise = _noise(stills, record.noise)
         self.plain = self.floor = _floor(self.U, self.noise, record.frequency)
-        self.scenes = [Scene(robot, motion, p, s, mean_period(record.data, p)) for p, s in enumerate(stills)]
+        data = record.data
+        seen = data.y_quantity == "position"
+        self.scenes = [
+            Scene(robot, motion, p, s, mean_period(data, p), mean_period(data, p, data.y) if seen else None)
+            for p, s in enumerate(stills)
+        ]
 
 
 def _lines(x, count):
@@ -152,18 +157,38 @@ def _gram(every, parts) -> Gram:
     return Gram(every[:, :-1, :-1], every[:, :-1, -1], every[:, -1, -1], position, parts[0].shape[-1])
 
 
-def reweighed(weighed: Weighed, evidence: Evidence) -> Weighed:
-    """The same columns beside the residual of another simulation, over the floor that they have."""
+def renewed(weighed: Weighed, evidence: Evidence, columns: Mapping[int, Column]) -> Weighed:
+    """The same columns, but for these, beside the residual of another simulation, over the floor that they have."""
 
     def one(pos):
-        rows = evidence.residual[pos] / evidence.floor
-        rows = rows.reshape(len(rows), 1, -1)
-        rows = np.concatenate([rows.real, rows.imag], axis=-1).astype(np.float32)
-        X = np.concatenate([weighed.parts[pos][:, :-1], rows], axis=1)
-        return X, _products(X, rows)[..., 0]
+        scene, floor = evidence.scenes[pos], evidence.floor
+        X = weighed.parts[pos].copy()
+        X[:, -1] = _row(evidence.residual[pos] / floor)
+        for place, column in columns.items():
+            X[:, place] = _row(column(scene) / floor)
+        return X, _products(X, X)
 
     with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
         found = list(pool.map(one, range(len(weighed.parts))))
-    products = np.concatenate([b for _, b in found])
-    g = weighed.gram
-    return Weighed(tuple(X for X, _ in found), Gram(g.A, products[:, :-1], products[:, -1], g.position, g.count))
+    parts = tuple(X for X, _ in found)
+    return Weighed(parts, _gram(np.concatenate([products for _, products in found]), parts))
+
+
+def _row(x):
+    x = x.reshape(len(x), -1)
+    return np.concatenate([x.real, x.imag], axis=-1).astype(np.float32)
+
+
+def rebased(table: Weighed, base: Weighed) -> Weighed:
+    """Columns of a table behind those of another base, and its residual, over the same floor."""
+    count = base.parts[0].shape[1] - 1
+
+    def one(pos):
+        X = table.parts[pos].copy()
+        X[:, :count], X[:, -1] = base.parts[pos][:, :-1], base.parts[pos][:, -1]
+        return X, _products(X, X)
+
+    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
+        found = list(pool.map(one, range(len(table.parts))))
+    parts = tuple(X for X, _ in found)
+    return Weighed(parts, _gram(np.concatenate([products for _, products in found]), parts))

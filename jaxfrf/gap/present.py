@@ -16,7 +16,7 @@ from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
 from .score import family_wise, fit_beside
 from .search import CLASSES, FLOOR, Search, Step, passes, usual_misfit, with_effect
 from .signature import signature
-from .stage import Stage, bounds, remainder
+from .stage import Stage, bounds, mean_square, remainder
 
 _BANDS = np.array([0.0, 1.5, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 60.0, 1e9])  # Hz
 _BINS = 24
@@ -24,6 +24,7 @@ _FAR_OFF, _UNEXPLAINED = 2.0, 0.25  # misfit, and part of the reducible one, tha
 _TOLERANCE = 0.06  # of the torque: half a decibel
 _NEAR = 0.1  # of what an effect explains: a rival this close is as good
 _SHOWN = 12
+_AT_MOST = 0.9  # of the gap is floor: a steady torque alone hardly lifts the rms of all lines
 
 
 def present(search: Search, compared: str, frf: bool = True) -> Diagnosis:
@@ -69,7 +70,7 @@ def _sealed(search: Search) -> np.ndarray:
 
 
 def _mean_square(left, floor, where) -> float:
-    return float(np.mean(np.abs(left[where] / floor) ** 2))
+    return mean_square(left[where] / floor)
 
 
 def _verdict(search: Search, base):
@@ -229,8 +230,8 @@ def _ranking(search: Search) -> tuple[Ranked, ...]:
 def _gap(search: Search, base, after, extended: Stage) -> Gap:
     where, floor = _sealed(search), extended.evidence.plain
     b, a = (np.sqrt(_mean_square(x, floor, where)) for x in (base, after))
-    low = min(np.sqrt(FLOOR), b)
-    shrink = float(np.clip(1.0 - (a - low) / max(b - low, 1e-9), -9.0, 1.0)) if b > low * 1.001 else 0.0
+    low = min(np.sqrt(FLOOR), _AT_MOST * b)
+    shrink = float(np.clip(1.0 - (a - low) / (b - low), -9.0, 1.0))
     U = search.record.U[where][:, :, 1:]
     torque = lambda x: np.sqrt(np.sum(np.abs(x[where]) ** 2, axis=(0, 1, 2)) / np.sum(np.abs(U) ** 2, axis=(0, 1, 2)))
     on = "sealed positions" if not search.opened.all() else "the fitted positions (none were sealed)"
@@ -274,7 +275,8 @@ def _parameters(search: Search, stage: Stage):
     """Stiffnesses and dampings of the last model with their standard deviations."""
     gram, fit = stage.weighed.gram, stage.fit
     A = gram.A[fit.runs].sum(axis=0)[np.ix_(fit.columns, fit.columns)]
-    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    size = np.sqrt(np.maximum(np.diag(A), 0.0))
+    size = np.where(size > 0, size, 1.0)
     inverse = np.linalg.pinv(A / np.outer(size, size) + 1e-9 * np.eye(len(A))) / np.outer(size, size)
     std = np.sqrt(np.maximum(np.diag(inverse) * max(fit.misfit, 1.0), 0.0))
     own = {**parameters(stage.robot)}
@@ -295,7 +297,7 @@ def _maps(search: Search, base, after, named: bool) -> Maps:
     floor = search.base.evidence.plain
 
     def rms(left):
-        power = np.mean(np.abs(left / floor) ** 2, axis=1)
+        power = 0.5 * np.mean(np.abs(left / floor) ** 2, axis=1)
         parts = [
             power[:, (frequency >= a) & ((frequency < b) | (b == edges[-1]))].mean(axis=1)
             for a, b in itertools.pairwise(edges)

@@ -30,7 +30,7 @@ class Order(eqx.Module):
         return self._columns(scene, slice(0, 1))[0]
 
     def _columns(self, scene: Scene, runs: slice):
-        angle = scene.angle[runs, :, self.axis]
+        angle = scene.reading[runs, :, self.axis]
         waves = np.sin(self.order * angle), np.cos(self.order * angle)
         if self.kind == "torque":
             return tuple(scene.by_motor(self.axis, -x) for x in waves)
@@ -61,7 +61,7 @@ def strength(
     course = scipy.fft.irfft(weighted, n=count, axis=1) * count
     step = scene.period / count
     some = np.round(np.arange(count) * step).astype(int)
-    angle = scene.angle[:, some, axis]
+    angle = scene.reading[:, some, axis]
     return np.array([np.vdot(np.exp(1j * h * angle), course) for h in orders])
 
 

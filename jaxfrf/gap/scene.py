@@ -38,11 +38,13 @@ class Scene:
     Quantities are computed when they are first needed and kept.
     """
 
-    def __init__(self, robot: Robot, motion: Motion, pos: int, still: Frozen, command=None):
+    def __init__(self, robot: Robot, motion: Motion, pos: int, still: Frozen, command=None, reading=None):
         self.robot, self.still, self.fs = robot, still, motion.fs
         self.u, self.y, self.z = motion.u[pos], motion.y[pos], motion.z[pos]
         self.period = self.z.shape[1]
-        self.command = self.u if command is None else command  # as measured, if it is known: a drive clips that
+        # As measured, if they are known: a drive clips the command, ripple goes by the angle, wherever the model is.
+        self.command = self.u if command is None else command
+        self.reading = self.y if reading is None else reading
         self.lines = len(still.command)
         self.gear = np.asarray(robot.drives.gear_ratio)
         self._hinges: dict = {}

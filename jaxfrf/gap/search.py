@@ -1,5 +1,6 @@
 """Which effects are missing: scored, refined, simulated, one after the other, until nothing more is found."""
 
+import pathlib
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -11,7 +12,8 @@ from ..robot import Robot
 from .candidates import candidates
 from .knobs import Knob, knobs, turned
 from .measured import Measured
-from .refine import Refined, refine
+from .refine import Refined, names_of, refine
+from .rounds import Round, keep_round, read_round
 from .score import family_wise
 from .stage import (
     FAR,
@@ -21,6 +23,7 @@ from .stage import (
     gear_candidates,
     look,
     look_again,
+    mean_square,
     remainder,
     retold,
     score,
@@ -102,10 +105,11 @@ def search(
     own: Sequence[type[AbstractEffect]] = (),
     say: Say | None = None,
     progress: Callable[[float], None] | None = None,
+    parts: pathlib.Path | None = None,
 ) -> Search:
     """Find what the robot lacks, on the opened positions.
 
-    **Returns:** a `Search`.
+    `parts`: a folder in which finished rounds are kept, and looked for.
     """
     say, done = say or (lambda text: None), progress or (lambda part: None)
     these = knobs(robot)
@@ -123,7 +127,13 @@ def search(
         scored = score(stage, columns)
         first = first or tuple(scored)
         had = {step.option.key for step in steps}
-        step = _best(stage, robot, record, opened, [s for s in scored if s.candidate.key not in had], steps, say)
+        left = [s for s in scored if s.candidate.key not in had]
+        kept = read_round(parts, len(steps))
+        if kept is not None:
+            step = _remembered(kept, stage, robot, record, opened, left, steps)
+        else:
+            step = _best(stage, robot, record, opened, left, steps, say)
+            keep_round(parts, len(steps), _round(step, these))
         if step is None:
             break
         say(f"{step.effect.name} {step.option.key[1]}: misfit {step.before:.3g} -> {step.after:.3g}")
@@ -205,6 +215,24 @@ def _best(stage: Stage, given: Robot, record: Measured, opened, scored, steps, s
     return Step(option, effect, std, after, rivals, usual(stage), usual(after))
 
 
+def _round(step: Step | None, knobs) -> Round:
+    if step is None:
+        return Round(None, "", (), np.zeros(len(knobs)))
+    return Round(step.effect, step.option.key[1], step.std, step.stage.turns)
+
+
+def _remembered(kept: Round, stage: Stage, given: Robot, record: Measured, opened, scored, steps) -> Step | None:
+    """The step of a round that an earlier run had finished."""
+    if kept.effect is None:
+        return None
+    this = next(s for s in scored if s.candidate.key == (kept.effect.name, kept.joint))
+    names = names_of(kept.effect) if len(kept.std) else ()
+    option = Option(this, Refined(kept.effect, this.found.drop, names, kept.std), this.part)
+    robot = turned(given, stage.knobs, kept.turns).with_effects(*[s.effect for s in steps], kept.effect)
+    after = look_again(stage, robot, record, kept.turns, opened)
+    return Step(option, kept.effect, kept.std, after, (), usual_misfit(stage, stage), usual_misfit(after, stage))
+
+
 class _Trial(eqx.Module):
     option: Option
     effect: AbstractEffect
@@ -253,7 +281,7 @@ def usual_misfit(this: Stage, like: Stage) -> float:
     """Mean square of what a stage leaves on the fitted positions, weighed as in another: no few lines rule."""
     left = remainder(this.evidence, this.weighed, this.fit, this.fit.columns, this.fit.x)
     runs = np.reshape(this.fit.runs, left.shape[:2])
-    return float(np.mean(np.abs(left[runs] / like.evidence.floor) ** 2))
+    return mean_square(left[runs] / like.evidence.floor)
 
 
 def base_beside(stage: Stage, effect, simulated=None) -> Float[np.ndarray, "knob"]:
@@ -266,4 +294,4 @@ def base_beside(stage: Stage, effect, simulated=None) -> Float[np.ndarray, "knob
 def sealed_misfit(stage: Stage, sealed, floor) -> Float[np.ndarray, "pos line axis"]:
     """Mean square over the experiments of what a stage leaves on positions that were not fitted, over a floor."""
     left = remainder(stage.evidence, stage.weighed, stage.fit, stage.fit.columns, stage.fit.x)
-    return np.mean(np.abs(left[sealed] / floor) ** 2, axis=1)
+    return 0.5 * np.mean(np.abs(left[sealed] / floor) ** 2, axis=1)

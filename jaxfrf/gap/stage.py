@@ -8,7 +8,7 @@ import numpy as np
 from ..effects import AbstractEffect, ResolverRipple, TorqueRipple, TransmissionError
 from ..robot import Robot
 from .candidates import Candidate
-from .evidence import Column, Evidence, Weighed, inflated, refloored, reweighed, weigh
+from .evidence import Column, Evidence, Weighed, inflated, rebased, refloored, renewed, weigh
 from .knobs import Knob
 from .measured import Measured
 from .ripple import Order, find_orders, gear_orders
@@ -117,7 +117,14 @@ def look_again(stage: Stage, robot: Robot, record: Measured, turns, opened) -> S
     """Another robot, not far from that of a stage, beside the same columns: they change little, the residual does."""
     evidence = Evidence(robot, record)
     evidence.floor, evidence.plain = stage.evidence.floor, stage.evidence.plain
-    weighed = reweighed(stage.weighed, evidence)
+    first = len(stage.knobs)
+    # A resolver's error is felt through the robot's impedance, which is another now.
+    felt = {
+        first + i: column
+        for i, column in enumerate(order_columns(stage.orders))
+        if stage.orders[i // 2].kind == "resolver"
+    }
+    weighed = renewed(stage.weighed, evidence, felt)
     return _fitted(
         robot,
         evidence,
@@ -136,15 +143,20 @@ def _fitted(robot, evidence, weighed, knobs, turns, orders, loud, keep, opened, 
     low, high = bounds(knobs, turns, len(orders))
     fit = fit_base(weighed.gram, keep, low[keep], high[keep], runs)
     left = remainder(evidence, weighed, fit, fit.columns, fit.x)[opened]
-    misfit = float(np.mean(np.abs(left / evidence.plain) ** 2))
+    misfit = mean_square(left / evidence.plain)
     floor = inflated(evidence.plain, left) if misfit > FAR else evidence.plain
     if floor is not evidence.floor:
         weighed = refloored(weighed, evidence.floor, floor)
         evidence.floor = floor
         fit = fit_base(weighed.gram, keep, low[keep], high[keep], runs)
         left = remainder(evidence, weighed, fit, fit.columns, fit.x)[opened]
-        misfit = float(np.mean(np.abs(left / evidence.plain) ** 2))
+        misfit = mean_square(left / evidence.plain)
     return Stage(robot, evidence, tuple(knobs), turns, tuple(orders), tuple(loud), weighed, fit, misfit)
+
+
+def mean_square(z) -> float:
+    """Of real and imaginary parts alike: 1 where they are at their floor."""
+    return 0.5 * float(np.mean(np.abs(z) ** 2))
 
 
 def _is_loud(robot: Robot, order: Order, wave) -> bool:
@@ -186,7 +198,7 @@ def retold(old: Table, stage: Stage) -> Table:
     weighed = old.weighed
     if stage.evidence.floor is not old.floor:
         weighed = refloored(weighed, old.floor, stage.evidence.floor)
-    return Table(old.candidates, reweighed(weighed, stage.evidence), stage.evidence.floor)
+    return Table(old.candidates, rebased(weighed, stage.weighed), stage.evidence.floor)
 
 
 def score(stage: Stage, columns: Table) -> list[Scored]:

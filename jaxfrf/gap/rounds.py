@@ -1,0 +1,42 @@
+"""Rounds of a search that were finished, kept in a folder, so that an interrupted run need not simulate them again."""
+
+import json
+import pathlib
+
+import equinox as eqx
+import numpy as np
+
+from ..effects import AbstractEffect, library
+from ..effects.catalogue import effect_from_table, effect_to_table
+
+
+class Round(eqx.Module):
+    """What one round found: an effect, standard deviations of its parameters, the knobs' changes. `None` for an effect:
+    nothing more was found."""
+
+    effect: AbstractEffect | None
+    joint: str = eqx.field(static=True)
+    std: tuple[float, ...] = eqx.field(static=True)
+    turns: np.ndarray
+
+
+def read_round(folder: pathlib.Path | None, number: int) -> Round | None:
+    """A finished round; `None` where there is none."""
+    path = None if folder is None else pathlib.Path(folder) / f"round-{number}.json"
+    if path is None or not path.exists():
+        return None
+    said = json.loads(path.read_text(encoding="utf-8"))
+    effect = effect_from_table(said["effect"]) if said["effect"] else None
+    return Round(effect, said["joint"], tuple(said["std"]), np.array(said["turns"], float))
+
+
+def keep_round(folder: pathlib.Path | None, number: int, found: Round) -> None:
+    """Keep a round, whole or not at all; one that found an effect of the user's own is found again instead."""
+    if folder is None or (found.effect is not None and type(found.effect) is not library().get(found.effect.name)):
+        return
+    table = None if found.effect is None else effect_to_table(found.effect, found.joint)
+    said = {"effect": table, "joint": found.joint, "std": list(found.std), "turns": np.asarray(found.turns).tolist()}
+    path = pathlib.Path(folder) / f"round-{number}.json"
+    draft = path.with_suffix(".part")
+    draft.write_text(json.dumps(said), encoding="utf-8")
+    draft.replace(path)

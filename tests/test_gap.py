@@ -1,0 +1,510 @@
+"""Diagnosis of missing effects from multisine records: its pieces against plain NumPy and against simulations, and the
+whole on a small robot in which something is hidden."""
+
+import dataclasses
+import functools
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+import scipy.optimize
+import scipy.stats
+
+import jaxfrf as jf
+from jaxfrf import effects as fx
+from jaxfrf.gap import diagnose
+from jaxfrf.gap.diagnose import joined, opened_positions
+from jaxfrf.gap.evidence import Evidence, Gram
+from jaxfrf.gap.frozen import frozen, other_impedance
+from jaxfrf.gap.measured import fewer, measured
+from jaxfrf.gap.quantised import resolution
+from jaxfrf.gap.scene import Scene
+from jaxfrf.gap.score import drop, family_wise, fit_base
+from jaxfrf.gap.signature import signature
+from jaxfrf.robot import linearise, motor_directions, operating_point, parameters, with_parameters
+from jaxfrf.simulation import Motion, replay_motion
+
+FS, PERIOD, STEPS = 1000.0, 4000, 4
+Q = np.array([[0.3, 0.9], [-0.5, 1.4], [1.5, -1.1]])  # the last one unloads the shoulder
+SHOULDER = {
+    "name": "shoulder",
+    "type": "driven",
+    "axis": [0.0, 0.0, 1.0],
+    "offset": [0.0, 0.0, 0.0],
+    "mass": 20.0,
+    "com": [0.25, 0.0, 0.05],
+    "inertia": [0.3, 1.0, 1.0, 0.0, 0.05, 0.0],
+    "gear_ratio": 100.0,
+    "motor_inertia": 1e-3,
+    "stiffness": 9e4,
+    "damping": 60.0,
+    "viscous_friction": 1e-3,
+    "coulomb_friction": 0.1,
+    "torque_limit": 12.0,
+    "velocity_gain": 0.2,
+}
+ELBOW = SHOULDER | {
+    "name": "elbow",
+    "offset": [0.5, 0.0, 0.1],
+    "mass": 10.0,
+    "com": [0.2, 0.05, 0.06],
+    "inertia": [0.1, 0.4, 0.4, 0.02, 0.03, 0.0],
+    "gear_ratio": 80.0,
+    "motor_inertia": 5e-4,
+    "stiffness": 3e4,
+    "damping": 20.0,
+    "viscous_friction": 8e-4,
+    "torque_limit": 8.0,
+    "velocity_gain": 0.1,
+}
+
+
+@functools.cache
+def small_robot(**elbow):
+    """An upper arm and a forearm in a vertical plane, on flexible gears."""
+    return jf.robot.robot_from_table(
+        {
+            "name": "small",
+            "gravity": [0.0, -9.81, 0.0],
+            "sampling_frequency": FS,
+            "joint": [SHOULDER, ELBOW | elbow],
+            "controller": {"position_gain": 10.0, "integral_time": 0.1},
+        }
+    )
+
+
+def record(robot, positions=Q, noise=1e-4, slow=30.0):
+    slow = jf.SlowSine([3, 5], [slow, slow])
+    plan = jf.Multisine(FS, PERIOD, np.arange(17, 240, 2), rms=[2.0, 3.0], slow=slow, seed=4)
+    return jf.simulate(robot, plan, positions, key=jr.key(1), run_in=3.0, noise=noise, steps=STEPS)
+
+
+def changed(data, **fields):
+    return dataclasses.replace(data, **fields)
+
+
+def rms(x):
+    return np.sqrt(np.mean(np.abs(x) ** 2))
+
+
+class Drag(fx.AbstractFriction):
+    """An effect that the library does not hold: drag against the motor that grows with the square of its speed."""
+
+    name: ClassVar = "drag"
+    units: ClassVar = {"coefficient": "N m s^2/rad^2"}
+    bounds: ClassVar = {"coefficient": (0.0, 1e-2)}
+    signature: ClassVar = "torque residual grows with the square of the speed"
+    confusable: ClassVar = {"viscous_friction": "another amplitude of the slow motion"}
+
+    joint: int | str = eqx.field(static=True)
+    coefficient: jax.Array | float
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 2e-5)
+
+    def torque(self, speed, load):
+        return self.coefficient * speed * jnp.abs(speed)
+
+
+class TestFrozen:
+    """The robot with its motors held, or moved, against the library's FRF and against one solve for all unknowns."""
+
+    @staticmethod
+    def one(robot, q):
+        z = np.asarray(operating_point(robot, q).z)
+        rng = np.random.default_rng(0)
+        waves = np.sin(2 * np.pi * np.arange(400)[:, None] / 400 + rng.uniform(0, 6, (1, 2, 1, robot.dof)))
+        move = 1e-4 * waves * np.where(np.arange(robot.dof) < robot.n_motors, 100.0, 1.0)
+        signal = np.zeros((1, 2, 400, robot.n_axes))
+        motion = Motion(signal, signal, z + move, 400.0)
+        frequency = np.array([0.0, 3.0, 11.0, 19.0, 42.0])
+        return frozen(robot, motion, q[None], frequency)[0], motion
+
+    @pytest.mark.parametrize("kind", ["flexible", "rigid elbow", "R3X"])
+    def test_against_the_frf_and_one_solve(self, kind):
+        robot = {"flexible": small_robot, "rigid elbow": lambda: small_robot(stiffness=np.inf), "R3X": jf.robot.r3x}[
+            kind
+        ]()
+        q = np.linspace(0.3, 0.9, robot.n_axes)
+        still, _ = self.one(robot, q)
+        model = linearise(robot, operating_point(robot, q), still.friction, still.swing)
+        G = np.asarray(jf.robot.frf(model, still.frequency[1:], "position"))
+        eye = np.broadcast_to(np.eye(robot.n_axes), G.shape)
+        np.testing.assert_allclose(G @ still.impedance[1:], eye, atol=1e-8)
+
+        B, n = np.asarray(motor_directions(robot)), robot.dof
+        s = 2j * np.pi * still.frequency[:, None, None]
+        Z = s**2 * np.asarray(model.mass) + s * np.asarray(model.damping) + np.asarray(model.stiffness)
+        corner = np.zeros((len(Z), robot.n_axes, robot.n_axes))
+        across = np.broadcast_to(B, (len(Z), *B.shape))
+        whole = np.block([[Z, -across], [across.swapaxes(1, 2), corner]])  # Z z - B u = d, motors at rest
+        found = np.linalg.inv(whole)[:, :, :n]
+        for ours, theirs in ((still.compliance, found[:, :n]), (still.to_torque, found[:, n:])):
+            np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
+
+    def test_hinge_against_a_robot_with_the_joint(self):
+        """Gravity off: its part of the hinge's stiffness is left out."""
+        robot = eqx.tree_at(lambda r: r.chain.gravity, small_robot(), jnp.zeros(3))
+        still, motion = self.one(robot, Q[0])
+        scene = Scene(robot, motion, 0, still)
+        for joint in robot.axis_names:
+            effect = fx.ExtraFlexibility(joint, [0.0, 1.0, 0.0], 8e4, 30.0)
+            other = other_impedance(robot.with_effects(effect), still, robot.spring_names)
+            assert rms(other - still.impedance) > 1e-3 * rms(still.impedance)
+            ours, theirs = signature(effect, scene), scene.by_impedance(other)
+            np.testing.assert_allclose(ours, theirs, atol=1e-6 * np.abs(theirs).max())
+
+
+@pytest.fixture(scope="module")
+def carrier():
+    """The small robot without Coulomb friction and with one effect of every kind, none of which does anything yet: one
+    program simulates all."""
+    robot = with_parameters(small_robot(), dict.fromkeys(parameters(small_robot(), ["coulomb_friction"]), 0.0))
+    robot = robot.with_effects(
+        Drag("shoulder", 0.0),
+        fx.Counterbalance("elbow", 0.0, 0.2),
+        fx.TorqueRipple("elbow", [0.0], [2], [0.4]),
+        fx.CurrentLoopLag("shoulder", 1e-9),
+        fx.TorqueConstant("elbow", 0.0),
+        fx.ResolverRipple("shoulder", [0.0], [2], [0.3]),
+        fx.TransmissionError("elbow", [0.0], 160.0, (1,), [0.2]),
+        fx.WristCoupling("elbow", 0.0),
+        fx.GearHysteresis("shoulder", 0.0, 1e-4),
+    )
+    return jax.tree.map(jnp.asarray, robot)
+
+
+@pytest.fixture(scope="module")
+def quiet(carrier):
+    """A record without noise at two positions, in which the arm moves little: to first order it is the frozen one."""
+    data = record(carrier, Q[:2], 0.0, slow=5.0)
+    return data, Evidence(carrier, measured(data), steps=STEPS)
+
+
+def asked(changed, quiet):
+    """Torque that a changed robot asks beyond the other, less what the difference in motion does: two simulations."""
+    data, evidence = quiet
+    motion, count = replay_motion(changed, data, steps=STEPS), evidence.U.shape[2]
+    U, Y = (np.fft.rfft(x, axis=2)[:, :, :count] / x.shape[2] for x in (motion.u, motion.y))
+    Y[:, :, 0] = 0.0
+    moved = Y - evidence.Y
+    through = [np.einsum("lab,elb->ela", s.still.impedance, m) / s.still.command for s, m in zip(evidence.scenes, moved)]
+    return U - evidence.U - np.stack(through)
+
+
+def with_value(robot, kind, **values):
+    """One of the robot's effects with other parameters, alone and in the robot."""
+    place = next(i for i, e in enumerate(robot.effects) if isinstance(e, kind))
+    effect = robot.effects[place]
+    for name, value in values.items():
+        value = jnp.asarray(value, jnp.asarray(getattr(effect, name)).dtype)
+        effect = eqx.tree_at(lambda e: getattr(e, name), effect, value)
+    return effect, eqx.tree_at(lambda r: r.effects[place], robot, effect)
+
+
+class TestSignatures:
+    """What an effect asks along the motion, against a simulation with a little of it."""
+
+    def compare(self, found, robot, quiet):
+        theirs = asked(robot, quiet)
+        ours = np.stack([found(scene) for scene in quiet[1].scenes])
+        assert rms(ours - theirs) < 0.04 * rms(theirs)
+
+    def test_the_record_itself(self, quiet):
+        """No effect, no residual."""
+        data, evidence = quiet
+        assert rms(evidence.residual) < 1e-6 * rms(evidence.U)
+
+    @pytest.mark.parametrize(
+        ("name", "factor", "more"),
+        [
+            ("shoulder.stiffness", 1.01, 0.0),
+            ("elbow.damping", 1.05, 0.0),
+            ("elbow.viscous_friction", 1.1, 0.0),
+            ("shoulder.coulomb_friction", 1.0, 0.002),
+            ("elbow.motor_inertia", 1.02, 0.0),
+            ("elbow.mass", 1.01, 0.0),
+            ("shoulder.inertia", 1.02, 0.0),
+        ],
+    )
+    def test_numbers_of_the_robot(self, carrier, quiet, name, factor, more):
+        other = with_parameters(carrier, {name: factor * parameters(carrier, [name.split(".")[1]])[name] + more})
+        self.compare(lambda scene: scene.by_robot(other), other, quiet)
+
+    @pytest.mark.parametrize(
+        ("kind", "values"),
+        [
+            (Drag, {"coefficient": 1e-6}),
+            (fx.Counterbalance, {"stiffness": 2.0}),
+            (fx.TorqueRipple, {"amplitude": [1e-3]}),
+            (fx.CurrentLoopLag, {"time_constant": 2e-5}),
+            (fx.TorqueConstant, {"error": 2e-3}),
+            (fx.ResolverRipple, {"amplitude": [2e-5]}),
+            (fx.TransmissionError, {"amplitude": [1e-6]}),
+            (fx.WristCoupling, {"ratio": 1e-3}),
+            (fx.GearHysteresis, {"torque": 0.2}),
+        ],
+    )
+    def test_effects(self, carrier, quiet, kind, values):
+        effect, other = with_value(carrier, kind, **values)
+        self.compare(lambda scene: signature(effect, scene), other, quiet)
+
+
+def products(X, r, position=None):
+    """Of columns (run, number, column) and a residual (run, number)."""
+    A, b, rr = np.einsum("rni,rnj->rij", X, X), np.einsum("rni,rn->ri", X, r), np.einsum("rn,rn->r", r, r)
+    return Gram(A, b, rr, np.zeros(len(X), int) if position is None else position, X.shape[1])
+
+
+class TestLeastSquares:
+    """From products alone, against NumPy and SciPy on the columns themselves."""
+
+    X: ClassVar = np.random.default_rng(1).standard_normal((5, 60, 7))
+    r: ClassVar = np.random.default_rng(2).standard_normal((5, 60)) + X @ [1.0, -2.0, 0.5, 0.1, 0.0, 0.8, -0.6]
+    runs: ClassVar = np.array([True, True, False, True, True])
+
+    @property
+    def flat(self):
+        return self.X[self.runs].reshape(-1, 7), self.r[self.runs].ravel()
+
+    def test_base(self):
+        X, r = self.flat
+        gram, free, columns = products(self.X, self.r), np.full(5, np.inf), [0, 1, 2, 3, 4]
+        fit = fit_base(gram, columns, -free, free, self.runs)
+        x, left = np.linalg.lstsq(X[:, columns], r)[:2]
+        np.testing.assert_allclose(fit.x, x, rtol=1e-8)
+        assert fit.inside.all()
+        np.testing.assert_allclose([fit.squares, fit.misfit], [left[0], left[0] / len(r)], rtol=1e-8)
+        np.testing.assert_allclose(fit.before, np.mean(r**2), rtol=1e-12)
+        low, high = np.full(5, -0.7), np.full(5, 0.7)
+        fit = fit_base(gram, columns, low, high, self.runs)
+        np.testing.assert_allclose(fit.x, scipy.optimize.lsq_linear(X[:, columns], r, (low, high)).x, atol=1e-6)
+        assert fit.inside.tolist() == [False, False, True, True, True]
+
+    def test_more_columns(self):
+        X, r = self.flat
+        gram, free = products(self.X, self.r), np.full(5, np.inf)
+        fit = fit_base(gram, range(5), -free, free, self.runs)
+        found = drop(gram, fit, [5, 6], [-np.inf] * 2, [np.inf] * 2)
+        x, left = np.linalg.lstsq(X, r)[:2]
+        np.testing.assert_allclose(found.x, x[5:], rtol=1e-5)
+        np.testing.assert_allclose(found.drop, fit.squares - left[0], rtol=1e-5)
+        one_sided = drop(gram, fit, [6], [0.0], [np.inf])  # the column wants to be negative
+        assert one_sided.x == [0.0] and one_sided.drop == 0.0
+        again = np.linalg.lstsq(X[:, [0, 1, 2, 3, 4, 5]], r)[1][0]
+        np.testing.assert_allclose(drop(gram, fit, [5], [0.0], [9.0]).drop, fit.squares - again, rtol=1e-5)
+
+    def test_a_column_that_the_base_has(self):
+        X = self.X.copy()
+        X[..., 6] = X[..., 0] + 1e-4 * X[..., 6]
+        gram, free = products(X, self.r), np.full(5, np.inf)
+        fit = fit_base(gram, range(5), -free, free, self.runs)
+        assert drop(gram, fit, [6], [-np.inf], [np.inf]).drop == 0.0
+
+    def test_base_columns_that_say_the_same(self):
+        """Products in single precision are then not positive definite; what another column explains is as without."""
+        X = np.concatenate([self.X[..., [0, 0, 1, 1]] * [1.0, 3.0, 1.0, 1 / 3], self.X], axis=-1)
+        exact = products(X, self.r)
+        gram = eqx.tree_at(lambda g: g.A, exact, _raised(exact.A))
+        free = np.full(9, np.inf)
+        fit = fit_base(gram, range(9), -free, free, self.runs)
+        flat, r = self.flat
+        both = [np.linalg.lstsq(flat[:, :n], r)[1][0] for n in (5, 6)]
+        np.testing.assert_allclose(drop(gram, fit, [9], [-9.0], [9.0]).drop, both[0] - both[1], rtol=1e-3)
+
+    def test_scatter_over_the_runs(self):
+        """Beside a base that shares nothing with the column: Student's t of the scores of the runs."""
+        X = np.zeros((5, 60, 2))
+        X[:, :30, 0], X[:, 30:, 1] = self.X[:, :30, 0], self.X[:, 30:, 1]
+        r = np.where(np.arange(60) < 30, 0.0, self.r)
+        every = np.ones(5, bool)
+        gram = products(X, r)
+        fit = fit_base(gram, [0], [-np.inf], [np.inf], every)
+        found = drop(gram, fit, [1], [-np.inf], [np.inf])
+        scores = np.einsum("rn,rn->r", X[..., 1], r)
+        expected = scipy.stats.ttest_1samp(scores, 0.0).statistic * np.sign(found.x[0])
+        np.testing.assert_allclose(found.t, expected, rtol=1e-6)
+
+
+def _raised(A):
+    """The first two columns' product a millionth too large: no columns have such products."""
+    A = A.copy()
+    A[:, 0, 1] *= 1 + 1e-6
+    A[:, 1, 0] *= 1 + 1e-6
+    return A
+
+
+def test_family_wise():
+    part = np.array([0.003, 0.005, 0.01, 0.02])
+    by_part = [family_wise(p, 0.0, 8, 300) for p in part]
+    np.testing.assert_allclose(by_part, scipy.stats.gumbel_r.sf(part, 0.004, 0.002), rtol=1e-10)
+    np.testing.assert_allclose(family_wise(0.003, 30.0, 8, 300), 600 * scipy.stats.t.sf(30.0, 7), rtol=1e-10)
+    assert family_wise(0.001, 30.0, 8, 300) == pytest.approx(scipy.stats.gumbel_r.sf(0.001, 0.004, 0.002))
+    assert family_wise(0.5, 100.0, 12, 300) < 1e-9
+
+
+class TestResolution:
+    """Counts of an encoder in made-up readings."""
+
+    time: ClassVar = np.arange(4000) / 1000.0
+    position: ClassVar = np.stack([3 * np.sin(2.1 * time), np.cos(3.3 * time) + 0.2 * np.sin(40 * time)])
+
+    @pytest.mark.parametrize("count", [2 * np.pi / 4096, 2 * np.pi / 10000])
+    def test_counts(self, count):
+        assert resolution(count * np.round(self.position / count), 0.0) == pytest.approx(count, rel=1e-3)
+
+    def test_behind_noise(self):
+        count, noise = 2e-3, 1e-4
+        reading = count * np.round(self.position / count)
+        reading = reading + noise * np.random.default_rng(0).standard_normal(reading.shape)
+        assert resolution(reading, noise) == pytest.approx(count, rel=1e-2)
+
+    def test_none(self):
+        short = self.position[:, :2000]
+        assert resolution(short, 0.0) == 0.0
+        assert resolution(np.ones((2, 100)), 0.0) == 0.0
+        noisy = short + 1e-4 * np.random.default_rng(0).standard_normal(short.shape)
+        assert resolution(noisy, 0.0) == 0.0
+        assert resolution(1e-4 * np.round(noisy / 1e-4), 1e-3) == 0.0  # finer than the noise: not looked for
+
+
+def made_up(n_pos=3, n_exp=4, fs=100.0, seed=0, **fields):
+    rng = np.random.default_rng(seed)
+    signal = lambda: rng.standard_normal((n_pos, n_exp, 50, 2))
+    known = {"u": signal(), "y": signal(), "r": signal(), "q": np.arange(2.0 * n_pos).reshape(n_pos, 2) + 10 * seed}
+    return jf.Experiment(**(known | {"fs": fs, "period": 50, "y_quantity": "position"} | fields))
+
+
+class TestRecords:
+    def test_positions_that_are_sealed(self):
+        data = made_up()
+        assert opened_positions(data, None).tolist() == [True, True, False]
+        assert opened_positions(data, 0).all()
+        assert opened_positions(made_up(2), None).all()
+        assert opened_positions(made_up(7), None).sum() == 5
+        twice = joined([data, changed(data, u=2 * np.asarray(data.u))])  # another amplitude at the same places
+        assert opened_positions(twice, None).tolist() == [True, True, False] * 2
+        for wrong in (-1, 3):
+            with pytest.raises(jf.InputError, match="sealed positions.*0 to 2"):
+                opened_positions(data, wrong)
+
+    def test_joined(self):
+        first, second = made_up(lines=np.array([3, 5])), made_up(1, seed=1, lines=np.array([5, 7]))
+        both = joined([first, second])
+        assert (both.n_pos, both.lines.tolist()) == (4, [3, 5, 7])
+        for name in ("u", "y", "r", "q"):
+            expected = np.concatenate([getattr(first, name), getattr(second, name)])
+            np.testing.assert_array_equal(getattr(both, name), expected)
+        assert joined([first]) is first
+
+    @pytest.mark.parametrize(
+        ("others", "match"),
+        [
+            ([], "no record"),
+            ([made_up(), made_up(fs=200.0)], "fs of the records.*100.*200"),
+            ([made_up(), made_up(n_exp=2)], "n_exp of the records"),
+            ([made_up(), made_up(r=None)], "in some of the records only"),
+            ([made_up(), made_up(q=None)], "arm configuration"),
+        ],
+    )
+    def test_records_that_do_not_belong_together(self, others, match):
+        with pytest.raises(jf.InputError, match=match):
+            joined(others)
+
+    def test_fewer_experiments(self):
+        data = made_up(n_exp=5)
+        some = fewer(data, 3)
+        for name in ("u", "y", "r"):
+            np.testing.assert_array_equal(getattr(some, name), np.asarray(getattr(data, name))[:, [0, 2, 4]])
+        assert fewer(data, 5) is data
+        assert fewer(changed(data, r=None), 2).r is None
+
+
+@pytest.fixture(scope="module")
+def machine():
+    """The robot as built: other springs, dampers and links than stated, and ripple."""
+    off = {"stiffness": 1.02, "damping": 0.95, "mass": 1.006, "viscous_friction": 1.02}
+    robot = small_robot()
+    robot = with_parameters(robot, {n: f * x for kind, f in off.items() for n, x in parameters(robot, [kind]).items()})
+    return robot.with_effects(fx.TorqueRipple(0, [0.01], [6], [0.3]), fx.TorqueRipple(1, [0.006], [2], [0.3]))
+
+
+def first(diagnosis):
+    """The effect that was named first; the positions that were kept for it agree."""
+    assert diagnosis.verdict in ("named", "ambiguous"), diagnosis.says
+    assert (diagnosis.fitted, diagnosis.sealed) == ((0, 1), (2,))
+    assert diagnosis.gap.shrink > 0.7
+    return diagnosis.effects[0]
+
+
+class TestDiagnosis:
+    def test_nothing_hidden(self, machine):
+        told, parts = [], []
+        found = diagnose(small_robot(), record(machine), say=told.append, progress=parts.append)
+        assert found.verdict == "sufficient", found.says
+        assert found.effects == ()
+        assert found.gap.before == found.gap.after
+        assert told and parts == sorted(parts) and 0 <= parts[0] <= parts[-1] <= 1
+        for name, change in found.changed.items():
+            assert change == pytest.approx(0.02 if "stiffness" in name else -0.05, abs=0.01), name
+
+    def test_coulomb_friction(self, machine):
+        hidden = fx.CoulombFriction("shoulder", 0.15)
+        named = first(diagnose(small_robot(), record(machine.with_effects(hidden))))
+        assert (named.name, named.joint) == ("coulomb_friction", "shoulder")
+        assert named.parameters["level"].value == pytest.approx(0.15, rel=0.15)
+        assert named.p_value < 1e-3 and named.visible > 1 and named.explains > 0.9
+
+    def test_torque_delay(self, machine):
+        found = diagnose(small_robot(), record(machine.with_effects(fx.TorqueDelay("elbow", 6e-4))))
+        named = first(found)
+        assert {named.name, *named.equivalent} >= {"torque_delay", "current_loop_lag"}
+        assert named.joint == "elbow"
+        (late,) = named.parameters.values()
+        assert late.value == pytest.approx(6e-4, rel=0.15)
+        assert [f.G.shape[-2:] for f in found.frf] == [(2, 2)] * 3
+
+    def test_spring(self, machine):
+        hidden = fx.Counterbalance("shoulder", 60.0, 0.2)
+        named = first(diagnose(small_robot(), record(machine.with_effects(hidden))))
+        assert (named.name, named.joint) == ("counterbalance", "shoulder")
+        assert "dress_pack" in named.equivalent
+        assert named.parameters["stiffness"].value == pytest.approx(60.0, rel=0.15)
+
+    def test_an_effect_of_your_own(self, machine):
+        found = diagnose(small_robot(), record(machine.with_effects(Drag("elbow", 1e-4))), own=(Drag,))
+        named = first(found)
+        assert isinstance(named.effect, Drag)
+        assert named.joint == "elbow"
+        assert named.parameters["coefficient"].value == pytest.approx(1e-4, rel=0.15)
+
+    def test_a_rigid_transmission(self):
+        robot = small_robot(stiffness=np.inf)
+        found = diagnose(robot, record(robot.with_effects(fx.CoulombFriction("elbow", 0.1))))
+        named = first(found)
+        assert (named.name, named.joint) == ("coulomb_friction", "elbow")
+        assert named.parameters["level"].value == pytest.approx(0.1, rel=0.15)
+        assert "elbow.stiffness" not in found.parameters
+
+    def test_without_controller(self, machine):
+        """The motors follow the measured motion then."""
+        data = record(machine.with_effects(fx.CoulombFriction("shoulder", 0.15)))
+        found = diagnose(changed(small_robot(), controller=None), changed(data, r=None))
+        named = first(found)
+        assert "measured motion" in found.compared
+        assert (named.name, named.joint) == ("coulomb_friction", "shoulder")
+        assert named.parameters["level"].value == pytest.approx(0.15, rel=0.15)
+
+    def test_records_that_cannot_be_compared(self):
+        data = made_up(fs=FS)
+        with pytest.raises(jf.InputError, match="no period"):
+            diagnose(small_robot(), changed(data, period=0))
+        with pytest.raises(jf.InputError, match="arm configuration"):
+            diagnose(small_robot(), changed(data, q=None))
+        with pytest.raises(jf.InputError, match="accelerations"):
+            diagnose(changed(small_robot(), controller=None), changed(data, y_quantity="acceleration"))
