@@ -1,5 +1,7 @@
 """What the base model may change of itself before an effect is called missing."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -68,6 +70,32 @@ def knobs(robot: Robot) -> tuple[Knob, ...]:
     for kind in ("mass", "com", "inertia"):
         add(kind, robot.joint_names, LINKS)
     return tuple(found)
+
+
+def pinned(knobs: tuple[Knob, ...], effect) -> tuple[Knob, ...]:
+    """The same knobs, but those held where they are that do what the effect does: it would share its size with them."""
+    kinds = _SAME.get(effect.name, ())
+    last = knobs_of_last_link(knobs) if effect.name == "payload" else ()
+
+    def one(knob: Knob) -> Knob:
+        joint, _, kind = knob.name.rpartition(".")
+        same = (kind in kinds and joint == effect.joint) or knob.name in last
+        return dataclasses.replace(knob, tolerance=0.0) if same else knob
+
+    return tuple(one(knob) for knob in knobs)
+
+
+def knobs_of_last_link(knobs: tuple[Knob, ...]) -> tuple[str, ...]:
+    """Mass, centre and inertia of the last link that has a mass."""
+    masses = [knob.name.rpartition(".")[0] for knob in knobs if knob.kind == "mass"]
+    return tuple(f"{masses[-1]}.{kind}" for kind in ("mass", "com", "inertia")) if masses else ()
+
+
+_SAME = {
+    "coulomb_friction": ("coulomb_friction",),
+    "viscous_friction": ("viscous_friction",),
+    "motor_inertia": ("motor_inertia",),
+}
 
 
 def turned(robot: Robot, knobs: tuple[Knob, ...], x) -> Robot:

@@ -22,7 +22,7 @@ _BANDS = np.array([0.0, 1.5, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 60.0, 1e9])  # Hz
 _BINS = 24
 _FAR_OFF, _UNEXPLAINED = 2.0, 0.25  # misfit, and part of the reducible one, that must not be left
 _TOLERANCE = 0.06  # of the torque: half a decibel
-_NEAR = 0.1  # of what an effect explains: a rival this close is as good
+_NEAR, _ANY = 0.1, 0.3  # of the misfit that is left, which is at least this: a rival this close is as good
 _SHOWN = 12
 _AT_MOST = 0.9  # of the gap is floor: a steady torque alone hardly lifts the rms of all lines
 
@@ -129,13 +129,12 @@ def _relative(search: Search, left) -> np.ndarray:
 
 
 def _close_rivals(step: Step) -> list[tuple[str, str]]:
-    won = step.before - step.after
     close = []
     for option, misfit in step.rivals:
         same = {step.effect.name, option.key[0]}
         if any(same <= c for c in CLASSES) and option.key[1] == step.option.key[1]:
             continue
-        if misfit is not None and misfit - step.after < _NEAR * won:
+        if misfit is not None and misfit < (1.0 + _NEAR) * step.after + _NEAR * _ANY:
             close.append(option.key)
     return close
 

@@ -24,7 +24,7 @@ def resolution(position: np.ndarray, noise: float) -> float:
     if finest <= widest:
         return 0.0
     tried = np.arange(widest, finest, step)
-    level = np.array([np.abs(np.mean(np.exp(2j * np.pi * f * increments))) for f in tried])
+    level = _levels(increments, tried[0], step, len(tried))
     if level.max() < _CLEAR:
         return 0.0
     first = int(np.argmax(level > 0.8 * level.max()))
@@ -33,3 +33,13 @@ def resolution(position: np.ndarray, noise: float) -> float:
     fine = tried[first] + np.linspace(-step, step, 41)
     level = [np.abs(np.mean(np.exp(2j * np.pi * f * increments))) for f in fine]
     return float(1.0 / fine[int(np.argmax(level))])
+
+
+def _levels(increments, first: float, step: float, count: int) -> np.ndarray:
+    """|mean exp(2 pi j f increment)| at f = first, first + step, ...; each from the one before by one product."""
+    now, turn = (np.exp(2j * np.pi * f * increments) for f in (first, step))
+    level = np.empty(count)
+    for i in range(count):
+        level[i] = np.abs(now.mean())
+        now *= turn
+    return level

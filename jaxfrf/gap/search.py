@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from ..effects import AbstractEffect
 from ..robot import Robot
 from .candidates import candidates
-from .knobs import Knob, knobs, turned
+from .knobs import Knob, knobs, pinned, turned
 from .measured import Measured
 from .refine import Refined, names_of, refine
 from .rounds import Round, keep_round, read_round
@@ -41,7 +41,7 @@ _SIMULATED = 2  # candidates in a round
 _CORRECTIONS = 2
 _HELPS = 0.97  # of the misfit: more after a correction, and it was of no use
 _SHORT = 5  # candidates that are refined
-_SECOND = 0.05  # of the misfit that a second effect must promise: what the first left undone is no effect
+_SECOND = 0.05  # of the misfit, or of the floor, that a second effect must promise: what the first left is no effect
 _KEPT = 0.3  # of what a candidate promised must be kept by its simulation
 FLOOR = 1.0  # misfit of an honest model
 
@@ -174,7 +174,7 @@ def options(stage: Stage, scored: Sequence[Scored]) -> list[Option]:
             break
         seen.add(this.candidate.key)
         refined = Refined(this.effect(), this.found.drop, (), ())
-        if this.candidate.basis and len(this.candidate.basis) == 1:
+        if this.candidate.basis and names_of(this.effect()):
             again = refine(stage, this.effect(), _visible(this))
             refined = again if again.drop > 0.9 * this.found.drop else refined
         found.append(Option(this, refined, refined.drop / stage.fit.squares))
@@ -190,7 +190,7 @@ def _visible(scored: Scored) -> float:
 
 def _best(stage: Stage, given: Robot, record: Measured, opened, scored, steps, say) -> Step | None:
     found = options(stage, scored)
-    if not found or (steps and found[0].drop < _SECOND):
+    if not found or (steps and found[0].drop * min(stage.misfit, 1.0) < _SECOND):
         return None
     tried: list[_Trial] = []
     before = [s.effect for s in steps]
@@ -269,10 +269,12 @@ def with_effect(
     stage: Stage, given: Robot, record: Measured, opened, effect, before=(), simulated=None
 ) -> Stage | None:
     """The robot with one more effect, its own numbers adjusted beside it, simulated; `None` where it cannot be."""
+    these = pinned(stage.knobs, effect)
     turns = _together(stage.turns, base_beside(stage, effect, simulated))
+    turns = np.where([knob.tolerance > 0 for knob in these], turns, 0.0)
     try:
-        robot = turned(given, stage.knobs, turns).with_effects(*before, effect)
-        return look_again(stage, robot, record, turns, opened)
+        robot = turned(given, these, turns).with_effects(*before, effect)
+        return look_again(stage, robot, record, turns, opened, these)
     except ValueError:
         return None
 

@@ -113,8 +113,11 @@ def look(robot: Robot, record: Measured, knobs, turns, opened) -> Stage:
     return _fitted(robot, evidence, weighed, knobs, turns, orders, apart, keep, opened, runs)
 
 
-def look_again(stage: Stage, robot: Robot, record: Measured, turns, opened) -> Stage:
-    """Another robot, not far from that of a stage, beside the same columns: they change little, the residual does."""
+def look_again(stage: Stage, robot: Robot, record: Measured, turns, opened, knobs=None) -> Stage:
+    """Another robot, not far from that of a stage, beside the same columns: they change little, the residual does.
+
+    `knobs`: the stage's own with other tolerances, if there are."""
+    knobs = stage.knobs if knobs is None else knobs
     evidence = Evidence(robot, record)
     evidence.floor, evidence.plain = stage.evidence.floor, stage.evidence.plain
     first = len(stage.knobs)
@@ -129,7 +132,7 @@ def look_again(stage: Stage, robot: Robot, record: Measured, turns, opened) -> S
         robot,
         evidence,
         weighed,
-        stage.knobs,
+        knobs,
         turns,
         stage.orders,
         stage.loud,
