@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from .._errors import InputError
 from ..effects import AbstractEffect
 from ..robot import Robot
 from .candidates import candidates
@@ -32,7 +33,10 @@ from .stage import (
 
 MOST = 2  # effects
 _PART, _CLEAR_PART = 0.012, 0.002  # of the misfit that a candidate must explain; with a t beyond _CLEAR_T
-_WAVES_PART = 0.03  # for ripple: motors have some, which is not told from a resolver's where a motor turns little
+# Ripple every motor has, and where one turns little, a resolver's is not told from a torque's; clipping few samples is
+# soon explained.
+_LOOSE = ("torque_ripple", "resolver_ripple", "transmission_error", "torque_saturation")
+_LOOSE_PART = 0.03
 _CLEAR_T = 15.0
 _SIZE = 0.5  # of the visible one
 _SIGNIFICANT = 0.05
@@ -157,8 +161,8 @@ def passes(scored: Scored, tests: int, runs: int) -> bool:
     """Whether a candidate is large and sure enough to be looked at."""
     if scored.size < _SIZE:
         return False
-    waves = "ripple" in scored.candidate.name or scored.candidate.name == "transmission_error"
-    if scored.part >= (_WAVES_PART if waves else _PART):
+    waves = scored.candidate.name in _LOOSE
+    if scored.part >= (_LOOSE_PART if waves else _PART):
         return family_wise(scored.part, scored.found.t, runs, tests) < _SIGNIFICANT
     return not waves and scored.part >= _CLEAR_PART and abs(scored.found.t) > _CLEAR_T
 
@@ -275,7 +279,7 @@ def with_effect(
     try:
         robot = turned(given, these, turns).with_effects(*before, effect)
         return look_again(stage, robot, record, turns, opened, these)
-    except ValueError:
+    except InputError:  # beyond a robot that stands, or that its controller holds
         return None
 
 

@@ -18,6 +18,7 @@ from .signature import signature
 _BOX = 2.5  # tolerances
 _FREE = {"stiffness": (-0.6, 1.5), "damping": (-0.95, 4.0)}  # relative
 _STEP = 1e-3  # relative, of a knob
+_HELD = 1e-9  # relative: bounds of a knob that is held, which the solver wants apart
 _KNOWN_TORQUE, _KNOWN_RESOLVER = (1, 2, 6, 18), (1, 2)  # orders of ripple that motors are known for
 FAR = 2.0  # misfit from which on a floor alone would leave the word to a few lines
 _ROUNDS = 3  # of looking for other orders
@@ -61,8 +62,8 @@ def bounds(knobs: Sequence[Knob], turns, orders: int):
     low, high = [], []
     for knob, done in zip(knobs, turns, strict=True):
         a, b = _FREE[knob.kind] if knob.free else (-_BOX * knob.tolerance, _BOX * knob.tolerance)
-        low.append(min((1 + a) / (1 + done) - 1, 0.0))
-        high.append(max((1 + b) / (1 + done) - 1, 0.0))
+        low.append(min((1 + a) / (1 + done) - 1, -_HELD))
+        high.append(max((1 + b) / (1 + done) - 1, _HELD))
     return np.array(low + [-np.inf] * 2 * orders), np.array(high + [np.inf] * 2 * orders)
 
 
