@@ -6,6 +6,7 @@ import json
 import math
 import pathlib
 import sys
+import types
 
 import jax.random as jr
 import numpy as np
@@ -297,17 +298,26 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
         truth = {"part": "tune", "number": case.number, "kind": case.kind, "simulator": case.simulator, "effects": true}
         (folder / "truth" / f"{case.name}.json").write_text(json.dumps(truth))
 
-    def diagnosed(place):
-        seen.append(place)
-        if len(seen) == 2:
-            raise ValueError("no")
-        return {"verdict": "sufficient", "effects": []}
+    class Looked:
+        """A diagnosis that fails once."""
+
+        def __init__(self, place):
+            seen.append(place)
+            if len(seen) == 2:
+                raise ValueError("no")
+            self.found = types.SimpleNamespace(effects=(), gap=types.SimpleNamespace(shrink=0.0))
+            self.search = types.SimpleNamespace(given=None)
+
+        def shrink(self, effects):
+            return 0.5
+
+        linear_shrink = shrink
 
     monkeypatch.setattr(bench_gap, "make", made)
-    monkeypatch.setattr(bench_gap, "diagnose_case", diagnosed)
+    monkeypatch.setattr(bench_gap, "Looked", Looked)
+    monkeypatch.setattr(bench_gap, "gap_contents", lambda found: {"verdict": "sufficient", "effects": []})
     monkeypatch.setattr(bench_gap, "_hidden", lambda effect: None)
     monkeypatch.setattr(bench_gap, "_others", lambda case, robot: [])
-    monkeypatch.setattr(bench_gap, "read_robot", lambda path: None)
     bench_gap.run(chosen, tmp_path)
     assert seen == [tmp_path / "cases" / case.name for case in chosen]
     assert not any("truth" in str(path.relative_to(tmp_path)) for path in seen)

@@ -201,7 +201,12 @@ def _ranking(search: Search) -> tuple[Ranked, ...]:
     seen, found = set(), []
     runs = int(np.sum(search.base.fit.runs))
     taken = {step.option.key: i for i, step in enumerate(search.steps)}
-    simulated = {o.key: m for step in search.steps for o, m in step.rivals if m is not None}
+    simulated = {
+        o.key: f"simulated: leaves {m / s.before:.0%} of the misfit, the one taken {s.after / s.before:.0%}"
+        for s in search.steps
+        for o, m in s.rivals
+        if m is not None
+    }
     for scored in search.scored:
         if scored.candidate.key in seen:
             continue
@@ -212,7 +217,7 @@ def _ranking(search: Search) -> tuple[Ranked, ...]:
         if scored.candidate.key in taken:
             why = "taken" if taken[scored.candidate.key] == 0 else "taken after the first"
         elif scored.candidate.key in simulated:
-            why = f"simulated, leaves a misfit of {simulated[scored.candidate.key]:.3g}"
+            why = simulated[scored.candidate.key]
         elif scored.size < 0.5:
             why = f"{scored.size:.2g} of what is visible"
         elif passes(scored, len(search.scored), runs):
@@ -260,7 +265,7 @@ def linear_shrink(search: Search, effects) -> float:
     row = stage.weighed.gram.b.shape[1]
     low, high = bounds(stage.knobs, stage.turns, len(stage.orders))
     columns = stage.fit.columns
-    x = fit_beside(weighed.gram, columns, low[columns], high[columns], stage.fit.runs, row)
+    x = fit_beside(weighed.gram, stage.fit, low[columns], high[columns], row).x
     left = remainder(stage.evidence, weighed, stage.fit, np.append(columns, row), np.append(x, 1.0))
     return _gap(search, _left(search, stage), left, stage).shrink
 

@@ -11,7 +11,7 @@ from .stage import Stage, bounds
 
 _STEP = 0.02  # of a parameter, for its derivative
 _LONGEST = 0.5  # of one step, in the logarithm or of the visible value
-_ROUNDS = 3
+_ROUNDS = 6
 
 # What may be changed beside the first parameter, which always may; all of them are positive and known by scale.
 MORE: dict[str, tuple[str, ...]] = {
@@ -54,6 +54,7 @@ def refine(stage: Stage, effect: AbstractEffect, visible: float, simulated: Abst
     names = names_of(effect)
     offset = None if simulated is None else lambda scene: signature(simulated, scene)
     best = None
+    low, high = (x[stage.fit.columns] for x in bounds(stage.knobs, stage.turns, len(stage.orders)))
     for round in range(_ROUNDS + 1):
         steps = [_step(effect, name, visible) for name in names]
         moved = [_moved(effect, name, step) for name, step in zip(names, steps, strict=True)]
@@ -62,14 +63,15 @@ def refine(stage: Stage, effect: AbstractEffect, visible: float, simulated: Abst
         ]
         weighed = weigh(stage.evidence, columns, stage.weighed)
         start = stage.weighed.gram.b.shape[1]
-        value = _fixed_drop(weighed.gram, stage.fit, start)
+        fit = fit_beside(weighed.gram, stage.fit, low, high, start)
+        value = _fixed_drop(weighed.gram, stage.fit, fit, start)
         if best is None or value > best.drop:
             best = Refined(effect, value, names, (0.0,) * len(names))
         elif round:
             break
         if round == _ROUNDS or not names:
             break
-        change, std = _newton(weighed.gram, stage.fit, start, len(names))
+        change, std = _newton(weighed.gram, fit, start, len(names))
         best = Refined(best.effect, best.drop, names, tuple(float(x) for x in std))
         following = effect
         for name, delta in zip(names, change, strict=True):
@@ -121,10 +123,12 @@ def _limited(effect, name, delta, visible):
     return eqx.tree_at(lambda e: getattr(e, name), effect, float(np.clip(new, low, high)))
 
 
-def _fixed_drop(gram, fit, row) -> float:
-    """Decrease of the squares by one column with the coefficient one."""
-    a, p = projected(gram, fit, [row])
-    return float(2 * p[0] - a[0, 0])
+def _fixed_drop(gram, before, fit, row) -> float:
+    """Decrease of the squares by one column with the coefficient one, the base as `fit` beside it."""
+    runs, columns = fit.runs, np.append(fit.columns, row)
+    A, b = gram.A[runs].sum(axis=0)[np.ix_(columns, columns)], gram.b[runs].sum(axis=0)[columns]
+    x = np.append(fit.x, 1.0)
+    return before.squares - float(gram.rr[runs].sum() - 2 * b @ x + x @ A @ x)
 
 
 def _newton(gram, fit, row, count: int):
@@ -144,5 +148,5 @@ def beside(stage: Stage, effect: AbstractEffect, simulated: AbstractEffect | Non
     low, high = bounds(stage.knobs, stage.turns, len(stage.orders))
     columns = stage.fit.columns
     x = np.zeros(row)
-    x[columns] = fit_beside(weighed.gram, columns, low[columns], high[columns], stage.fit.runs, row)
+    x[columns] = fit_beside(weighed.gram, stage.fit, low[columns], high[columns], row).x
     return x

@@ -1,5 +1,7 @@
 """Least squares from products alone: the base within its tolerances, and what one more effect would explain."""
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
 import scipy.linalg
@@ -41,11 +43,12 @@ def fit_base(gram: Gram, columns, low, high, runs) -> BaseFit:
     return BaseFit(columns, x, inside, left / n, rr / n, left, np.asarray(runs))
 
 
-def fit_beside(gram: Gram, columns, low, high, runs, row: int) -> Float[np.ndarray, "column"]:
-    """The base where the column `row` is there with the coefficient one."""
-    columns = np.asarray(columns, int)
+def fit_beside(gram: Gram, base: BaseFit, low, high, row: int) -> BaseFit:
+    """The base where the column `row` is there with the coefficient one: what imitated it moves off its bounds."""
+    columns, runs = base.columns, base.runs
     A, b = gram.A[runs].sum(axis=0), gram.b[runs].sum(axis=0)
-    return _bounded(A[np.ix_(columns, columns)], b[columns] - A[columns, row], np.asarray(low), np.asarray(high))[0]
+    x, inside = _bounded(A[np.ix_(columns, columns)], b[columns] - A[columns, row], np.asarray(low), np.asarray(high))
+    return dataclasses.replace(base, x=x, inside=inside)
 
 
 def _bounded(A, b, low, high):
