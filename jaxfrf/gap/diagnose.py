@@ -60,7 +60,7 @@ def diagnose(
 
     **Raises:** `jaxfrf.InputError` for records without period or arm configurations, and for a robot that does not fit.
 
-    Source: Bosworth & Hosking style score tests with nuisance parameters; the workflow is this project's own.
+    Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
     """
     record = joined([data] if isinstance(data, Experiment) else list(data))
     compared = THROUGH

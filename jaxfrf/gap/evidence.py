@@ -1,7 +1,6 @@
 """What a record says against a robot: the torque that its motors gave beyond what the robot asks of them."""
 
 import concurrent.futures
-import os
 from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
@@ -11,7 +10,7 @@ from jaxtyping import Complex, Float
 
 from ..robot import Robot
 from ..simulation import replay_motion
-from ..simulation.runs import Progress
+from ..simulation.runs import Progress, cores
 from .frozen import frozen
 from .measured import Measured, mean_period
 from .scene import Scene
@@ -84,13 +83,8 @@ def refloored(weighed: "Weighed", old, new) -> "Weighed":
     """The same columns over another floor."""
     factor = np.concatenate([(old / new).ravel()] * 2).astype(np.float32)
     parts = tuple(part * factor for part in weighed.parts)
-    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
-        every = np.concatenate(list(pool.map(lambda X: _products(X, X), parts)))
+    every = np.concatenate(_shared(lambda X: _products(X, X), parts))
     return Weighed(parts, _gram(every, parts))
-
-
-def cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Gram(eqx.Module):
@@ -135,8 +129,7 @@ def weigh(evidence: Evidence, columns: Sequence[Column], base: Weighed | None = 
         old = base.parts[pos]
         return np.concatenate([old[:, :-1], X, old[:, -1:]], axis=1), (_products(old, X), _products(X, X))
 
-    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
-        found = list(pool.map(one, range(len(evidence.scenes))))
+    found = _shared(one, range(len(evidence.scenes)))
     parts = tuple(part for part, _ in found)
     if base is None:
         every = np.concatenate([products for _, products in found])
@@ -146,6 +139,12 @@ def weigh(evidence: Evidence, columns: Sequence[Column], base: Weighed | None = 
     g = base.gram
     A = np.block([[g.A, across[:, :-1]], [across[:, :-1].swapaxes(1, 2), own]])
     return Weighed(parts, Gram(A, np.concatenate([g.b, across[:, -1]], axis=1), g.rr, g.position, g.count))
+
+
+def _shared(work, items) -> list:
+    """Every item's result; the cores share them."""
+    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
+        return list(pool.map(work, items))
 
 
 def _products(X, Y):
@@ -168,8 +167,7 @@ def renewed(weighed: Weighed, evidence: Evidence, columns: Mapping[int, Column])
             X[:, place] = _row(column(scene) / floor)
         return X, _products(X, X)
 
-    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
-        found = list(pool.map(one, range(len(weighed.parts))))
+    found = _shared(one, range(len(weighed.parts)))
     parts = tuple(X for X, _ in found)
     return Weighed(parts, _gram(np.concatenate([products for _, products in found]), parts))
 
@@ -188,7 +186,6 @@ def rebased(table: Weighed, base: Weighed) -> Weighed:
         X[:, :count], X[:, -1] = base.parts[pos][:, :-1], base.parts[pos][:, -1]
         return X, _products(X, X)
 
-    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
-        found = list(pool.map(one, range(len(table.parts))))
+    found = _shared(one, range(len(table.parts)))
     parts = tuple(X for X, _ in found)
     return Weighed(parts, _gram(np.concatenate([products for _, products in found]), parts))

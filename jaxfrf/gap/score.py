@@ -138,10 +138,3 @@ def family_wise(part: float, t: float, runs: int, tests: int) -> float:
     by_part = -np.expm1(-np.exp(-(part - _NULL_MODE) / _NULL_SCALE))
     by_scatter = 2 * tests * scipy.stats.t.sf(abs(t), max(runs - 1, 1))
     return float(min(1.0, by_part, by_scatter if part > _NULL_MODE / 2 else 1.0))
-
-
-def misfit(gram: Gram, columns, x, runs) -> float:
-    """Mean square of what these coefficients leave on other runs."""
-    columns = np.asarray(columns, int)
-    A, b = gram.A[runs].sum(axis=0)[np.ix_(columns, columns)], gram.b[runs].sum(axis=0)[columns]
-    return float(gram.rr[runs].sum() - 2 * b @ x + x @ A @ x) / (gram.count * int(np.sum(runs)))

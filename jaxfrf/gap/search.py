@@ -295,9 +295,3 @@ def base_beside(stage: Stage, effect, simulated=None) -> Float[np.ndarray, "knob
     from .refine import beside
 
     return beside(stage, effect, simulated)[: len(stage.knobs)]
-
-
-def sealed_misfit(stage: Stage, sealed, floor) -> Float[np.ndarray, "pos line axis"]:
-    """Mean square over the experiments of what a stage leaves on positions that were not fitted, over a floor."""
-    left = remainder(stage.evidence, stage.weighed, stage.fit, stage.fit.columns, stage.fit.x)
-    return 0.5 * np.mean(np.abs(left[sealed] / floor) ** 2, axis=1)

@@ -79,12 +79,12 @@ def _blocks(n_runs: int, chunk: int) -> list[np.ndarray]:
         raise input_error("chunk", f"{chunk}", "1 run or more", "The default suits most machines.")
     count = math.ceil(n_runs / chunk)
     if count > 1:
-        count = math.ceil(count / _cores()) * _cores()
+        count = math.ceil(count / cores()) * cores()
     size = math.ceil(n_runs / count)
     return [np.minimum(np.arange(first, first + size), n_runs - 1) for first in range(0, n_runs, size)]
 
 
-def _cores() -> int:
+def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -95,9 +95,9 @@ def _share(jobs: list[Iterator], advanced: Callable[[], None]) -> None:
     """Exhaust all jobs, one thread per core, each with its own: a block's arrays stay in its core's cache."""
     if next(jobs[0], _END) is not _END:  # compiled once, before the threads start
         advanced()
-    with concurrent.futures.ThreadPoolExecutor(_cores()) as pool:
-        waiting = {pool.submit(next, job, _END): job for job in jobs[: _cores()]}
-        queue = jobs[_cores() :]
+    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
+        waiting = {pool.submit(next, job, _END): job for job in jobs[: cores()]}
+        queue = jobs[cores() :]
         while waiting:
             finished, _ = concurrent.futures.wait(waiting, return_when=concurrent.futures.FIRST_COMPLETED)
             for future in finished:
