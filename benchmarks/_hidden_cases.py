@@ -273,7 +273,7 @@ def _played(case: Case, nominal: Robot, processes: int):
             tamed = dataclasses.replace(hidden, level=hidden.level * weaker)
             effect, level = hidden_effect(nominal, tamed, around, _random(case, 2 + k))
             added.append(effect)
-            described.append(effect_to_table(effect, hidden.joint) | {"level": level, "drawn_level": hidden.level})
+            described.append(_described(effect, hidden, level))
         try:
             data = _simulated(case, machine.with_effects(*added, *background(case)), processes)
         except (jf.InputError, RuntimeError) as error:
@@ -286,19 +286,20 @@ def _played(case: Case, nominal: Robot, processes: int):
     raise RuntimeError(f"case {case.name} of {case.part}: the loop fails at any level ({case.hidden})")
 
 
+def _described(effect, hidden: Hidden, level: float) -> dict:
+    table = effect_to_table(effect, hidden.joint)
+    named = {key: table.pop(key) for key in ("name", "joint")}
+    return named | {"level": level, "drawn_level": hidden.level, "parameters": table}
+
+
 def _truth(case: Case, described: list[dict]) -> dict:
-    told = ("name", "joint", "level", "drawn_level")
     return {
         "part": case.part,
         "number": case.number,
         "kind": case.kind,
         "simulator": case.simulator,
         "seed": case.seed,
-        "effects": [
-            {key: row[key] for key in told}
-            | {"parameters": {key: value for key, value in row.items() if key not in told}}
-            for row in described
-        ],
+        "effects": described,
     }
 
 

@@ -27,7 +27,7 @@ from jaxfrf.gap.frozen import frozen, other_impedance
 from jaxfrf.gap.measured import fewer, measured
 from jaxfrf.gap.quantised import resolution
 from jaxfrf.gap.scene import Scene
-from jaxfrf.gap.score import drop, family_wise, fit_base
+from jaxfrf.gap.score import Limits, drop, family_wise, fit_base
 from jaxfrf.gap.signature import signature
 from jaxfrf.robot import linearise, motor_directions, operating_point, parameters, with_parameters
 from jaxfrf.simulation import Motion, replay_motion
@@ -281,21 +281,37 @@ class TestLeastSquares:
     def test_base(self):
         X, r = self.flat
         gram, free, columns = products(self.X, self.r), np.full(5, np.inf), [0, 1, 2, 3, 4]
-        fit = fit_base(gram, columns, -free, free, self.runs)
+        fit = fit_base(gram, columns, Limits.between(-free, free), self.runs)
         x, left = np.linalg.lstsq(X[:, columns], r)[:2]
         np.testing.assert_allclose(fit.x, x, rtol=1e-8)
         assert fit.inside.all()
         np.testing.assert_allclose([fit.squares, fit.misfit], [left[0], left[0] / len(r)], rtol=1e-8)
         np.testing.assert_allclose(fit.before, np.mean(r**2), rtol=1e-12)
         low, high = np.full(5, -0.7), np.full(5, 0.7)
-        fit = fit_base(gram, columns, low, high, self.runs)
+        fit = fit_base(gram, columns, Limits.between(low, high), self.runs)
         np.testing.assert_allclose(fit.x, scipy.optimize.lsq_linear(X[:, columns], r, (low, high)).x, atol=1e-6)
         assert fit.inside.tolist() == [False, False, True, True, True]
+
+    def test_numbers_that_are_known(self):
+        """As if they had been measured: rows of their own below the columns."""
+        X, r = self.flat
+        gram, free, columns = products(self.X, self.r), np.full(5, np.inf), [0, 1, 2, 3, 4]
+        expected, weight = np.array([0.0, 0.5, 0.0, 0.0, 0.0]), np.array([0.3, 0.1, 0.0, 0.0, 0.2])
+        fit = fit_base(gram, columns, Limits(-free, free, expected, weight), self.runs)
+        root = np.sqrt(weight * len(r))
+        known = np.column_stack([np.diag(root), np.zeros((5, 2))])
+        below, right = np.concatenate([X, known]), np.concatenate([r, root * expected])
+        x, left = np.linalg.lstsq(below[:, columns], right)[:2]
+        np.testing.assert_allclose(fit.x, x, rtol=1e-8)
+        np.testing.assert_allclose(fit.squares, left[0], rtol=1e-8)
+        np.testing.assert_allclose(fit.misfit, np.mean((r - X[:, columns] @ x) ** 2), rtol=1e-8)
+        both = np.linalg.lstsq(below[:, :6], right)[1][0]
+        np.testing.assert_allclose(drop(gram, fit, [5], [-9.0], [9.0]).drop, fit.squares - both, rtol=1e-5)
 
     def test_more_columns(self):
         X, r = self.flat
         gram, free = products(self.X, self.r), np.full(5, np.inf)
-        fit = fit_base(gram, range(5), -free, free, self.runs)
+        fit = fit_base(gram, range(5), Limits.between(-free, free), self.runs)
         found = drop(gram, fit, [5, 6], [-np.inf] * 2, [np.inf] * 2)
         x, left = np.linalg.lstsq(X, r)[:2]
         np.testing.assert_allclose(found.x, x[5:], rtol=1e-5)
@@ -309,7 +325,7 @@ class TestLeastSquares:
         X = self.X.copy()
         X[..., 6] = X[..., 0] + 1e-4 * X[..., 6]
         gram, free = products(X, self.r), np.full(5, np.inf)
-        fit = fit_base(gram, range(5), -free, free, self.runs)
+        fit = fit_base(gram, range(5), Limits.between(-free, free), self.runs)
         assert drop(gram, fit, [6], [-np.inf], [np.inf]).drop == 0.0
 
     def test_base_columns_that_say_the_same(self):
@@ -318,7 +334,7 @@ class TestLeastSquares:
         exact = products(X, self.r)
         gram = eqx.tree_at(lambda g: g.A, exact, _raised(exact.A))
         free = np.full(9, np.inf)
-        fit = fit_base(gram, range(9), -free, free, self.runs)
+        fit = fit_base(gram, range(9), Limits.between(-free, free), self.runs)
         flat, r = self.flat
         both = [np.linalg.lstsq(flat[:, :n], r)[1][0] for n in (5, 6)]
         np.testing.assert_allclose(drop(gram, fit, [9], [-9.0], [9.0]).drop, both[0] - both[1], rtol=1e-3)
@@ -330,7 +346,7 @@ class TestLeastSquares:
         r = np.where(np.arange(60) < 30, 0.0, self.r)
         every = np.ones(5, bool)
         gram = products(X, r)
-        fit = fit_base(gram, [0], [-np.inf], [np.inf], every)
+        fit = fit_base(gram, [0], Limits.between([-np.inf], [np.inf]), every)
         found = drop(gram, fit, [1], [-np.inf], [np.inf])
         scores = np.einsum("rn,rn->r", X[..., 1], r)
         expected = scipy.stats.ttest_1samp(scores, 0.0).statistic * np.sign(found.x[0])

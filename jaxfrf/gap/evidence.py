@@ -73,10 +73,12 @@ def _floor(U, noise, frequency):
 
 def inflated(floor, left) -> Float[np.ndarray, "line axis"]:
     """The floor with the usual size of a remainder, (pos, exp, line, axis), around every line: where a model is far
-    off, no few lines shall rule."""
-    power = np.median(np.abs(left) ** 2, axis=(0, 1))
+    off, no few resonances shall rule. The steady torque is not usual: its floor rises as that of the lines beside it.
+    """
+    power = np.median(np.abs(left[:, :, 1:]) ** 2, axis=(0, 1))
     smooth = scipy.ndimage.median_filter(power, size=(2 * _AROUND + 1, 1), mode="nearest")
-    return np.sqrt(floor**2 + smooth / np.log(2.0))
+    wide = np.sqrt(floor[1:] ** 2 + smooth / np.log(2.0))
+    return np.concatenate([floor[:1] * wide[:1] / floor[1:2], wide])
 
 
 def refloored(weighed: "Weighed", old, new) -> "Weighed":

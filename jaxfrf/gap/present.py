@@ -13,16 +13,15 @@ from ..robot import parameters
 from .evidence import weigh
 from .refine import refine
 from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
-from .score import family_wise, fit_beside
+from .score import family_wise, fit_beside, sums
 from .search import CLASSES, FLOOR, Search, Step, passes, usual_misfit, with_effect
 from .signature import signature
-from .stage import Stage, bounds, mean_square, remainder
+from .stage import Stage, mean_square, remainder
 
 _BANDS = np.array([0.0, 1.5, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 60.0, 1e9])  # Hz
 _BINS = 24
 _FAR_OFF, _UNEXPLAINED = 2.0, 0.25  # misfit, and part of the reducible one, that must not be left
 _TOLERANCE = 0.06  # of the torque: half a decibel
-_NEAR, _ANY = 0.1, 0.3  # of the misfit that is left, which is at least this: a rival this close is as good
 _SHOWN = 12
 _AT_MOST = 0.9  # of the gap is floor: a steady torque alone hardly lifts the rms of all lines
 
@@ -129,14 +128,10 @@ def _relative(search: Search, left) -> np.ndarray:
 
 
 def _close_rivals(step: Step) -> list[tuple[str, str]]:
-    close = []
-    for option, misfit in step.rivals:
-        same = {step.effect.name, option.key[0]}
-        if any(same <= c for c in CLASSES) and option.key[1] == step.option.key[1]:
-            continue
-        if misfit is not None and misfit < (1.0 + _NEAR) * step.after + _NEAR * _ANY:
-            close.append(option.key)
-    return close
+    def one_class(key):
+        return key[1] == step.option.key[1] and any({step.effect.name, key[0]} <= c for c in CLASSES)
+
+    return [r.option.key for r in step.rivals if r.near and not one_class(r.option.key)]
 
 
 def _equivalent(step: Step) -> tuple[str, ...]:
@@ -202,10 +197,10 @@ def _ranking(search: Search) -> tuple[Ranked, ...]:
     runs = int(np.sum(search.base.fit.runs))
     taken = {step.option.key: i for i, step in enumerate(search.steps)}
     simulated = {
-        o.key: f"simulated: leaves {m / s.before:.0%} of the misfit, the one taken {s.after / s.before:.0%}"
+        r.option.key: f"simulated: leaves {r.misfit / s.before:.0%}, the one taken {s.after / s.before:.0%}"
         for s in search.steps
-        for o, m in s.rivals
-        if m is not None
+        for r in s.rivals
+        if r.misfit is not None
     }
     for scored in search.scored:
         if scored.candidate.key in seen:
@@ -263,9 +258,8 @@ def linear_shrink(search: Search, effects) -> float:
     found = [refine(stage, effect, _visible_of(effect)).effect for effect in effects]
     weighed = weigh(stage.evidence, [lambda s: sum(signature(e, s) for e in found)], stage.weighed)
     row = stage.weighed.gram.b.shape[1]
-    low, high = bounds(stage.knobs, stage.turns, len(stage.orders))
     columns = stage.fit.columns
-    x = fit_beside(weighed.gram, stage.fit, low[columns], high[columns], row).x
+    x = fit_beside(weighed.gram, stage.fit, row).x
     left = remainder(stage.evidence, weighed, stage.fit, np.append(columns, row), np.append(x, 1.0))
     return _gap(search, _left(search, stage), left, stage).shrink
 
@@ -278,7 +272,7 @@ def _visible_of(effect) -> float:
 def _parameters(search: Search, stage: Stage):
     """Stiffnesses and dampings of the last model with their standard deviations."""
     gram, fit = stage.weighed.gram, stage.fit
-    A = gram.A[fit.runs].sum(axis=0)[np.ix_(fit.columns, fit.columns)]
+    A = sums(gram, fit.columns, fit.limits, fit.runs)[0][np.ix_(fit.columns, fit.columns)]
     size = np.sqrt(np.maximum(np.diag(A), 0.0))
     size = np.where(size > 0, size, 1.0)
     inverse = np.linalg.pinv(A / np.outer(size, size) + 1e-9 * np.eye(len(A))) / np.outer(size, size)

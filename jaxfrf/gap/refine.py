@@ -5,9 +5,9 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from .evidence import weigh
-from .score import fit_beside, projected
+from .score import fit_beside, projected, sums
 from .signature import signature
-from .stage import Stage, bounds
+from .stage import Stage
 
 _STEP = 0.02  # of a parameter, for its derivative
 _LONGEST = 0.5  # of one step, in the logarithm or of the visible value
@@ -54,7 +54,6 @@ def refine(stage: Stage, effect: AbstractEffect, visible: float, simulated: Abst
     names = names_of(effect)
     offset = None if simulated is None else lambda scene: signature(simulated, scene)
     best = None
-    low, high = (x[stage.fit.columns] for x in bounds(stage.knobs, stage.turns, len(stage.orders)))
     for round in range(_ROUNDS + 1):
         steps = [_step(effect, name, visible) for name in names]
         moved = [_moved(effect, name, step) for name, step in zip(names, steps, strict=True)]
@@ -63,7 +62,7 @@ def refine(stage: Stage, effect: AbstractEffect, visible: float, simulated: Abst
         ]
         weighed = weigh(stage.evidence, columns, stage.weighed)
         start = stage.weighed.gram.b.shape[1]
-        fit = fit_beside(weighed.gram, stage.fit, low, high, start)
+        fit = fit_beside(weighed.gram, stage.fit, start)
         value = _fixed_drop(weighed.gram, stage.fit, fit, start)
         if best is None or value > best.drop:
             best = Refined(effect, value, names, (0.0,) * len(names))
@@ -76,6 +75,8 @@ def refine(stage: Stage, effect: AbstractEffect, visible: float, simulated: Abst
         following = effect
         for name, delta in zip(names, change, strict=True):
             following = _limited(following, name, delta, visible)
+        if simulated is not None:
+            following = _within_reach(following, simulated, names)
         if all(
             abs(a - b) < 1e-3 * abs(b) + 1e-15
             for a, b in zip(_values(following, names), _values(effect, names), strict=True)
@@ -123,12 +124,21 @@ def _limited(effect, name, delta, visible):
     return eqx.tree_at(lambda e: getattr(e, name), effect, float(np.clip(new, low, high)))
 
 
+def _within_reach(effect, simulated, names):
+    """Scales stay near those that were simulated: the signature of a change is of first order."""
+    for name in names:
+        value, old = float(getattr(effect, name)), float(getattr(simulated, name))
+        if value > 0 and old > 0 and name not in _SIGNED:
+            value = float(np.clip(value, old * np.exp(-_LONGEST), old * np.exp(_LONGEST)))
+            effect = eqx.tree_at(lambda e, name=name: getattr(e, name), effect, value)
+    return effect
+
+
 def _fixed_drop(gram, before, fit, row) -> float:
     """Decrease of the squares by one column with the coefficient one, the base as `fit` beside it."""
-    runs, columns = fit.runs, np.append(fit.columns, row)
-    A, b = gram.A[runs].sum(axis=0)[np.ix_(columns, columns)], gram.b[runs].sum(axis=0)[columns]
-    x = np.append(fit.x, 1.0)
-    return before.squares - float(gram.rr[runs].sum() - 2 * b @ x + x @ A @ x)
+    columns, x = np.append(fit.columns, row), np.append(fit.x, 1.0)
+    A, b, rr = sums(gram, fit.columns, fit.limits, fit.runs)
+    return before.squares - float(rr - 2 * b[columns] @ x + x @ A[np.ix_(columns, columns)] @ x)
 
 
 def _newton(gram, fit, row, count: int):
@@ -145,8 +155,6 @@ def beside(stage: Stage, effect: AbstractEffect, simulated: AbstractEffect | Non
     offset = None if simulated is None else lambda scene: signature(simulated, scene)
     weighed = weigh(stage.evidence, [_difference(effect, offset)], stage.weighed)
     row = stage.weighed.gram.b.shape[1]
-    low, high = bounds(stage.knobs, stage.turns, len(stage.orders))
-    columns = stage.fit.columns
     x = np.zeros(row)
-    x[columns] = fit_beside(weighed.gram, stage.fit, low[columns], high[columns], row).x
+    x[stage.fit.columns] = fit_beside(weighed.gram, stage.fit, row).x
     return x

@@ -5,10 +5,13 @@ import numpy as np
 import scipy.fft
 from jaxtyping import Float
 
+from ..robot import Robot
 from .scene import Scene, Signature
 
 _ORDERS = np.arange(1, 51)
 _RATE = 500.0  # Hz, enough for what lies below the highest line
+_LOUD = 8e-3  # of the torque limit: above, ripple is no background
+_LOUD_RESOLVER = 6.5e-3  # rad, amplitude times order squared: 1.6 times what resolvers have
 
 
 class Order(eqx.Module):
@@ -24,6 +27,13 @@ class Order(eqx.Module):
     def columns(self, scene: Scene) -> tuple[Signature, Signature]:
         """Of sin(order theta) and cos(order theta), N m or rad."""
         return self._columns(scene, slice(None))
+
+    def loud(self, robot: Robot) -> float:
+        """Amplitude that is more than a motor's usual ripple, N m or rad."""
+        if self.kind == "torque":
+            limit = float(robot.drives.torque_limit[self.axis])
+            return _LOUD * (limit if np.isfinite(limit) else 1.0)
+        return _LOUD_RESOLVER / self.order**2
 
     def one(self, scene: Scene) -> Signature:
         """The first column of the first run."""

@@ -16,15 +16,41 @@ _OWN = 1e-4  # of a column's square must be its own, beside the base
 _RIDGE = 1e-7  # of a column's square: products are made in single precision
 
 
+class Limits(eqx.Module):
+    """What is known of coefficients before the experiment.
+
+    **Fields:** `low`, `high`: bounds, (column,). `expected`: (column,). `weight`: cost of a unit's square away from
+    what is expected, over the squares of the floor, (column,).
+    """
+
+    low: Float[np.ndarray, "column"]
+    high: Float[np.ndarray, "column"]
+    expected: Float[np.ndarray, "column"]
+    weight: Float[np.ndarray, "column"]
+
+    @classmethod
+    def between(cls, low, high) -> "Limits":
+        """Bounds, and no more."""
+        low, high = np.asarray(low, float), np.asarray(high, float)
+        return cls(low, high, np.zeros_like(low), np.zeros_like(low))
+
+    def __len__(self):
+        return len(self.low)
+
+    def __getitem__(self, columns) -> "Limits":
+        return Limits(self.low[columns], self.high[columns], self.expected[columns], self.weight[columns])
+
+
 class BaseFit(eqx.Module):
     """The base fitted to the residual of some runs.
 
-    **Fields:** `columns`: those of the base, in the products. `x`: (column,). `inside`: not at a bound. `misfit`: mean
-    square of what is left, over the floor's; `before`: of the residual itself. `squares`: sum of what is left. `runs`:
-    that were fitted.
+    **Fields:** `columns`: those of the base, in the products. `limits`: of their coefficients. `x`: (column,).
+    `inside`: not at a bound. `misfit`: mean square of what is left, over the floor's; `before`: of the residual itself.
+    `squares`: sum of what is left, with what the coefficients cost that are not as expected. `runs`: that were fitted.
     """
 
     columns: Int[np.ndarray, "column"]
+    limits: Limits
     x: Float[np.ndarray, "column"]
     inside: Bool[np.ndarray, "column"]
     misfit: float
@@ -33,22 +59,34 @@ class BaseFit(eqx.Module):
     runs: Bool[np.ndarray, "run"]
 
 
-def fit_base(gram: Gram, columns, low, high, runs) -> BaseFit:
-    """Least squares of these columns within bounds, on these runs."""
-    columns = np.asarray(columns, int)
-    A, b = gram.A[runs].sum(axis=0)[np.ix_(columns, columns)], gram.b[runs].sum(axis=0)[columns]
-    rr, n = float(gram.rr[runs].sum()), gram.count * int(np.sum(runs))
-    x, inside = _bounded(A, b, np.asarray(low), np.asarray(high))
-    left = float(rr - 2 * b @ x + x @ A @ x)
-    return BaseFit(columns, x, inside, left / n, rr / n, left, np.asarray(runs))
+def fit_base(gram: Gram, columns, limits: Limits, runs) -> BaseFit:
+    """Least squares of these columns within their limits, on these runs."""
+    columns, runs = np.asarray(columns, int), np.asarray(runs)
+    A, b, rr = sums(gram, columns, limits, runs)
+    S, right = A[np.ix_(columns, columns)], b[columns]
+    x, inside = _bounded(S, right, limits.low, limits.high)
+    left = float(rr - 2 * right @ x + x @ S @ x)
+    n = gram.count * int(np.sum(runs))
+    cost = n * float(np.sum(limits.weight * (x - limits.expected) ** 2))
+    return BaseFit(columns, limits, x, inside, (left - cost) / n, float(gram.rr[runs].sum()) / n, left, runs)
 
 
-def fit_beside(gram: Gram, base: BaseFit, low, high, row: int) -> BaseFit:
+def fit_beside(gram: Gram, base: BaseFit, row: int) -> BaseFit:
     """The base where the column `row` is there with the coefficient one: what imitated it moves off its bounds."""
-    columns, runs = base.columns, base.runs
-    A, b = gram.A[runs].sum(axis=0), gram.b[runs].sum(axis=0)
-    x, inside = _bounded(A[np.ix_(columns, columns)], b[columns] - A[columns, row], np.asarray(low), np.asarray(high))
+    columns = base.columns
+    A, b, _ = sums(gram, columns, base.limits, base.runs)
+    S, right = A[np.ix_(columns, columns)], b[columns] - A[columns, row]
+    x, inside = _bounded(S, right, base.limits.low, base.limits.high)
     return dataclasses.replace(base, x=x, inside=inside)
+
+
+def sums(gram: Gram, columns, limits: Limits, runs):
+    """Products of all columns over these runs, with what is known of some of them as if it had been measured, too."""
+    A, b, rr = gram.A[runs].sum(axis=0), gram.b[runs].sum(axis=0), float(gram.rr[runs].sum())
+    weight = limits.weight * gram.count * int(np.sum(runs))
+    A[columns, columns] += weight
+    b[columns] += weight * limits.expected
+    return A, b, rr + float(weight @ limits.expected**2)
 
 
 def _bounded(A, b, low, high):
@@ -82,7 +120,7 @@ def projected(gram: Gram, base: BaseFit, rows):
 
 
 def _projected(gram: Gram, base: BaseFit, rows):
-    A, b = gram.A[base.runs].sum(axis=0), gram.b[base.runs].sum(axis=0)
+    A, b, _ = sums(gram, base.columns, base.limits, base.runs)
     own, stuck = base.columns[base.inside], base.columns[~base.inside]
     b = b - A[:, stuck] @ base.x[~base.inside]
     S = A[np.ix_(own, own)]

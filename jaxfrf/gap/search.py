@@ -24,6 +24,7 @@ from .stage import (
     gear_candidates,
     look,
     look_again,
+    look_closely,
     mean_square,
     remainder,
     retold,
@@ -42,10 +43,13 @@ _SIZE = 0.5  # of the visible one
 _SIGNIFICANT = 0.05
 _RIVAL = 0.5  # of the best candidate's drop: less is not worth a simulation
 _SIMULATED = 2  # candidates in a round
-_CORRECTIONS = 2
+_CORRECTIONS = 6
+_REFITS, _CURES = 4, 0.7  # of the base model, each to leave this part of the misfit
 _HELPS = 0.97  # of the misfit: more after a correction, and it was of no use
+_CLOSE = 1.2  # misfit beyond which the columns of another robot may mislead
 _SHORT = 5  # candidates that are refined
 _SECOND = 0.05  # of the misfit, or of the floor, that a second effect must promise: what the first left is no effect
+_NEAR, _ANY = 0.1, 0.3  # of the misfit that is left, which is at least this: a rival this close is as good
 _KEPT = 0.3  # of what a candidate promised must be kept by its simulation
 FLOOR = 1.0  # misfit of an honest model
 
@@ -69,15 +73,24 @@ class Option(eqx.Module):
         return self.scored.candidate.key
 
 
+class Rival(eqx.Module):
+    """Another option of a round. `misfit`: after its own simulation, weighed as before the step; `None` where it was
+    not simulated. `near`: whether it then leaves hardly more than the option taken, weighed as that one leaves it."""
+
+    option: Option
+    misfit: float | None
+    near: bool
+
+
 class Step(eqx.Module):
-    """One effect found. `stage`: the robot with it. `rivals`: other options of the round, with the misfit after their
-    own simulation where they were simulated. `before`, `after`: misfit, weighed as before the step."""
+    """One effect found. `stage`: the robot with it. `rivals`: other options of the round. `before`, `after`: misfit,
+    weighed as before the step."""
 
     option: Option
     effect: AbstractEffect
     std: tuple[float, ...] = eqx.field(static=True)
     stage: Stage
-    rivals: tuple[tuple[Option, float | None], ...]
+    rivals: tuple[Rival, ...]
     before: float
     after: float
 
@@ -117,35 +130,57 @@ def search(
     """
     say, done = say or (lambda text: None), progress or (lambda part: None)
     these = knobs(robot)
-    base = look(robot, record, these, np.zeros(len(these)), opened)
-    say(f"base model: misfit {base.misfit:.3g} times the floor's")
-    if base.misfit > FAR:
-        turns = _together(np.zeros(len(these)), base.fit.x[: len(these)])
-        base = look_again(base, turned(robot, these, turns), record, turns, opened)
-        say(f"refitted: misfit {base.misfit:.3g}")
+    views = _views(robot, record, these, opened, say)
+    base = stage = views[0]
     done(0.3)
-    columns = _table(base, record, opened, own)
-    stage, steps, first = base, [], ()
+    columns = _table(views[-1], record, opened, own)
+    steps, first = [], ()
     while len(steps) < MOST:
-        columns = retold(columns, stage) if steps else columns
-        scored = score(stage, columns)
-        first = first or tuple(scored)
         had = {step.option.key for step in steps}
-        left = [s for s in scored if s.candidate.key not in had]
+        ranked = [_Ranked(view, tuple(score(view, retold(columns, view)))) for view in views]
+        first = first or ranked[0].scored
+        ranked = [_Ranked(r.stage, tuple(s for s in r.scored if s.candidate.key not in had)) for r in ranked]
         kept = read_round(parts, len(steps))
         if kept is not None:
-            step = _remembered(kept, stage, robot, record, opened, left, steps)
+            step = _remembered(kept, stage, robot, record, opened, ranked[0].scored, steps)
         else:
-            step = _best(stage, robot, record, opened, left, steps, say)
+            step = _best(ranked, robot, record, opened, steps, say)
             keep_round(parts, len(steps), _round(step, these))
         if step is None:
             break
         say(f"{step.effect.name} {step.option.key[1]}: misfit {step.before:.3g} -> {step.after:.3g}")
         steps.append(step)
         stage = step.stage
+        views = [stage]
         done(0.3 + 0.6 * len(steps) / MOST)
     done(0.95)
     return Search(robot, these, base, tuple(steps), first, opened, record)
+
+
+class _Ranked(eqx.Module):
+    stage: Stage
+    scored: tuple[Scored, ...]
+
+
+def _views(robot: Robot, record: Measured, these, opened, say: Say) -> list[Stage]:
+    """The robot with its own numbers refitted, if they need that; and as it was given, where that was no cure.
+
+    A large effect pulls the robot's numbers away from the truth, from where its first order leads nowhere; numbers
+    that are far off do the same to a view of the robot as it was given. So candidates are looked at from both.
+    """
+    given = look(robot, record, these, np.zeros(len(these)), opened)
+    say(f"base model: misfit {given.misfit:.3g} times the floor's")
+    if given.misfit <= FAR:
+        return [given]
+    base = given
+    for _ in range(_REFITS):
+        near = base if base is given else look_closely(base, opened)
+        turns = _together(near.turns, near.fit.x[: len(these)])
+        base = look_again(near, turned(robot, these, turns), record, turns, opened)
+        say(f"refitted: misfit {base.misfit:.3g}")
+        if base.misfit <= FAR or base.misfit > _CURES * near.misfit:
+            break
+    return [base, given] if base.misfit > FAR else [base]
 
 
 def _together(turns, more):
@@ -192,31 +227,51 @@ def _visible(scored: Scored) -> float:
     return first / max(scored.size, 1e-6) if candidate.visible == 1.0 else candidate.visible
 
 
-def _best(stage: Stage, given: Robot, record: Measured, opened, scored, steps, say) -> Step | None:
-    found = options(stage, scored)
-    if not found or (steps and found[0].drop * min(stage.misfit, 1.0) < _SECOND):
-        return None
+def _best(ranked: Sequence[_Ranked], given: Robot, record: Measured, opened, steps, say) -> Step | None:
+    like = ranked[0].stage
+    usual = lambda this: usual_misfit(this, like)
+    found: list[Option] = []
     tried: list[_Trial] = []
-    before = [s.effect for s in steps]
-    for option in found[:_SIMULATED]:
-        if option.drop < _RIVAL * found[0].drop:
-            break
-        trial = _tried(stage, given, record, opened, option, before)
-        if trial is not None:
-            text = f"misfit {trial.stage.misfit:.3g} ({usual_misfit(trial.stage, stage):.3g})"
+    for view in ranked:
+        these = options(view.stage, view.scored)
+        if not these or (steps and these[0].drop * min(view.stage.misfit, 1.0) < _SECOND):
+            continue
+        found += these
+        for option in these[:_SIMULATED]:
+            if option.drop < _RIVAL * these[0].drop:
+                break
+            trial = _tried(view.stage, given, record, opened, option, [s.effect for s in steps])
+            if trial is None:
+                continue
+            text = f"misfit {trial.stage.misfit:.3g} ({usual(trial.stage):.3g})"
             say(f"  simulated {option.key[0]} {option.key[1]}: {text}")
-            tried.append(trial)
+            if usual(view.stage) - usual(trial.stage) >= _KEPT * option.drop * usual(view.stage):
+                tried.append(trial)
     if not tried:
         return None
-    usual = lambda this: usual_misfit(this, stage)
-    tried.sort(key=lambda trial: usual(trial.stage))
-    best = tried[0]
+    best = _winner(tried, like)
     option, effect, after, std = best.option, best.effect, best.stage, best.std
-    if usual(stage) - usual(after) < _KEPT * option.drop * usual(stage):
-        return None
-    others = {id(trial.option): usual(trial.stage) for trial in tried}
-    rivals = tuple((o, others.get(id(o))) for o in found if o is not option)
-    return Step(option, effect, std, after, rivals, usual(stage), usual(after))
+    return Step(option, effect, std, after, _rivals(best, found, tried, like), usual(like), usual(after))
+
+
+def _winner(tried: Sequence["_Trial"], like: Stage) -> "_Trial":
+    """The trial that leaves least; weighed as before the step, and once more as that one leaves it: far from the truth
+    the weights are coarse."""
+    first = min(tried, key=lambda trial: usual_misfit(trial.stage, like))
+    return min(tried, key=lambda trial: usual_misfit(trial.stage, first.stage))
+
+
+def _rivals(best: "_Trial", found: Sequence[Option], tried: Sequence["_Trial"], like: Stage) -> tuple[Rival, ...]:
+    """The other options, each once, best first."""
+    limit = (1.0 + _NEAR) * usual_misfit(best.stage, best.stage) + _NEAR * _ANY
+    others: dict[tuple[str, str], Rival] = {}
+    for option in found:
+        stages = [trial.stage for trial in tried if trial.option.key == option.key]
+        misfit = min((usual_misfit(stage, like) for stage in stages), default=None)
+        near = any(usual_misfit(stage, best.stage) < limit for stage in stages)
+        others.setdefault(option.key, Rival(option, misfit, near))
+    others.pop(best.option.key, None)
+    return tuple(others.values())
 
 
 def _round(step: Step | None, knobs) -> Round:
@@ -250,16 +305,24 @@ def _tried(stage: Stage, given: Robot, record: Measured, opened, option: Option,
     after = with_effect(stage, given, record, opened, effect, before)
     if after is None:
         return None
-    for _ in range(_CORRECTIONS if option.refined.names else 0):
+    for _ in range(_CORRECTIONS):
+        far = after.misfit > _CLOSE
+        if far:
+            after = look_closely(after, opened)
         again = refine(after, effect, _visible(option.scored), effect)
         std = again.std or std
-        if not again.names or not _moves(effect, again):
+        if not far and not _moves(effect, again):
             break
         better = with_effect(after, given, record, opened, again.effect, before, effect)
-        if better is None or usual_misfit(better, stage) > _HELPS * usual_misfit(after, stage):
+        if better is None or not _helps(better, after, stage):
             break
         after, effect = better, again.effect
     return _Trial(option, effect, std, after)
+
+
+def _helps(better: Stage, after: Stage, like: Stage) -> bool:
+    usual = usual_misfit(better, like) < _HELPS * usual_misfit(after, like)
+    return usual or better.misfit < _HELPS * after.misfit
 
 
 def _moves(effect, again: Refined) -> bool:

@@ -3,6 +3,7 @@
 import functools
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from ..effects import (
@@ -118,6 +119,15 @@ def _(effect: AbstractGearCoupling, scene: Scene) -> Signature:
 
 @signature.register
 def _(effect: ExtraFlexibility, scene: Scene) -> Signature:
+    robot = scene.robot
+    own = f"{robot.joint_names[robot.driven_joints[axis_of(robot, effect.joint)]]}_flexibility"
+    if own in robot.spring_names:  # the robot has it: with another spring
+        row = robot.spring_names.index(own)
+        values = lambda r: (r.springs.stiffness, r.springs.damping)
+        k, d = (jnp.asarray(x) for x in values(robot))
+        return scene.by_robot(
+            eqx.tree_at(values, robot, (k.at[row].set(effect.stiffness), d.at[row].set(effect.damping)))
+        )
     return scene.by_hinge(axis_of(scene.robot, effect.joint), effect.axis, effect.stiffness, effect.damping)
 
 

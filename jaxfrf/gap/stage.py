@@ -12,18 +12,19 @@ from .evidence import Column, Evidence, Weighed, inflated, rebased, refloored, r
 from .knobs import Knob
 from .measured import Measured
 from .ripple import Order, find_orders, gear_orders
-from .score import BaseFit, Drop, drop, fit_base
+from .score import BaseFit, Drop, Limits, drop, fit_base
 from .signature import signature
 
 _BOX = 2.5  # tolerances
+_KNOWN = 1e-3  # of the floor's squares: the cost of one tolerance, as if the record held a thousand honest numbers
 _FREE = {"stiffness": (-0.6, 1.5), "damping": (-0.95, 4.0)}  # relative
+_REACH = {"stiffness": (-0.15, 0.2), "damping": (-0.4, 0.7)}  # relative, of one look: columns hold no further
 _STEP = 1e-3  # relative, of a knob
 _HELD = 1e-9  # relative: bounds of a knob that is held, which the solver wants apart
 _KNOWN_TORQUE, _KNOWN_RESOLVER = (1, 2, 6, 18), (1, 2)  # orders of ripple that motors are known for
 FAR = 2.0  # misfit from which on a floor alone would leave the word to a few lines
 _ROUNDS = 3  # of looking for other orders
-_LOUD = 0.8  # of a visible torque ripple: above, it is no background
-_LOUD_RESOLVER = 6.5e-3  # rad, amplitude times order squared: 1.6 times what resolvers have
+_QUIET = 0.33  # of a loud ripple: what is expected, as one tolerance of a knob
 
 
 class Stage(eqx.Module):
@@ -57,14 +58,24 @@ def order_columns(orders: Sequence[Order]) -> list[Column]:
     return [lambda scene, o=o, i=i: o.columns(scene)[i] for o in orders for i in (0, 1)]
 
 
-def bounds(knobs: Sequence[Knob], turns, orders: int):
-    """Of further relative changes, so that all of them together stay within their bounds."""
+def limits(robot: Robot, knobs: Sequence[Knob], turns, orders: Sequence[Order]) -> Limits:
+    """Of further relative changes, so that all of them together stay within their bounds, and near zero; and of
+    ripple, which is near what motors have."""
     low, high = [], []
     for knob, done in zip(knobs, turns, strict=True):
         a, b = _FREE[knob.kind] if knob.free else (-_BOX * knob.tolerance, _BOX * knob.tolerance)
-        low.append(min((1 + a) / (1 + done) - 1, -_HELD))
-        high.append(max((1 + b) / (1 + done) - 1, _HELD))
-    return np.array(low + [-np.inf] * 2 * orders), np.array(high + [np.inf] * 2 * orders)
+        near, far = _REACH[knob.kind] if knob.free else (-np.inf, np.inf)
+        low.append(min(max((1 + a) / (1 + done) - 1, near), -_HELD))
+        high.append(max(min((1 + b) / (1 + done) - 1, far), _HELD))
+    tolerance, turns = np.array([knob.tolerance for knob in knobs]), np.asarray(turns, float)
+    weight = np.where(tolerance > 0, _KNOWN * ((1 + turns) / np.where(tolerance > 0, tolerance, 1.0)) ** 2, 0.0)
+    waves = np.repeat([(_QUIET * order.loud(robot)) ** -2.0 for order in orders], 2)
+    return Limits(
+        np.concatenate([low, waves - np.inf]),
+        np.concatenate([high, waves + np.inf]),
+        np.concatenate([1 / (1 + turns) - 1, 0.0 * waves]),
+        np.concatenate([weight, _KNOWN * waves]),
+    )
 
 
 def remainder(evidence: Evidence, weighed: Weighed, fit: BaseFit, columns, x) -> np.ndarray:
@@ -86,8 +97,8 @@ def ripple_orders(evidence: Evidence, weighed: Weighed, knobs, turns, opened, ru
     orders += [Order("resolver", a, float(h)) for a in range(robot.n_axes) for h in _KNOWN_RESOLVER]
     weighed = weigh(evidence, order_columns(orders), weighed)
     for _ in range(_ROUNDS):
-        low, high = bounds(knobs, turns, len(orders))
-        fit = fit_base(weighed.gram, range(len(low)), low, high, runs)
+        known = limits(robot, knobs, turns, orders)
+        fit = fit_base(weighed.gram, range(len(known)), known, runs)
         left = remainder(evidence, weighed, fit, fit.columns, fit.x)[opened]
         new = []
         for axis in range(robot.n_axes):
@@ -105,11 +116,11 @@ def look(robot: Robot, record: Measured, knobs, turns, opened) -> Stage:
     runs = np.repeat(opened, record.data.n_exp)
     weighed = weigh(evidence, knob_columns(robot, knobs))
     orders, weighed = ripple_orders(evidence, weighed, knobs, turns, opened, runs)
-    low, high = bounds(knobs, turns, len(orders))
-    fit = fit_base(weighed.gram, range(len(low)), low, high, runs)
+    known = limits(robot, knobs, turns, orders)
+    fit = fit_base(weighed.gram, range(len(known)), known, runs)
     waves = fit.x[len(knobs) :].reshape(-1, 2)
-    loud = [i for i, order in enumerate(orders) if _is_loud(robot, order, waves[i])]
-    keep = np.array([i for i in range(len(low)) if i < len(knobs) or (i - len(knobs)) // 2 not in loud])
+    loud = [i for i, order in enumerate(orders) if np.hypot(*waves[i]) > order.loud(robot)]
+    keep = np.array([i for i in range(len(known)) if i < len(knobs) or (i - len(knobs)) // 2 not in loud])
     apart = tuple(orders[i] for i in loud)
     return _fitted(robot, evidence, weighed, knobs, turns, orders, apart, keep, opened, runs)
 
@@ -143,16 +154,24 @@ def look_again(stage: Stage, robot: Robot, record: Measured, turns, opened, knob
     )
 
 
+def look_closely(stage: Stage, opened) -> Stage:
+    """The same simulation beside columns of its own robot, where `look_again` went far from the first one."""
+    evidence, runs = stage.evidence, stage.fit.runs
+    weighed = weigh(evidence, knob_columns(stage.robot, stage.knobs) + order_columns(stage.orders))
+    parts = stage.robot, evidence, weighed, stage.knobs, stage.turns, stage.orders, stage.loud, stage.fit.columns
+    return _fitted(*parts, opened, runs)
+
+
 def _fitted(robot, evidence, weighed, knobs, turns, orders, loud, keep, opened, runs) -> Stage:
-    low, high = bounds(knobs, turns, len(orders))
-    fit = fit_base(weighed.gram, keep, low[keep], high[keep], runs)
+    known = limits(robot, knobs, turns, orders)[keep]
+    fit = fit_base(weighed.gram, keep, known, runs)
     left = remainder(evidence, weighed, fit, fit.columns, fit.x)[opened]
     misfit = mean_square(left / evidence.plain)
     floor = inflated(evidence.plain, left) if misfit > FAR else evidence.plain
     if floor is not evidence.floor:
         weighed = refloored(weighed, evidence.floor, floor)
         evidence.floor = floor
-        fit = fit_base(weighed.gram, keep, low[keep], high[keep], runs)
+        fit = fit_base(weighed.gram, keep, known, runs)
         left = remainder(evidence, weighed, fit, fit.columns, fit.x)[opened]
         misfit = mean_square(left / evidence.plain)
     return Stage(robot, evidence, tuple(knobs), turns, tuple(orders), tuple(loud), weighed, fit, misfit)
@@ -161,14 +180,6 @@ def _fitted(robot, evidence, weighed, knobs, turns, orders, loud, keep, opened, 
 def mean_square(z) -> float:
     """Of real and imaginary parts alike: 1 where they are at their floor."""
     return 0.5 * float(np.mean(np.abs(z) ** 2))
-
-
-def _is_loud(robot: Robot, order: Order, wave) -> bool:
-    size = float(np.hypot(*wave))
-    if order.kind == "torque":
-        limit = float(robot.drives.torque_limit[order.axis])
-        return size > _LOUD * 0.01 * (limit if np.isfinite(limit) else 1.0)
-    return size * order.order**2 > _LOUD_RESOLVER
 
 
 class Scored(eqx.Module):
