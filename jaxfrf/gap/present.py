@@ -14,7 +14,7 @@ from .evidence import weigh
 from .refine import refine
 from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
 from .score import family_wise, fit_beside, sums
-from .search import CLASSES, FLOOR, Search, Step, passes, usual_misfit, with_effect
+from .search import CLASSES, FLOOR, Fitted, Search, Step, fitted_with, passes, usual_misfit
 from .signature import signature
 from .stage import Stage, mean_square, remainder
 
@@ -239,17 +239,23 @@ def _gap(search: Search, base, after, extended: Stage) -> Gap:
 
 def shrink_with(search: Search, effects) -> float | None:
     """Shrink of the gap on the sealed positions with these effects instead, fitted from these values and simulated."""
-    stage, before = search.base, []
+    ends = [stage for stage in (_end_with(search, view, effects) for view in search.views) if stage is not None]
+    if not ends:
+        return None
+    best = min(ends, key=lambda stage: usual_misfit(stage, search.base))
+    return _gap(search, _left(search, search.base), _left(search, best), best).shrink
+
+
+def _end_with(search: Search, stage: Stage, effects) -> Stage | None:
+    before = []
     for effect in effects:
-        effect = refine(stage, effect, _visible_of(effect)).effect
-        after = with_effect(stage, search.given, search.record, search.opened, effect, before)
-        if after is None:
+        start, visible = Fitted(effect, (), stage), _visible_of(effect)
+        fitted = fitted_with(stage, search.given, search.record, search.opened, start, visible, before)
+        if fitted is None:
             return None
-        again = refine(after, effect, _visible_of(effect), effect).effect
-        better = with_effect(after, search.given, search.record, search.opened, again, before, effect)
-        stage, effect = (better, again) if better is not None and better.misfit < after.misfit else (after, effect)
-        before.append(effect)
-    return _gap(search, _left(search, search.base), _left(search, stage), stage).shrink
+        stage = fitted.stage
+        before.append(fitted.effect)
+    return stage
 
 
 def linear_shrink(search: Search, effects) -> float:

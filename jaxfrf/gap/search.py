@@ -43,7 +43,8 @@ _SIZE = 0.5  # of the visible one
 _SIGNIFICANT = 0.05
 _RIVAL = 0.5  # of the best candidate's drop: less is not worth a simulation
 _SIMULATED = 2  # candidates in a round
-_CORRECTIONS = 6
+_FIRST_CORRECTIONS, _CORRECTIONS = 1, 5
+_IN_THE_RACE = 1.3  # times the least misfit of a round: more is not worth more corrections
 _REFITS, _CURES = 4, 0.7  # of the base model, each to leave this part of the misfit
 _HELPS = 0.97  # of the misfit: more after a correction, and it was of no use
 _CLOSE = 1.2  # misfit beyond which the columns of another robot may mislead
@@ -98,17 +99,21 @@ class Step(eqx.Module):
 class Search(eqx.Module):
     """A finished search.
 
-    **Fields:** `given`: robot. `base`: stage of the refitted robot. `steps`: effects found. `scored`: the first
-    ranking. `opened`: positions that were fitted.
+    **Fields:** `given`: robot. `views`: the refitted robot, and the given one where that was no cure. `steps`: effects
+    found. `scored`: the first ranking. `opened`: positions that were fitted.
     """
 
     given: Robot
     knobs: tuple[Knob, ...]
-    base: Stage
+    views: tuple[Stage, ...]
     steps: tuple[Step, ...]
     scored: tuple[Scored, ...]
     opened: Bool[np.ndarray, "pos"]
     record: Measured
+
+    @property
+    def base(self) -> Stage:
+        return self.views[0]
 
     @property
     def last(self) -> Stage:
@@ -131,7 +136,7 @@ def search(
     say, done = say or (lambda text: None), progress or (lambda part: None)
     these = knobs(robot)
     views = _views(robot, record, these, opened, say)
-    base = stage = views[0]
+    first_views, stage = tuple(views), views[0]
     done(0.3)
     columns = _table(views[-1], record, opened, own)
     steps, first = [], ()
@@ -154,7 +159,7 @@ def search(
         views = [stage]
         done(0.3 + 0.6 * len(steps) / MOST)
     done(0.95)
-    return Search(robot, these, base, tuple(steps), first, opened, record)
+    return Search(robot, these, first_views, tuple(steps), first, opened, record)
 
 
 class _Ranked(eqx.Module):
@@ -228,8 +233,9 @@ def _visible(scored: Scored) -> float:
 
 
 def _best(ranked: Sequence[_Ranked], given: Robot, record: Measured, opened, steps, say) -> Step | None:
-    like = ranked[0].stage
+    like, before = ranked[0].stage, [s.effect for s in steps]
     usual = lambda this: usual_misfit(this, like)
+    correct = lambda t, most: corrected(t.fitted, like, given, record, opened, _visible(t.option.scored), before, most)
     found: list[Option] = []
     tried: list[_Trial] = []
     for view in ranked:
@@ -240,18 +246,34 @@ def _best(ranked: Sequence[_Ranked], given: Robot, record: Measured, opened, ste
         for option in these[:_SIMULATED]:
             if option.drop < _RIVAL * these[0].drop:
                 break
-            trial = _tried(view.stage, given, record, opened, option, [s.effect for s in steps])
-            if trial is None:
+            stage = with_effect(view.stage, given, record, opened, option.refined.effect, before)
+            if stage is None:
                 continue
-            text = f"misfit {trial.stage.misfit:.3g} ({usual(trial.stage):.3g})"
-            say(f"  simulated {option.key[0]} {option.key[1]}: {text}")
-            if usual(view.stage) - usual(trial.stage) >= _KEPT * option.drop * usual(view.stage):
-                tried.append(trial)
+            trial = _Trial(option, view.stage, Fitted(option.refined.effect, option.refined.std, stage))
+            trial = trial.with_(correct(trial, _FIRST_CORRECTIONS))
+            say(f"  simulated {trial.told(usual)}")
+            tried.append(trial)
+    tried = _in_the_race(tried, usual)
+    for i, trial in enumerate(tried):
+        if trial.stage.misfit > _CLOSE:
+            tried[i] = trial.with_(correct(trial, _CORRECTIONS))
+            say(f"  corrected {tried[i].told(usual)}")
+    tried = [trial for trial in tried if trial.keeps(usual)]
     if not tried:
         return None
     best = _winner(tried, like)
-    option, effect, after, std = best.option, best.effect, best.stage, best.std
-    return Step(option, effect, std, after, _rivals(best, found, tried, like), usual(like), usual(after))
+    rivals, fitted = _rivals(best, found, tried, like), best.fitted
+    return Step(best.option, fitted.effect, fitted.std, best.stage, rivals, usual(like), usual(best.stage))
+
+
+def _in_the_race(tried: Sequence["_Trial"], usual) -> list["_Trial"]:
+    """The trials that are worth more corrections: near the least, and of one option the better view."""
+    order = sorted(tried, key=lambda trial: usual(trial.stage))
+    found = {}
+    for trial in order:
+        if usual(trial.stage) <= _IN_THE_RACE * usual(order[0].stage):
+            found.setdefault(trial.option.key, trial)
+    return list(found.values())
 
 
 def _winner(tried: Sequence["_Trial"], like: Stage) -> "_Trial":
@@ -292,32 +314,63 @@ def _remembered(kept: Round, stage: Stage, given: Robot, record: Measured, opene
     return Step(option, kept.effect, kept.std, after, (), usual_misfit(stage, stage), usual_misfit(after, stage))
 
 
-class _Trial(eqx.Module):
-    option: Option
+class Fitted(eqx.Module):
+    """An effect with its parameters, their standard deviations, and the robot that has it."""
+
     effect: AbstractEffect
     std: tuple[float, ...] = eqx.field(static=True)
     stage: Stage
 
 
-def _tried(stage: Stage, given: Robot, record: Measured, opened, option: Option, before) -> _Trial | None:
-    """A candidate simulated, and its parameters and the base's corrected while that helps."""
-    effect, std = option.refined.effect, option.refined.std
-    after = with_effect(stage, given, record, opened, effect, before)
-    if after is None:
+class _Trial(eqx.Module):
+    """An option of a view, simulated."""
+
+    option: Option
+    view: Stage
+    fitted: Fitted
+
+    @property
+    def stage(self) -> Stage:
+        return self.fitted.stage
+
+    def with_(self, fitted: Fitted) -> "_Trial":
+        return _Trial(self.option, self.view, fitted)
+
+    def keeps(self, usual) -> bool:
+        """Whether the simulation keeps what the signature promised."""
+        before = usual(self.view)
+        return before - usual(self.stage) >= _KEPT * self.option.drop * before
+
+    def told(self, usual) -> str:
+        name, joint = self.option.key
+        return f"{name} {joint}: misfit {self.stage.misfit:.3g} ({usual(self.stage):.3g})"
+
+
+def fitted_with(stage: Stage, given: Robot, record: Measured, opened, start: Fitted, visible, before) -> Fitted | None:
+    """An effect simulated, and its parameters and the base's corrected while that helps."""
+    first = with_effect(stage, given, record, opened, start.effect, before)
+    if first is None:
         return None
-    for _ in range(_CORRECTIONS):
+    fitted = Fitted(start.effect, start.std, first)
+    return corrected(fitted, stage, given, record, opened, visible, before, _CORRECTIONS)
+
+
+def corrected(fitted: Fitted, like: Stage, given: Robot, record: Measured, opened, visible, before, most) -> Fitted:
+    """Parameters and the base's numbers after at most so many more simulations, while they help."""
+    effect, std, after = fitted.effect, fitted.std, fitted.stage
+    for _ in range(most):
         far = after.misfit > _CLOSE
         if far:
             after = look_closely(after, opened)
-        again = refine(after, effect, _visible(option.scored), effect)
+        again = refine(after, effect, visible, effect)
         std = again.std or std
         if not far and not _moves(effect, again):
             break
         better = with_effect(after, given, record, opened, again.effect, before, effect)
-        if better is None or not _helps(better, after, stage):
+        if better is None or not _helps(better, after, like):
             break
         after, effect = better, again.effect
-    return _Trial(option, effect, std, after)
+    return Fitted(effect, std, after)
 
 
 def _helps(better: Stage, after: Stage, like: Stage) -> bool:
