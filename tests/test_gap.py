@@ -22,13 +22,16 @@ import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
 from jaxfrf.gap.diagnose import joined, opened_positions
-from jaxfrf.gap.evidence import Evidence, Gram
+from jaxfrf.gap.evidence import Evidence, Gram, inflated
 from jaxfrf.gap.frozen import frozen, other_impedance
+from jaxfrf.gap.knobs import knobs
 from jaxfrf.gap.measured import fewer, measured
 from jaxfrf.gap.quantised import resolution
+from jaxfrf.gap.ripple import Order
 from jaxfrf.gap.scene import Scene
 from jaxfrf.gap.score import Limits, drop, family_wise, fit_base
 from jaxfrf.gap.signature import signature
+from jaxfrf.gap.stage import limits
 from jaxfrf.robot import linearise, motor_directions, operating_point, parameters, with_parameters
 from jaxfrf.simulation import Motion, replay_motion
 
@@ -163,6 +166,19 @@ class TestFrozen:
             assert rms(other - still.impedance) > 1e-3 * rms(still.impedance)
             ours, theirs = signature(effect, scene), scene.by_impedance(other)
             np.testing.assert_allclose(ours, theirs, atol=1e-6 * np.abs(theirs).max())
+
+
+    def test_hinge_that_the_robot_has(self):
+        """Its spring is another then; there is no second hinge."""
+        effect = fx.ExtraFlexibility("elbow", [0.0, 1.0, 0.0], 8e4, 30.0)
+        robot = small_robot().with_effects(effect)
+        still, motion = self.one(robot, Q[0])
+        scene = Scene(robot, motion, 0, still)
+        assert not np.any(signature(effect, scene))
+        other = with_parameters(robot, {"elbow_flexibility.stiffness": 9e4, "elbow_flexibility.damping": 40.0})
+        ours = signature(fx.ExtraFlexibility("elbow", [0.0, 1.0, 0.0], 9e4, 40.0), scene)
+        assert np.any(ours)
+        np.testing.assert_allclose(ours, scene.by_robot(other), rtol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -359,6 +375,42 @@ def _raised(A):
     A[:, 0, 1] *= 1 + 1e-6
     A[:, 1, 0] *= 1 + 1e-6
     return A
+
+
+def test_limits_of_numbers():
+    """All changes together stay within the bounds and near none; one tolerance away costs the same for each."""
+    robot = small_robot()
+    these, orders = knobs(robot), (Order("torque", 0, 2.0), Order("resolver", 1, 3.0))
+    turns = np.where([knob.free for knob in these], 0.5, 0.01)
+    known = limits(robot, these, turns, orders)
+    assert len(known) == len(these) + 4
+    np.testing.assert_allclose((1 + turns) * (1 + known.expected[: len(these)]), 1.0, rtol=1e-12)
+    assert np.all(known.expected[len(these) :] == 0.0) and np.all(np.isinf(known.high[len(these) :]))
+    for i, knob in enumerate(these):
+        x = (1 + knob.tolerance) / (1 + turns[i]) - 1
+        cost = known.weight[i] * (x - known.expected[i]) ** 2
+        np.testing.assert_allclose(cost, 1e-3, rtol=1e-9)
+        assert known.low[i] < 0 < known.high[i]
+        if not knob.free:
+            total = (1 + turns[i]) * (1 + known.high[i]) - 1
+            np.testing.assert_allclose(total, 2.5 * knob.tolerance, rtol=1e-9)
+    held = [dataclasses.replace(knob, tolerance=0.0) for knob in these]
+    free = np.array([knob.free for knob in these])
+    still = limits(robot, held, 0.0 * turns, orders)
+    assert np.all(still.weight[: len(these)] == 0.0) and np.all(still.high[: len(these)][~free] < 1e-8)
+
+
+def test_floor_far_from_the_truth():
+    """It rises to the usual size of what is left: no resonance rules, and the steady torque keeps its weight."""
+    rng = np.random.default_rng(0)
+    floor = np.full((101, 1), 0.1)
+    left = 3.0 * (rng.standard_normal((4, 6, 101, 1)) + 1j * rng.standard_normal((4, 6, 101, 1))) / np.sqrt(2)
+    left[:, :, 50] *= 100.0
+    left[:, :, 0] = 1e4
+    found = inflated(floor, left)
+    np.testing.assert_allclose(rms(found), 3.0, rtol=0.05)  # the median of 24 squares is some .03 below its limit
+    assert found.max() < 4.0
+    np.testing.assert_allclose(found[0], found[1])
 
 
 def test_family_wise():
