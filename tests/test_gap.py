@@ -167,7 +167,6 @@ class TestFrozen:
             ours, theirs = signature(effect, scene), scene.by_impedance(other)
             np.testing.assert_allclose(ours, theirs, atol=1e-6 * np.abs(theirs).max())
 
-
     def test_hinge_that_the_robot_has(self):
         """Its spring is another then; there is no second hinge."""
         effect = fx.ExtraFlexibility("elbow", [0.0, 1.0, 0.0], 8e4, 30.0)
@@ -382,7 +381,7 @@ def test_limits_of_numbers():
     robot = small_robot()
     these, orders = knobs(robot), (Order("torque", 0, 2.0), Order("resolver", 1, 3.0))
     turns = np.where([knob.free for knob in these], 0.5, 0.01)
-    known = limits(robot, these, turns, orders)
+    known = limits(robot, these, turns, orders, False)
     assert len(known) == len(these) + 4
     np.testing.assert_allclose((1 + turns) * (1 + known.expected[: len(these)]), 1.0, rtol=1e-12)
     assert np.all(known.expected[len(these) :] == 0.0) and np.all(np.isinf(known.high[len(these) :]))
@@ -396,7 +395,7 @@ def test_limits_of_numbers():
             np.testing.assert_allclose(total, 2.5 * knob.tolerance, rtol=1e-9)
     held = [dataclasses.replace(knob, tolerance=0.0) for knob in these]
     free = np.array([knob.free for knob in these])
-    still = limits(robot, held, 0.0 * turns, orders)
+    still = limits(robot, held, 0.0 * turns, orders, False)
     assert np.all(still.weight[: len(these)] == 0.0) and np.all(still.high[: len(these)][~free] < 1e-8)
 
 

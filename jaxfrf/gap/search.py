@@ -181,7 +181,7 @@ def _views(robot: Robot, record: Measured, these, opened, say: Say) -> list[Stag
     for _ in range(_REFITS):
         near = base if base is given else look_closely(base, opened)
         turns = _together(near.turns, near.fit.x[: len(these)])
-        base = look_again(near, turned(robot, these, turns), record, turns, opened)
+        base = look_again(near, turned(robot, these, turns), record, turns, opened, near=False)
         say(f"refitted: misfit {base.misfit:.3g}")
         if base.misfit <= FAR or base.misfit > _CURES * near.misfit:
             break
@@ -199,12 +199,18 @@ def _table(stage: Stage, record: Measured, opened, own) -> Table:
 
 def passes(scored: Scored, tests: int, runs: int) -> bool:
     """Whether a candidate is large and sure enough to be looked at."""
-    if scored.size < _SIZE:
+    if scored.size < _SIZE and not _at_its_edge(scored):
         return False
     waves = scored.candidate.name in _LOOSE
     if scored.part >= (_LOOSE_PART if waves else _PART):
         return family_wise(scored.part, scored.found.t, runs, tests) < _SIGNIFICANT
     return not waves and scored.part >= _CLEAR_PART and abs(scored.found.t) > _CLEAR_T
+
+
+def _at_its_edge(scored: Scored) -> bool:
+    """Whether the first order of a finite step says "less", which tells nothing of the size: its refinement does."""
+    low, x = scored.candidate.low[0], scored.found.x[0]
+    return 0.0 < low and x <= 1.001 * low
 
 
 def options(stage: Stage, scored: Sequence[Scored]) -> list[Option]:

@@ -33,7 +33,8 @@ class Stage(eqx.Module):
     **Fields:** `robot`: that was simulated. `turns`: relative changes of the knobs so far, (knob,). `weighed`: base
     columns: knobs, two for each of `orders`. `loud`: orders too strong for a background, which count as candidates.
     `fit`: of the base without them. `misfit`: mean square over the floor; where it
-    is large, columns are weighed by what is left, too.
+    is large, columns are weighed by what is left, too. `near`: whether stiffness and damping change no further in `fit`
+    than columns hold.
     """
 
     robot: Robot
@@ -45,6 +46,7 @@ class Stage(eqx.Module):
     weighed: Weighed
     fit: BaseFit
     misfit: float
+    near: bool = eqx.field(static=True)
 
 
 def knob_columns(robot: Robot, knobs: Sequence[Knob]) -> list[Column]:
@@ -58,15 +60,15 @@ def order_columns(orders: Sequence[Order]) -> list[Column]:
     return [lambda scene, o=o, i=i: o.columns(scene)[i] for o in orders for i in (0, 1)]
 
 
-def limits(robot: Robot, knobs: Sequence[Knob], turns, orders: Sequence[Order]) -> Limits:
+def limits(robot: Robot, knobs: Sequence[Knob], turns, orders: Sequence[Order], near: bool) -> Limits:
     """Of further relative changes, so that all of them together stay within their bounds, and near zero; and of
     ripple, which is near what motors have."""
     low, high = [], []
     for knob, done in zip(knobs, turns, strict=True):
         a, b = _FREE[knob.kind] if knob.free else (-_BOX * knob.tolerance, _BOX * knob.tolerance)
-        near, far = _REACH[knob.kind] if knob.free else (-np.inf, np.inf)
-        low.append(min(max((1 + a) / (1 + done) - 1, near), -_HELD))
-        high.append(max(min((1 + b) / (1 + done) - 1, far), _HELD))
+        least, most = _REACH[knob.kind] if knob.free and near else (-np.inf, np.inf)
+        low.append(min(max((1 + a) / (1 + done) - 1, least), -_HELD))
+        high.append(max(min((1 + b) / (1 + done) - 1, most), _HELD))
     tolerance, turns = np.array([knob.tolerance for knob in knobs]), np.asarray(turns, float)
     weight = np.where(tolerance > 0, _KNOWN * ((1 + turns) / np.where(tolerance > 0, tolerance, 1.0)) ** 2, 0.0)
     waves = np.repeat([(_QUIET * order.loud(robot)) ** -2.0 for order in orders], 2)
@@ -97,7 +99,7 @@ def ripple_orders(evidence: Evidence, weighed: Weighed, knobs, turns, opened, ru
     orders += [Order("resolver", a, float(h)) for a in range(robot.n_axes) for h in _KNOWN_RESOLVER]
     weighed = weigh(evidence, order_columns(orders), weighed)
     for _ in range(_ROUNDS):
-        known = limits(robot, knobs, turns, orders)
+        known = limits(robot, knobs, turns, orders, False)
         fit = fit_base(weighed.gram, range(len(known)), known, runs)
         left = remainder(evidence, weighed, fit, fit.columns, fit.x)[opened]
         new = []
@@ -116,16 +118,16 @@ def look(robot: Robot, record: Measured, knobs, turns, opened) -> Stage:
     runs = np.repeat(opened, record.data.n_exp)
     weighed = weigh(evidence, knob_columns(robot, knobs))
     orders, weighed = ripple_orders(evidence, weighed, knobs, turns, opened, runs)
-    known = limits(robot, knobs, turns, orders)
+    known = limits(robot, knobs, turns, orders, False)
     fit = fit_base(weighed.gram, range(len(known)), known, runs)
     waves = fit.x[len(knobs) :].reshape(-1, 2)
     loud = [i for i, order in enumerate(orders) if np.hypot(*waves[i]) > order.loud(robot)]
     keep = np.array([i for i in range(len(known)) if i < len(knobs) or (i - len(knobs)) // 2 not in loud])
     apart = tuple(orders[i] for i in loud)
-    return _fitted(robot, evidence, weighed, knobs, turns, orders, apart, keep, opened, runs)
+    return _fitted(robot, evidence, weighed, knobs, turns, orders, apart, keep, opened, runs, False)
 
 
-def look_again(stage: Stage, robot: Robot, record: Measured, turns, opened, knobs=None) -> Stage:
+def look_again(stage: Stage, robot: Robot, record: Measured, turns, opened, knobs=None, near: bool = True) -> Stage:
     """Another robot, not far from that of a stage, beside the same columns: they change little, the residual does.
 
     `knobs`: the stage's own with other tolerances, if there are."""
@@ -151,6 +153,7 @@ def look_again(stage: Stage, robot: Robot, record: Measured, turns, opened, knob
         stage.fit.columns,
         opened,
         stage.fit.runs,
+        near,
     )
 
 
@@ -159,11 +162,11 @@ def look_closely(stage: Stage, opened) -> Stage:
     evidence, runs = stage.evidence, stage.fit.runs
     weighed = weigh(evidence, knob_columns(stage.robot, stage.knobs) + order_columns(stage.orders))
     parts = stage.robot, evidence, weighed, stage.knobs, stage.turns, stage.orders, stage.loud, stage.fit.columns
-    return _fitted(*parts, opened, runs)
+    return _fitted(*parts, opened, runs, stage.near)
 
 
-def _fitted(robot, evidence, weighed, knobs, turns, orders, loud, keep, opened, runs) -> Stage:
-    known = limits(robot, knobs, turns, orders)[keep]
+def _fitted(robot, evidence, weighed, knobs, turns, orders, loud, keep, opened, runs, near) -> Stage:
+    known = limits(robot, knobs, turns, orders, near)[keep]
     fit = fit_base(weighed.gram, keep, known, runs)
     left = remainder(evidence, weighed, fit, fit.columns, fit.x)[opened]
     misfit = mean_square(left / evidence.plain)
@@ -174,7 +177,7 @@ def _fitted(robot, evidence, weighed, knobs, turns, orders, loud, keep, opened, 
         fit = fit_base(weighed.gram, keep, known, runs)
         left = remainder(evidence, weighed, fit, fit.columns, fit.x)[opened]
         misfit = mean_square(left / evidence.plain)
-    return Stage(robot, evidence, tuple(knobs), turns, tuple(orders), tuple(loud), weighed, fit, misfit)
+    return Stage(robot, evidence, tuple(knobs), turns, tuple(orders), tuple(loud), weighed, fit, misfit, near)
 
 
 def mean_square(z) -> float:
