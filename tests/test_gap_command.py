@@ -145,6 +145,16 @@ class TestWhatIsWritten:
         assert run(folder, tmp_path / "gap.json", *more) == 0
         assert re.search(r"warning: .*names effects that only .*own\.py knows: quadr", capsys.readouterr().err)
         assert 'name = "quadratic_friction"' in (tmp_path / "extended.toml").read_text()
+        with pytest.raises(jf.InputError, match="found 'quadratic_friction'"):
+            jf.io.read_robot(tmp_path / "extended.toml")
+        (kind,) = own_effects(folder / "own.py")
+        robot = jf.io.read_robot(tmp_path / "extended.toml", own=[kind])
+        assert "quadratic_friction" in [e.name for e in robot.effects]
+        assert main(["positions", str(tmp_path / "extended.toml"), "no.toml", "-o", str(tmp_path / "q.csv")]) == 2
+        assert "found 'quadratic_friction'" in capsys.readouterr().err
+        more = ("--effects", str(folder / "own.py"), "-o", str(tmp_path / "q.csv"))
+        assert main(["positions", str(tmp_path / "extended.toml"), "no.toml", *more]) == 2
+        assert "no.toml" in capsys.readouterr().err  # the robot was read, the design is next
 
     @pytest.mark.parametrize("name", NAMES)
     def test_json_is_all_of_standard_output(self, folder, tmp_path, capsys, diagnosing, name):

@@ -3,6 +3,8 @@
 - emps: a linear axis; from inertia and viscous friction alone to the published friction, verified on the pulses.
 - two_mass_bench: from one rigid inertia to motor, coupling and load; the distortion that stays is no friction law.
 - kuka_kr300: deflections of three gears, on motion that no FRF method should take.
+
+With `pytest -s` the figures are printed.
 """
 
 import tomllib
@@ -78,6 +80,7 @@ def test_emps_names_its_friction(emps):
         COULOMB: coulomb["level"],
         OFFSET: asymmetry["offset"],
     }
+    print("\nEMPS:", ", ".join(f"{v.value:.4g} +- {v.std:.2g} {v.unit} ({p})" for p, v in found.items()), "published")
     for published, value in found.items():
         assert abs(value.value / published - 1) < 0.02
         low, high = value.interval
@@ -99,6 +102,10 @@ def test_emps_gap_on_the_pulses(measured, emps):
     left = held - MASS * acceleration - VISCOUS * v - COULOMB * np.sign(v) - OFFSET
     published = np.sqrt(np.mean(low(left, 39.6)[100:-100] ** 2))
     gap = emps.gap
+    residual = gap.newton_metres
+    print(
+        f"\nEMPS, pulses: {residual['before']:.3g} -> {residual['after']:.3g} N rms; published model {published:.3g} N"
+    )
     assert gap.on == "sealed records"
     assert abs(gap.newton_metres["after"] / published - 1) < 0.05
     assert gap.newton_metres["before"] > 3.5 * gap.newton_metres["after"]
@@ -155,6 +162,8 @@ def test_kuka_deflection(kuka):
     """All nine pairs of axis and run, each judged on the run that the fit did not see: a linear spring leaves 58-76 %,
     friction (tanh of speed) 48-61 %; a link-side position that is logged late leaves 6-13 %."""
     spring, friction, late = (kuka.held_out[x] for x in ("linear spring", "coulomb_friction", "sensor_delay"))
+    for name, left in (("spring", spring), ("with friction", friction), ("read late", late)):
+        print(f"\nKUKA, {name}: {100 * left.min():.0f}-{100 * left.max():.0f} % left on the run not used", end="")
     assert spring.shape == (3, 3)
     assert 0.55 < spring.min() and spring.max() < 0.77
     assert 0.45 < friction.min() and friction.max() < 0.62 and np.all(friction < spring)
@@ -166,6 +175,7 @@ def test_kuka_deflection(kuka):
 def test_kuka_delay_is_the_same_in_all_axes(kuka_runs, kuka):
     """As it must be if it is the log's, and as the slope of the deflection over speed alone says in every run."""
     values = [e.value for e in kuka.effects if e.name == "sensor_delay"]
+    print("\nKUKA, delays, ms:", ", ".join(f"{1e3 * x.value:.2f}" for x in values))
     assert all(abs(x.value - 2.9e-3) < 2e-4 and x.std < 2e-4 for x in values)
     for run in kuka_runs:
         motor, link = run.y[0, 0, :, :3], run.y[0, 0, :, 3:]
@@ -238,6 +248,7 @@ def test_bench_misses_a_mode(drives):
     found = drives["theta_mx"]
     assert found.verdict == "named" and found.effects[0].name == "extra_flexibility"
     mode = found.effects[0].parameters
+    print(f"\nTwo masses: {mode['antiresonance'].value:.1f} and {mode['resonance'].value:.1f} Hz, {found.gap}")
     assert abs(mode["antiresonance"].value - 53.7) < 1.0 and abs(mode["resonance"].value - 76.4) < 1.0
     assert found.effects[0].p_value <= 0.01
     worst = found.where[0]

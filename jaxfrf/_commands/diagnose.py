@@ -33,8 +33,8 @@ def run(given) -> dict:
 
     check_x64("jaxfrf diagnose")
     _check_outputs(given)
-    robot = read_robot(given.robot)
     own = own_effects(given.effects) if given.effects else ()
+    robot = read_robot(given.robot, own)
     data = [read_records(given, [path]) for path in given.data]
     for text in dict.fromkeys(w for x in data for w in x.warnings):
         print(f"warning: {text}", file=sys.stderr)
@@ -103,7 +103,7 @@ def _write_more(given, found, own) -> list[str]:
         names = [x.name for x in found.extended.effects if type(x) in own]
         if names:
             text = f"{given.robot_out} names effects that only {given.effects} knows: {', '.join(names)}"
-            print(f"warning: {text}", file=sys.stderr)
+            print(f"warning: {text}. Give it with --effects wherever you use that robot.", file=sys.stderr)
     if given.report:
         from ..report.gap import write_gap_report
 

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 
 from .._errors import InputError, input_error
+from . import own_effects
 from .arguments import (
     add_record_options,
     check_picture,
@@ -30,6 +31,7 @@ def add(commands) -> None:
     parser.add_argument("-o", "--output", required=True, help="fit to write: .json")
     parser.add_argument("--report", metavar="FILE", help="page about the fit to write: .html")
     parser.add_argument("--plot", metavar="FILE", help="Bode picture of measurement and models: .png, .pdf, .svg")
+    parser.add_argument("--effects", metavar="FILE.py", help=own_effects.HELP)
     parser.add_argument("--robot-out", metavar="FILE", help="robot with the result to write: .toml")
     parser.add_argument("--starts", type=int, default=20, help="of the direct fit (default 20)")
     parser.add_argument("--seed", type=int, default=0, help="of the starts (default 0)")
@@ -133,9 +135,8 @@ def _read(given):
     """Robot, records or FRF, and the estimator that was named."""
     from ..frf.catalogue import method
     from ..io.frf_or_record import holds_frf, read_frfs
-    from ..io.robots import read_robot
 
-    robot = read_robot(given.robot)
+    robot = own_effects.robot_of(given)
     frfs = [holds_frf(path) for path in given.data]
     if any(frfs) and not all(frfs):
         raise input_error(

@@ -12,6 +12,16 @@ from .._errors import input_error
 _STATED = ("name", "units", "bounds", "signature", "confusable")
 
 
+HELP = "effects of your own that the robot's file names"
+
+
+def robot_of(given):
+    """The robot that a command is given, with the effects that `--effects` defines known."""
+    from ..io.robots import read_robot
+
+    return read_robot(given.robot, own_effects(given.effects) if given.effects else ())
+
+
 def own_effects(path: str | os.PathLike) -> tuple[type, ...]:
     """Every effect (subclass of `jaxfrf.effects.AbstractEffect`) that a Python file defines. The file is run.
 

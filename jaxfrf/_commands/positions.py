@@ -1,5 +1,6 @@
 """`jaxfrf positions`."""
 
+from . import own_effects
 from .arguments import check_picture, check_target, check_x64, command
 
 
@@ -7,6 +8,7 @@ def add(commands) -> None:
     parser = command(commands, "positions", run, "Choose arm configurations to measure a robot at, before measuring.")
     parser.add_argument("robot", metavar="ROBOT.toml")
     parser.add_argument("design", metavar="DESIGN.toml")
+    parser.add_argument("--effects", metavar="FILE.py", help=own_effects.HELP)
     parser.add_argument("-n", "--count", type=int, default=7, help="positions to choose (default 7)")
     parser.add_argument("--candidates", type=int, default=200, metavar="N", help="random ones to choose from (200)")
     parser.add_argument("--seed", type=int, default=0, help="of the candidates (default 0)")
@@ -21,14 +23,13 @@ def run(given) -> dict:
     from ..graybox import RobotModel, plan_positions
     from ..io import read_design
     from ..io.positions import write_positions
-    from ..io.robots import read_robot
     from ..simulation import random_positions
 
     check_x64("jaxfrf positions")
     check_target(given.output, (".csv", ".txt"))
     if given.plot:
         check_picture(given.plot)
-    robot, design = read_robot(given.robot), read_design(given.design)
+    robot, design = own_effects.robot_of(given), read_design(given.design)
     model = RobotModel(robot, slow_amplitude=None if design.slow is None else design.slow.amplitude)
     candidates = random_positions(given.candidates, jr.key(given.seed), robot.n_axes)
     plan = plan_positions(model, design.frequency, candidates, given.count, noise=given.noise)

@@ -3,6 +3,7 @@
 import pathlib
 
 from .._errors import InputError
+from . import own_effects
 from .arguments import Percent, command
 
 
@@ -10,6 +11,7 @@ def add(commands) -> None:
     parser = command(commands, "simulate", run, "Play a design on a simulated robot in closed loop.")
     parser.add_argument("robot", metavar="ROBOT.toml")
     parser.add_argument("design", metavar="DESIGN.toml")
+    parser.add_argument("--effects", metavar="FILE.py", help=own_effects.HELP)
     parser.add_argument("-o", "--output", required=True, help="record to write: .nc, .mat or .npz")
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--positions", type=int, default=None, metavar="N", help="random positions (default 1)")
@@ -28,7 +30,6 @@ def run(given) -> dict:
     import jax.random as jr
 
     from ..io import read_design, write
-    from ..io.robots import read_robot
     from ..simulation import simulate
 
     target = pathlib.Path(given.output)
@@ -36,7 +37,7 @@ def run(given) -> dict:
         raise InputError(f"{target}: found the suffix {target.suffix!r}; expected .nc, .mat or .npz. Rename it.")
     if not target.absolute().parent.is_dir():
         raise InputError(f"{target}: found no folder {target.parent}; expected one that exists. Make it first.")
-    robot, design = read_robot(given.robot), read_design(given.design)
+    robot, design = own_effects.robot_of(given), read_design(given.design)
     places, noise = jr.split(jr.key(given.seed))
     data = simulate(
         robot,

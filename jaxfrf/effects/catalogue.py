@@ -2,7 +2,7 @@
 
 import difflib
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -63,19 +63,23 @@ def library() -> dict[str, type[AbstractEffect]]:
     return {kind.name: kind for kind in _ALL}
 
 
-def effect_from_table(table: Mapping[str, Any], where: str = "effect") -> AbstractEffect:
+def effect_from_table(
+    table: Mapping[str, Any], where: str = "effect", own: Sequence[type[AbstractEffect]] = ()
+) -> AbstractEffect:
     """The effect that a table {name, joint, parameters} describes.
+
+    **Arguments:** `where`: the table's place in messages. `own`: effects of your own, known beside the library's.
 
     **Raises:** `jaxfrf.InputError` for an unknown name or parameter, with the nearest known one, a parameter that
     is missing, and a value that is no number.
     """
-    name = table.get("name")
-    if name not in library():
-        near = difflib.get_close_matches(str(name), library(), n=1, cutoff=0.0)[0]
+    name, known = table.get("name"), library() | {kind.name: kind for kind in own}
+    if name not in known:
+        near = difflib.get_close_matches(str(name), known, n=1, cutoff=0.0)[0]
         raise input_error(
-            f"{where}: name", "nothing" if name is None else repr(name), ", ".join(library()), f"Did you mean {near!r}?"
+            f"{where}: name", "nothing" if name is None else repr(name), ", ".join(known), f"Did you mean {near!r}?"
         )
-    kind, given = library()[name], {k: v for k, v in table.items() if k not in ("name", "joint")}
+    kind, given = known[name], {k: v for k, v in table.items() if k not in ("name", "joint")}
     for key in given:
         if key not in kind.units:
             near = difflib.get_close_matches(key, kind.units, n=1, cutoff=0.0)[0]

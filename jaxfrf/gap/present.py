@@ -238,12 +238,10 @@ def _gap(search: Search, base, after, extended: Stage) -> Gap:
 
 
 def shrink_with(search: Search, effects) -> float | None:
-    """Shrink of the gap on the sealed positions with these effects instead, fitted from these values and simulated."""
-    ends = [stage for stage in (_end_with(search, view, effects) for view in search.views) if stage is not None]
-    if not ends:
-        return None
-    best = min(ends, key=lambda stage: usual_misfit(stage, search.base))
-    return _gap(search, _left(search, search.base), _left(search, best), best).shrink
+    """Shrink of the gap on the sealed positions with these effects instead, fitted from these values and simulated, from
+    the robot as it was given."""
+    end = _end_with(search, search.views[-1], effects)
+    return None if end is None else _gap(search, _left(search, search.base), _left(search, end), end).shrink
 
 
 def _end_with(search: Search, stage: Stage, effects) -> Stage | None:

@@ -4,23 +4,26 @@ import json
 import os
 import pathlib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .._errors import input_error
+from ..effects import AbstractEffect
 from ..robot.robot import Robot
 from ..robot.schema import robot_from_table, table_from_robot
 from ._container import replacing
 
 
-def read_robot(path: str | os.PathLike) -> Robot:
+def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()) -> Robot:
     """The robot that a TOML file describes.
+
+    **Arguments:** `own`: effects of your own that the file may name, beside the library's.
 
     **Raises:** `jaxfrf.InputError` naming file and key: not TOML, a key that is unknown (with the nearest
     known one), missing, or of the wrong type. `OSError` if the file cannot be opened.
     """
     path = pathlib.Path(path)
-    return robot_from_table(read_toml(path), path.name)
+    return robot_from_table(read_toml(path), path.name, own)
 
 
 def write_robot(robot: Robot, path: str | os.PathLike) -> None:

@@ -6,7 +6,7 @@ Units are SI; quantities of the motor (inertia, friction, torque limit, velocity
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -35,10 +35,13 @@ _DRIVE_KEYS = (
 _CONTROLLER_KEYS = ("position_gain", "integral_time", "velocity_gain", "feedforward")
 
 
-def robot_from_table(table: Mapping[str, Any], source: str = "robot") -> Robot:
+def robot_from_table(
+    table: Mapping[str, Any], source: str = "robot", own: Sequence[type[AbstractEffect]] = ()
+) -> Robot:
     """The robot that a table describes.
 
-    **Arguments:** `table`: what `tomllib.load` gives. `source`: its name in messages, as the file's name.
+    **Arguments:** `table`: what `tomllib.load` gives. `source`: its name in messages, as the file's name. `own`:
+    effects of your own that it may name, beside the library's.
 
     **Raises:** `jaxfrf.InputError` naming the key: unknown (with the nearest known one), missing, of the
     wrong type or size, or with a value that is not physical.
@@ -74,7 +77,7 @@ def robot_from_table(table: Mapping[str, Any], source: str = "robot") -> Robot:
         controller=_controller(top, drives),
         name=top.text("name", default="robot"),
         sampling_frequency=top.number("sampling_frequency", default=2000.0, positive=True),
-    ).with_effects(*_effects(top, names))
+    ).with_effects(*_effects(top, names, own))
 
 
 def table_from_robot(robot: Robot) -> dict[str, Any]:
@@ -279,16 +282,16 @@ def _controller(top: _Table, joints: list[_Table]) -> Controller | None:
     )
 
 
-def _effects(top: _Table, names: tuple[str, ...]) -> tuple[AbstractEffect, ...]:
+def _effects(top: _Table, names: tuple[str, ...], own) -> tuple[AbstractEffect, ...]:
     tables = enumerate(top.tables("effect"), 1)
-    return tuple(_effect(_Table(table, f"{top.where}: effect {i}", None), table, names) for i, table in tables)
+    return tuple(_effect(_Table(table, f"{top.where}: effect {i}", None), table, names, own) for i, table in tables)
 
 
-def _effect(checked: _Table, table: Mapping[str, Any], names: tuple[str, ...]) -> AbstractEffect:
+def _effect(checked: _Table, table: Mapping[str, Any], names: tuple[str, ...], own) -> AbstractEffect:
     joint = checked.text("joint", default="")
     if joint and joint not in names:
         raise checked.error("joint", f"one of {', '.join(names)}", f"Did you mean {_nearest(joint, names)!r}?")
-    return effect_from_table(table, checked.where)
+    return effect_from_table(table, checked.where, own)
 
 
 def _play(robot: Robot) -> list[Backlash]:
