@@ -238,8 +238,8 @@ def _gap(search: Search, base, after, extended: Stage) -> Gap:
 
 
 def shrink_with(search: Search, effects) -> float | None:
-    """Shrink of the gap on the sealed positions with these effects instead, fitted from these values and simulated, from
-    the robot as it was given."""
+    """Shrink of the gap on the sealed positions with these effects instead, fitted from these values and simulated,
+    from the robot as it was given."""
     end = _end_with(search, search.views[-1], effects)
     return None if end is None else _gap(search, _left(search, search.base), _left(search, end), end).shrink
 
