@@ -14,9 +14,10 @@ from .evidence import weigh
 from .refine import refine
 from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
 from .score import family_wise, fit_beside, sums
-from .search import CLASSES, FLOOR, Fitted, Search, Step, fitted_with, passes, usual_misfit
+from .search import CLASSES, FLOOR, Search, Step, passes
 from .signature import signature
 from .stage import Stage, mean_square, remainder
+from .trial import Fitted, fitted_with, usual_misfit
 
 _BANDS = np.array([0.0, 1.5, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 60.0, 1e9])  # Hz
 _BINS = 24
@@ -248,7 +249,7 @@ def _end_with(search: Search, stage: Stage, effects) -> Stage | None:
     before = []
     for effect in effects:
         start, visible = Fitted(effect, (), stage), _visible_of(effect)
-        fitted = fitted_with(stage, search.given, search.record, search.opened, start, visible, before)
+        fitted = fitted_with(search.setting, stage, start, visible, tuple(before))
         if fitted is None:
             return None
         stage = fitted.stage

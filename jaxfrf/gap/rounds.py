@@ -11,13 +11,14 @@ from ..effects.catalogue import effect_from_table, effect_to_table
 
 
 class Round(eqx.Module):
-    """What one round found: an effect, standard deviations of its parameters, the knobs' changes. `None` for an effect:
-    nothing more was found."""
+    """What one round found: an effect, standard deviations of its parameters, the knobs' changes, and of each rival the
+    name, joint, misfit and whether it is near. `None` for an effect: nothing more was found."""
 
     effect: AbstractEffect | None
     joint: str = eqx.field(static=True)
     std: tuple[float, ...] = eqx.field(static=True)
     turns: np.ndarray
+    rivals: tuple[tuple, ...] = eqx.field(static=True)
 
 
 def read_round(folder: pathlib.Path | None, number: int) -> Round | None:
@@ -27,7 +28,8 @@ def read_round(folder: pathlib.Path | None, number: int) -> Round | None:
         return None
     said = json.loads(path.read_text(encoding="utf-8"))
     effect = effect_from_table(said["effect"]) if said["effect"] else None
-    return Round(effect, said["joint"], tuple(said["std"]), np.array(said["turns"], float))
+    rivals = tuple(tuple(row) for row in said["rivals"])
+    return Round(effect, said["joint"], tuple(said["std"]), np.array(said["turns"], float), rivals)
 
 
 def keep_round(folder: pathlib.Path | None, number: int, found: Round) -> None:
@@ -35,7 +37,8 @@ def keep_round(folder: pathlib.Path | None, number: int, found: Round) -> None:
     if folder is None or (found.effect is not None and type(found.effect) is not library().get(found.effect.name)):
         return
     table = None if found.effect is None else effect_to_table(found.effect, found.joint)
-    said = {"effect": table, "joint": found.joint, "std": list(found.std), "turns": np.asarray(found.turns).tolist()}
+    said = {"effect": table, "joint": found.joint, "std": list(found.std), "rivals": found.rivals}
+    said["turns"] = np.asarray(found.turns).tolist()
     path = pathlib.Path(folder) / f"round-{number}.json"
     draft = path.with_suffix(".part")
     draft.write_text(json.dumps(said), encoding="utf-8")

@@ -5,9 +5,8 @@ from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
-from .._errors import InputError
 from ..effects import AbstractEffect
 from ..robot import Robot
 from .candidates import candidates
@@ -25,12 +24,11 @@ from .stage import (
     look,
     look_again,
     look_closely,
-    mean_square,
-    remainder,
     retold,
     score,
     table,
 )
+from .trial import CLOSE, Fitted, Setting, corrected, fitted_with, together, usual_misfit
 
 MOST = 2  # effects
 _PART, _CLEAR_PART = 0.012, 0.002  # of the misfit that a candidate must explain; with a t beyond _CLEAR_T
@@ -43,11 +41,9 @@ _SIZE = 0.5  # of the visible one
 _SIGNIFICANT = 0.05
 _RIVAL = 0.5  # of the best candidate's drop: less is not worth a simulation
 _SIMULATED = 2  # candidates in a round
-_FIRST_CORRECTIONS, _CORRECTIONS = 1, 5
+_FIRST_CORRECTIONS = 1
 _IN_THE_RACE = 1.3  # times the least misfit of a round: more is not worth more corrections
 _REFITS, _CURES = 4, 0.7  # of the base model, each to leave this part of the misfit
-_HELPS = 0.97  # of the misfit: more after a correction, and it was of no use
-_CLOSE = 1.2  # misfit beyond which the columns of another robot may mislead
 _SHORT = 5  # candidates that are refined
 _SECOND = 0.05  # of the misfit, or of the floor, that a second effect must promise: what the first left is no effect
 _NEAR, _ANY = 0.1, 0.3  # of the misfit that is left, which is at least this: a rival this close is as good
@@ -99,17 +95,27 @@ class Step(eqx.Module):
 class Search(eqx.Module):
     """A finished search.
 
-    **Fields:** `given`: robot. `views`: the refitted robot, and the given one where that was no cure. `steps`: effects
-    found. `scored`: the first ranking. `opened`: positions that were fitted.
+    **Fields:** `views`: the refitted robot, and the given one where that was no cure. `steps`: effects found. `scored`:
+    the first ranking.
     """
 
-    given: Robot
+    setting: Setting
     knobs: tuple[Knob, ...]
     views: tuple[Stage, ...]
     steps: tuple[Step, ...]
     scored: tuple[Scored, ...]
-    opened: Bool[np.ndarray, "pos"]
-    record: Measured
+
+    @property
+    def given(self) -> Robot:
+        return self.setting.given
+
+    @property
+    def record(self) -> Measured:
+        return self.setting.record
+
+    @property
+    def opened(self) -> Bool[np.ndarray, "pos"]:
+        return self.setting.opened
 
     @property
     def base(self) -> Stage:
@@ -134,8 +140,8 @@ def search(
     `parts`: a folder in which finished rounds are kept, and looked for.
     """
     say, done = say or (lambda text: None), progress or (lambda part: None)
-    these = knobs(robot)
-    views = _views(robot, record, these, opened, say)
+    these, setting = knobs(robot), Setting(robot, record, np.asarray(opened))
+    views = _views(setting, these, say)
     first_views, stage = tuple(views), views[0]
     done(0.3)
     columns = _table(views[-1], record, opened, own)
@@ -147,9 +153,9 @@ def search(
         ranked = [_Ranked(r.stage, tuple(s for s in r.scored if s.candidate.key not in had)) for r in ranked]
         kept = read_round(parts, len(steps))
         if kept is not None:
-            step = _remembered(kept, stage, robot, record, opened, ranked[0].scored, steps)
+            step = _remembered(setting, kept, stage, ranked[0].scored, steps)
         else:
-            step = _best(ranked, robot, record, opened, steps, say)
+            step = _best(setting, ranked, steps, say)
             keep_round(parts, len(steps), _round(step, these))
         if step is None:
             break
@@ -159,7 +165,7 @@ def search(
         views = [stage]
         done(0.3 + 0.6 * len(steps) / MOST)
     done(0.95)
-    return Search(robot, these, first_views, tuple(steps), first, opened, record)
+    return Search(setting, these, first_views, tuple(steps), first)
 
 
 class _Ranked(eqx.Module):
@@ -167,12 +173,13 @@ class _Ranked(eqx.Module):
     scored: tuple[Scored, ...]
 
 
-def _views(robot: Robot, record: Measured, these, opened, say: Say) -> list[Stage]:
+def _views(setting: Setting, these, say: Say) -> list[Stage]:
     """The robot with its own numbers refitted, if they need that; and as it was given, where that was no cure.
 
     A large effect pulls the robot's numbers away from the truth, from where its first order leads nowhere; numbers
     that are far off do the same to a view of the robot as it was given. So candidates are looked at from both.
     """
+    robot, record, opened = setting.given, setting.record, setting.opened
     given = look(robot, record, these, np.zeros(len(these)), opened)
     say(f"base model: misfit {given.misfit:.3g} times the floor's")
     if given.misfit <= FAR:
@@ -180,16 +187,12 @@ def _views(robot: Robot, record: Measured, these, opened, say: Say) -> list[Stag
     base = given
     for _ in range(_REFITS):
         near = base if base is given else look_closely(base, opened)
-        turns = _together(near.turns, near.fit.x[: len(these)])
+        turns = together(near.turns, near.fit.x[: len(these)])
         base = look_again(near, turned(robot, these, turns), record, turns, opened, near=False)
         say(f"refitted: misfit {base.misfit:.3g}")
         if base.misfit <= FAR or base.misfit > _CURES * near.misfit:
             break
     return [base, given] if base.misfit > FAR else [base]
-
-
-def _together(turns, more):
-    return (1.0 + turns) * (1.0 + more) - 1.0
 
 
 def _table(stage: Stage, record: Measured, opened, own) -> Table:
@@ -238,10 +241,9 @@ def _visible(scored: Scored) -> float:
     return first / max(scored.size, 1e-6) if candidate.visible == 1.0 else candidate.visible
 
 
-def _best(ranked: Sequence[_Ranked], given: Robot, record: Measured, opened, steps, say) -> Step | None:
+def _best(setting: Setting, ranked: Sequence[_Ranked], steps, say: Say) -> Step | None:
     like, before = ranked[0].stage, [s.effect for s in steps]
     usual = lambda this: usual_misfit(this, like)
-    correct = lambda t, most: corrected(t.fitted, like, given, record, opened, _visible(t.option.scored), before, most)
     found: list[Option] = []
     tried: list[_Trial] = []
     for view in ranked:
@@ -252,17 +254,15 @@ def _best(ranked: Sequence[_Ranked], given: Robot, record: Measured, opened, ste
         for option in these[:_SIMULATED]:
             if option.drop < _RIVAL * these[0].drop:
                 break
-            stage = with_effect(view.stage, given, record, opened, option.refined.effect, before)
-            if stage is None:
-                continue
-            trial = _Trial(option, view.stage, Fitted(option.refined.effect, option.refined.std, stage))
-            trial = trial.with_(correct(trial, _FIRST_CORRECTIONS))
-            say(f"  simulated {trial.told(usual)}")
-            tried.append(trial)
+            start = Fitted(option.refined.effect, option.refined.std, view.stage)
+            fitted = fitted_with(setting, view.stage, start, _visible(option.scored), before, _FIRST_CORRECTIONS)
+            if fitted is not None:
+                tried.append(_Trial(option, view.stage, fitted))
+                say(f"  simulated {tried[-1].told(usual)}")
     tried = _in_the_race(tried, usual)
     for i, trial in enumerate(tried):
-        if trial.stage.misfit > _CLOSE:
-            tried[i] = trial.with_(correct(trial, _CORRECTIONS))
+        if trial.stage.misfit > CLOSE:
+            tried[i] = trial.further(setting, like, before)
             say(f"  corrected {tried[i].told(usual)}")
     tried = [trial for trial in tried if trial.keeps(usual)]
     if not tried:
@@ -304,28 +304,31 @@ def _rivals(best: "_Trial", found: Sequence[Option], tried: Sequence["_Trial"], 
 
 def _round(step: Step | None, knobs) -> Round:
     if step is None:
-        return Round(None, "", (), np.zeros(len(knobs)))
-    return Round(step.effect, step.option.key[1], step.std, step.stage.turns)
+        return Round(None, "", (), np.zeros(len(knobs)), ())
+    rivals = tuple((*rival.option.key, rival.misfit, rival.near) for rival in step.rivals)
+    return Round(step.effect, step.option.key[1], step.std, step.stage.turns, rivals)
 
 
-def _remembered(kept: Round, stage: Stage, given: Robot, record: Measured, opened, scored, steps) -> Step | None:
+def _remembered(setting: Setting, kept: Round, stage: Stage, scored, steps) -> Step | None:
     """The step of a round that an earlier run had finished."""
     if kept.effect is None:
         return None
-    this = next(s for s in scored if s.candidate.key == (kept.effect.name, kept.joint))
-    names = names_of(kept.effect) if len(kept.std) else ()
-    option = Option(this, Refined(kept.effect, this.found.drop, names, kept.std), this.part)
-    robot = turned(given, stage.knobs, kept.turns).with_effects(*[s.effect for s in steps], kept.effect)
-    after = look_again(stage, robot, record, kept.turns, opened)
-    return Step(option, kept.effect, kept.std, after, (), usual_misfit(stage, stage), usual_misfit(after, stage))
 
+    def option(name, joint, effect=None, names=()):
+        this = next(s for s in scored if s.candidate.key == (name, joint))
+        effect = this.effect() if effect is None else effect
+        return Option(this, Refined(effect, this.found.drop, names, kept.std), this.part)
 
-class Fitted(eqx.Module):
-    """An effect with its parameters, their standard deviations, and the robot that has it."""
-
-    effect: AbstractEffect
-    std: tuple[float, ...] = eqx.field(static=True)
-    stage: Stage
+    names = names_of(kept.effect) if kept.std else ()
+    robot = turned(setting.given, stage.knobs, kept.turns).with_effects(*[s.effect for s in steps], kept.effect)
+    after = look_again(stage, robot, setting.record, kept.turns, setting.opened, pinned(stage.knobs, kept.effect))
+    if after.misfit > CLOSE:
+        after = look_closely(after, setting.opened)
+    rivals = tuple(Rival(option(*key), misfit, near) for *key, misfit, near in kept.rivals)
+    misfits = usual_misfit(stage, stage), usual_misfit(after, stage)
+    return Step(
+        option(kept.effect.name, kept.joint, kept.effect, names), kept.effect, kept.std, after, rivals, *misfits
+    )
 
 
 class _Trial(eqx.Module):
@@ -339,8 +342,10 @@ class _Trial(eqx.Module):
     def stage(self) -> Stage:
         return self.fitted.stage
 
-    def with_(self, fitted: Fitted) -> "_Trial":
-        return _Trial(self.option, self.view, fitted)
+    def further(self, setting: Setting, like: Stage, before) -> "_Trial":
+        """The same, corrected until that is of no use."""
+        visible = _visible(self.option.scored)
+        return _Trial(self.option, self.view, corrected(setting, self.fitted, like, visible, before))
 
     def keeps(self, usual) -> bool:
         """Whether the simulation keeps what the signature promised."""
@@ -350,70 +355,3 @@ class _Trial(eqx.Module):
     def told(self, usual) -> str:
         name, joint = self.option.key
         return f"{name} {joint}: misfit {self.stage.misfit:.3g} ({usual(self.stage):.3g})"
-
-
-def fitted_with(stage: Stage, given: Robot, record: Measured, opened, start: Fitted, visible, before) -> Fitted | None:
-    """An effect simulated, and its parameters and the base's corrected while that helps."""
-    first = with_effect(stage, given, record, opened, start.effect, before)
-    if first is None:
-        return None
-    fitted = Fitted(start.effect, start.std, first)
-    return corrected(fitted, stage, given, record, opened, visible, before, _CORRECTIONS)
-
-
-def corrected(fitted: Fitted, like: Stage, given: Robot, record: Measured, opened, visible, before, most) -> Fitted:
-    """Parameters and the base's numbers after at most so many more simulations, while they help."""
-    effect, std, after = fitted.effect, fitted.std, fitted.stage
-    for _ in range(most):
-        far = after.misfit > _CLOSE
-        if far:
-            after = look_closely(after, opened)
-        again = refine(after, effect, visible, effect)
-        std = again.std or std
-        if not far and not _moves(effect, again):
-            break
-        better = with_effect(after, given, record, opened, again.effect, before, effect)
-        if better is None or not _helps(better, after, like):
-            break
-        after, effect = better, again.effect
-    return Fitted(effect, std, after)
-
-
-def _helps(better: Stage, after: Stage, like: Stage) -> bool:
-    usual = usual_misfit(better, like) < _HELPS * usual_misfit(after, like)
-    return usual or better.misfit < _HELPS * after.misfit
-
-
-def _moves(effect, again: Refined) -> bool:
-    return any(
-        abs(float(getattr(again.effect, n)) - float(getattr(effect, n))) > 0.02 * abs(float(getattr(effect, n)))
-        for n in again.names
-    )
-
-
-def with_effect(
-    stage: Stage, given: Robot, record: Measured, opened, effect, before=(), simulated=None
-) -> Stage | None:
-    """The robot with one more effect, its own numbers adjusted beside it, simulated; `None` where it cannot be."""
-    these = pinned(stage.knobs, effect)
-    turns = _together(stage.turns, base_beside(stage, effect, simulated))
-    turns = np.where([knob.tolerance > 0 for knob in these], turns, 0.0)
-    try:
-        robot = turned(given, these, turns).with_effects(*before, effect)
-        return look_again(stage, robot, record, turns, opened, these)
-    except InputError:  # beyond a robot that stands, or that its controller holds
-        return None
-
-
-def usual_misfit(this: Stage, like: Stage) -> float:
-    """Mean square of what a stage leaves on the fitted positions, weighed as in another: no few lines rule."""
-    left = remainder(this.evidence, this.weighed, this.fit, this.fit.columns, this.fit.x)
-    runs = np.reshape(this.fit.runs, left.shape[:2])
-    return mean_square(left[runs] / like.evidence.floor)
-
-
-def base_beside(stage: Stage, effect, simulated=None) -> Float[np.ndarray, "knob"]:
-    """Changes of the knobs where this effect is there, or has this value in the place of the simulated one."""
-    from .refine import beside
-
-    return beside(stage, effect, simulated)[: len(stage.knobs)]
