@@ -40,9 +40,10 @@ def diagnose(
     The robot is simulated through the experiment; what the measured torque is beyond what the robot would have asked,
     referred to its motors, is the residual, at every line from 0 to the highest excited one, unexcited ones and the
     slow motion included. Its own parameters give way first: stiffness and damping freely, friction, masses and rotors
-    within their tolerances, ripple below what is visible. Every effect of the library on every joint is then scored by
-    what its law, evaluated along the simulated motion, takes off the residual; the best are refined, simulated and
-    compared; this repeats with the effect in the model. Positions that are sealed are opened once, at the end.
+    near their tolerances, ripple below what is visible. Every effect of the library on every joint is then scored by
+    what its law, evaluated along the simulated motion, takes off the residual, where the gap is large from the robot
+    as it was given, too; the best are refined, simulated, corrected and compared; this repeats with the effect in the
+    model. Positions that are sealed are opened once, at the end.
 
     Thresholds are those of `search`; they were set on simulated records. Wrong where several effects of a similar
     signature act at once, and where an effect that the library does not hold looks like one that it does: then the
