@@ -29,7 +29,7 @@ from jaxfrf.gap.measured import fewer, measured
 from jaxfrf.gap.quantised import resolution
 from jaxfrf.gap.ripple import Order
 from jaxfrf.gap.scene import Scene
-from jaxfrf.gap.score import Limits, drop, family_wise, fit_base
+from jaxfrf.gap.score import Limits, drop, family_wise, fit_base, variance
 from jaxfrf.gap.signature import signature
 from jaxfrf.gap.stage import limits
 from jaxfrf.robot import linearise, motor_directions, operating_point, parameters, with_parameters
@@ -335,6 +335,14 @@ class TestLeastSquares:
         assert one_sided.x == [0.0] and one_sided.drop == 0.0
         again = np.linalg.lstsq(X[:, [0, 1, 2, 3, 4, 5]], r)[1][0]
         np.testing.assert_allclose(drop(gram, fit, [5], [0.0], [9.0]).drop, fit.squares - again, rtol=1e-5)
+
+    def test_variance(self):
+        """Noise of few numbers as textbooks have it; many lines are worth four hundred numbers."""
+        gram, free = products(self.X, self.r), np.full(5, np.inf)
+        fit = fit_base(gram, range(5), Limits.between(-free, free), self.runs)
+        np.testing.assert_allclose(variance(gram, fit), max(fit.misfit, 1.0))
+        many = dataclasses.replace(gram, count=40_000)
+        np.testing.assert_allclose(variance(many, fit), max(fit.misfit, 1.0) * 4 * 40_000 / 400)
 
     def test_a_column_that_the_base_has(self):
         X = self.X.copy()

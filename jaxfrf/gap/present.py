@@ -13,7 +13,7 @@ from ..robot import parameters
 from .evidence import weigh
 from .refine import refine
 from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
-from .score import family_wise, fit_beside, sums
+from .score import family_wise, fit_beside, sums, variance
 from .search import CLASSES, FLOOR, Search, Step, passes
 from .signature import signature
 from .stage import Stage, mean_square, remainder
@@ -281,7 +281,7 @@ def _parameters(search: Search, stage: Stage):
     size = np.sqrt(np.maximum(np.diag(A), 0.0))
     size = np.where(size > 0, size, 1.0)
     inverse = np.linalg.pinv(A / np.outer(size, size) + 1e-9 * np.eye(len(A))) / np.outer(size, size)
-    std = np.sqrt(np.maximum(np.diag(inverse) * max(fit.misfit, 1.0), 0.0))
+    std = np.sqrt(np.maximum(np.diag(inverse) * variance(gram, fit), 0.0))
     own = {**parameters(stage.robot)}
     values, changed = {}, {}
     units = {"stiffness": "N m/rad", "damping": "N m s/rad"}

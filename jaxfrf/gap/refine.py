@@ -5,7 +5,7 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from .evidence import weigh
-from .score import fit_beside, projected, sums
+from .score import fit_beside, projected, sums, variance
 from .signature import signature
 from .stage import Stage
 
@@ -147,7 +147,7 @@ def _newton(gram, fit, row, count: int):
     left = p[1:] - a[1:, 0]
     inner = a[1:, 1:] + 1e-9 * np.diag(np.diag(a[1:, 1:])) + 1e-300 * np.eye(count)
     inverse = np.linalg.pinv(inner)
-    return inverse @ left, np.sqrt(np.maximum(np.diag(inverse) * max(fit.misfit, 1.0), 0.0))
+    return inverse @ left, np.sqrt(np.maximum(np.diag(inverse) * variance(gram, fit), 0.0))
 
 
 def beside(stage: Stage, effect: AbstractEffect, simulated: AbstractEffect | None = None):

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 from .evidence import Gram
 
 _NULL_MODE, _NULL_SCALE = 0.004, 0.002  # of the largest part where nothing is missing
+_HONEST = 400  # independent numbers that a record is worth: what limits an estimate is the model, set on simulated ones
 _OWN = 1e-4  # of a column's square must be its own, beside the base
 _RIDGE = 1e-7  # of a column's square: products are made in single precision
 
@@ -100,6 +101,12 @@ def _bounded(A, b, low, high):
         root, (vectors.T @ b) / np.sqrt(values), (low * scale, high * scale), method="bvls"
     )
     return np.clip(found.x / scale, low, high), found.active_mask == 0
+
+
+def variance(gram: Gram, fit: BaseFit) -> float:
+    """Of a unit of the products' inverse: with the misfit that is left, which repeats from run to run and from line to
+    line, as errors of a model do, so that many more lines do not make an estimate better."""
+    return max(fit.misfit, 1.0) * max(gram.count * int(np.sum(fit.runs)) / _HONEST, 1.0)
 
 
 class Drop(eqx.Module):
