@@ -205,6 +205,7 @@ def score(judged: list[Judged]) -> dict:
         "part": group("part"),
         "confusion": confusion(judged),
         "failures": failures(judged),
+        "cases": [_row(case) | _measured(case) for case in judged],
     }
 
 
@@ -223,20 +224,25 @@ def confusion(judged: list[Judged]) -> dict[str, dict[str, int]]:
 
 def failures(judged: list[Judged]) -> list[dict]:
     """Every case of which the wrong thing was said."""
-    return [
-        {
-            "part": case.truth["part"],
-            "number": case.truth["number"],
-            "simulator": case.truth["simulator"],
-            "kind": case.kind,
-            "truth": ", ".join(f"{e['name']} {e['joint']} {e['level']:.1f}x".replace("  ", " ") for e in hidden),
-            "verdict": case.result["verdict"],
-            "named": ", ".join(f"{n['name']} {n.get('joint') or ''}".strip() for n in case.named),
-        }
-        for case in judged
-        if not case.good
-        for hidden in [case.truth["effects"]]
-    ]
+    return [_row(case) for case in judged if not case.good]
+
+
+def _row(case: Judged) -> dict:
+    hidden = case.truth["effects"]
+    return {
+        "part": case.truth["part"],
+        "number": case.truth["number"],
+        "simulator": case.truth["simulator"],
+        "kind": case.kind,
+        "truth": ", ".join(f"{e['name']} {e['joint']} {e['level']:.1f}x".replace("  ", " ") for e in hidden),
+        "verdict": case.result["verdict"],
+        "named": ", ".join(f"{n['name']} {n.get('joint') or ''}".strip() for n in case.named),
+    }
+
+
+def _measured(case: Judged) -> dict:
+    gap = case.result.get("gap") or {}
+    return {"shrink": gap.get("shrink")} | {key: case.result.get(key) for key in ("oracle", "placebo", "wall_s")}
 
 
 def report(scores: dict) -> str:
