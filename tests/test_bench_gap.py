@@ -254,6 +254,7 @@ def test_scores(made_up):
     assert k_of(s["abstained"]) == (1, 9) and k_of(s["abstained_clear"]) == (0, 4)
     assert s["superfluous"] == pytest.approx(2 / 8)
     assert s["shrink"]["named"]["median"] == pytest.approx(0.6) and s["shrink"]["named"]["low"] == pytest.approx(0.44)
+    assert s["shrink"]["every"]["median"] == pytest.approx(0.4) and s["shrink"]["every"]["n"] == 3  # silence is 0
     assert s["shrink"]["oracle"]["median"] == 0.9 and s["shrink"]["placebo"]["n"] == 1
     assert s["parameter_error"]["n"] == 2 and s["parameter_error"]["median"] == pytest.approx(0.15)
     assert k_of(s["parameter_error"]["covered"]) == (1, 2)

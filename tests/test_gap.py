@@ -401,6 +401,10 @@ def test_limits_of_numbers():
         if not knob.free:
             total = (1 + turns[i]) * (1 + known.high[i]) - 1
             np.testing.assert_allclose(total, 2.5 * knob.tolerance, rtol=1e-9)
+    near = limits(robot, these, turns, orders, True)
+    for i, knob in enumerate(these):
+        reach = {"stiffness": (-0.15, 0.2), "damping": (-0.4, 0.7)}.get(knob.kind, (known.low[i], known.high[i]))
+        np.testing.assert_allclose((near.low[i], near.high[i]), reach, rtol=1e-12)
     held = [dataclasses.replace(knob, tolerance=0.0) for knob in these]
     free = np.array([knob.free for knob in these])
     still = limits(robot, held, 0.0 * turns, orders, False)

@@ -9,10 +9,8 @@ import traceback
 
 from .._errors import input_error
 
-_STATED = ("name", "units", "bounds", "signature", "confusable")
-
-
 HELP = "effects of your own that the robot's file names"
+_STATED = ("name", "units", "bounds", "signature", "confusable")
 
 
 def robot_of(given):

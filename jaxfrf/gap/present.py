@@ -17,7 +17,7 @@ from .score import family_wise, fit_beside, sums, variance
 from .search import CLASSES, FLOOR, Search, Step, passes
 from .signature import signature
 from .stage import Stage, mean_square, remainder
-from .trial import Fitted, fitted_with, usual_misfit
+from .trial import Fitted, corrected, usual_misfit, with_effect
 
 _BANDS = np.array([0.0, 1.5, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 60.0, 1e9])  # Hz
 _BINS = 24
@@ -248,10 +248,10 @@ def shrink_with(search: Search, effects) -> float | None:
 def _end_with(search: Search, stage: Stage, effects) -> Stage | None:
     before = []
     for effect in effects:
-        start, visible = Fitted(effect, (), stage), _visible_of(effect)
-        fitted = fitted_with(search.setting, stage, start, visible, tuple(before))
-        if fitted is None:
+        first = with_effect(search.setting, stage, effect, before)
+        if first is None:
             return None
+        fitted = corrected(search.setting, Fitted(effect, (), first), stage, _visible_of(effect), before)
         stage = fitted.stage
         before.append(fitted.effect)
     return stage

@@ -28,7 +28,7 @@ from .stage import (
     score,
     table,
 )
-from .trial import CLOSE, Fitted, Setting, corrected, fitted_with, together, usual_misfit
+from .trial import CLOSE, MOST_CORRECTIONS, Fitted, Setting, corrected, together, usual_misfit, with_effect
 
 MOST = 2  # effects
 _PART, _CLEAR_PART = 0.012, 0.002  # of the misfit that a candidate must explain; with a t beyond _CLEAR_T
@@ -141,19 +141,21 @@ def search(
     """
     say, done = say or (lambda text: None), progress or (lambda part: None)
     these, setting = knobs(robot), Setting(robot, record, np.asarray(opened))
-    views = _views(setting, these, say)
-    first_views, stage = tuple(views), views[0]
+    starts = _views(setting, these, say)
     done(0.3)
-    columns = _table(views[-1], record, opened, own)
+    columns = _table(starts[-1], record, opened, own)
     steps, first = [], ()
     while len(steps) < MOST:
+        views = (steps[-1].stage,) if steps else starts
         had = {step.option.key for step in steps}
-        ranked = [_Ranked(view, tuple(score(view, retold(columns, view)))) for view in views]
+        ranked = [
+            _Ranked(view, tuple(s for s in _scored(view, columns, starts[-1]) if s.candidate.key not in had))
+            for view in views
+        ]
         first = first or ranked[0].scored
-        ranked = [_Ranked(r.stage, tuple(s for s in r.scored if s.candidate.key not in had)) for r in ranked]
         kept = read_round(parts, len(steps))
         if kept is not None:
-            step = _remembered(setting, kept, stage, ranked[0].scored, steps)
+            step = _remembered(setting, kept, views[0], ranked[0].scored, steps)
         else:
             step = _best(setting, ranked, steps, say)
             keep_round(parts, len(steps), _round(step, these))
@@ -161,11 +163,9 @@ def search(
             break
         say(f"{step.effect.name} {step.option.key[1]}: misfit {step.before:.3g} -> {step.after:.3g}")
         steps.append(step)
-        stage = step.stage
-        views = [stage]
         done(0.3 + 0.6 * len(steps) / MOST)
     done(0.95)
-    return Search(setting, these, first_views, tuple(steps), first)
+    return Search(setting, these, starts, tuple(steps), first)
 
 
 class _Ranked(eqx.Module):
@@ -173,7 +173,12 @@ class _Ranked(eqx.Module):
     scored: tuple[Scored, ...]
 
 
-def _views(setting: Setting, these, say: Say) -> list[Stage]:
+def _scored(view: Stage, columns: Table, own: Stage) -> list[Scored]:
+    """The ranking of a view. `own`: the stage that the columns were made for."""
+    return score(view, columns if view is own else retold(columns, view))
+
+
+def _views(setting: Setting, these, say: Say) -> tuple[Stage, ...]:
     """The robot with its own numbers refitted, if they need that; and as it was given, where that was no cure.
 
     A large effect pulls the robot's numbers away from the truth, from where its first order leads nowhere; numbers
@@ -183,16 +188,16 @@ def _views(setting: Setting, these, say: Say) -> list[Stage]:
     given = look(robot, record, these, np.zeros(len(these)), opened)
     say(f"base model: misfit {given.misfit:.3g} times the floor's")
     if given.misfit <= FAR:
-        return [given]
+        return (given,)
     base = given
     for _ in range(_REFITS):
-        near = base if base is given else look_closely(base, opened)
-        turns = together(near.turns, near.fit.x[: len(these)])
-        base = look_again(near, turned(robot, these, turns), record, turns, opened, near=False)
+        last = base if base is given else look_closely(base, opened)
+        turns = together(last.turns, last.fit.x[: len(these)])
+        base = look_again(last, turned(robot, these, turns), record, turns, opened, near=False)
         say(f"refitted: misfit {base.misfit:.3g}")
-        if base.misfit <= FAR or base.misfit > _CURES * near.misfit:
+        if base.misfit <= FAR or base.misfit > _CURES * last.misfit:
             break
-    return [base, given] if base.misfit > FAR else [base]
+    return (base, given) if base.misfit > FAR else (base,)
 
 
 def _table(stage: Stage, record: Measured, opened, own) -> Table:
@@ -254,11 +259,12 @@ def _best(setting: Setting, ranked: Sequence[_Ranked], steps, say: Say) -> Step 
         for option in these[:_SIMULATED]:
             if option.drop < _RIVAL * these[0].drop:
                 break
-            start = Fitted(option.refined.effect, option.refined.std, view.stage)
-            fitted = fitted_with(setting, view.stage, start, _visible(option.scored), before, _FIRST_CORRECTIONS)
-            if fitted is not None:
-                tried.append(_Trial(option, view.stage, fitted))
-                say(f"  simulated {tried[-1].told(usual)}")
+            stage = with_effect(setting, view.stage, option.refined.effect, before)
+            if stage is None:
+                continue
+            first = _Trial(option, view.stage, Fitted(option.refined.effect, option.refined.std, stage))
+            tried.append(first.further(setting, like, before, _FIRST_CORRECTIONS))
+            say(f"  simulated {tried[-1].told(usual)}")
     tried = _in_the_race(tried, usual)
     for i, trial in enumerate(tried):
         if trial.stage.misfit > CLOSE:
@@ -342,10 +348,10 @@ class _Trial(eqx.Module):
     def stage(self) -> Stage:
         return self.fitted.stage
 
-    def further(self, setting: Setting, like: Stage, before) -> "_Trial":
+    def further(self, setting: Setting, like: Stage, before, most: int = MOST_CORRECTIONS) -> "_Trial":
         """The same, corrected until that is of no use."""
         visible = _visible(self.option.scored)
-        return _Trial(self.option, self.view, corrected(setting, self.fitted, like, visible, before))
+        return _Trial(self.option, self.view, corrected(setting, self.fitted, like, visible, before, most))
 
     def keeps(self, usual) -> bool:
         """Whether the simulation keeps what the signature promised."""

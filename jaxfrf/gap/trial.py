@@ -33,18 +33,11 @@ class Fitted(eqx.Module):
     stage: Stage
 
 
-def fitted_with(setting: Setting, stage: Stage, start: Fitted, visible: float, before, most=MOST_CORRECTIONS):
-    """An effect simulated beside those of `before`, its parameters and the base's corrected; `None` if it cannot be."""
-    first = with_effect(setting, stage, start.effect, before)
-    if first is None:
-        return None
-    return corrected(setting, Fitted(start.effect, start.std, first), stage, visible, before, most)
-
-
 def corrected(setting: Setting, fitted: Fitted, like: Stage, visible: float, before, most=MOST_CORRECTIONS) -> Fitted:
     """Parameters and the base's numbers after at most so many more simulations, while they help.
 
-    **Arguments:** `like`: the stage without the effect, which weighs the lines. `visible`: as for `refine`.
+    **Arguments:** `like`: a stage without the effect, which weighs the lines. `visible`: as for `refine`. `before`:
+    effects that the robot has besides.
     """
     effect, std, after = fitted.effect, fitted.std, fitted.stage
     for _ in range(most):
