@@ -236,7 +236,7 @@ class Problem:
         import numpy as np
 
         import jaxfrf as jf
-        from jaxfrf.graybox.cost import target
+        from jaxfrf.graybox.cost import Cost, target
         from jaxfrf.io.designs import read_design
 
         robot = _linear_robot(gravity)
@@ -251,13 +251,12 @@ class Problem:
         self.chosen = list(jf.graybox.d_optimal(information, CHOSEN))
         self.frf = _noisy_frf(self.model, self.coordinates.values(self.true_x), self.frequency, q[self.chosen])
         self.target = target(self.frf, jf.Weights(), q[self.chosen])
+        self.products = Cost(self.model, self.coordinates, self.target)
         self.baseline = Baseline(robot, self)
         self._jnp = jnp
 
     def gram(self, x=None):
-        from jaxfrf.graybox.cost import gram
-
-        return gram(self.model, self.coordinates, self.target, self._jnp.asarray(self.true_x if x is None else x))
+        return self.products(self._jnp.asarray(self.true_x if x is None else x))
 
     @property
     def cost(self):
@@ -274,7 +273,7 @@ class Problem:
         from jaxfrf.graybox.solver import descend
 
         solver = LevenbergMarquardt()
-        end = descend(self.model, self.coordinates, self.target, self._jnp.asarray(x), solver, solver.max_steps)
+        end = descend(self.products, self._jnp.asarray(x), solver, solver.max_steps)
         steps = int(end.steps)
         return {
             "x": np.asarray(end.x),

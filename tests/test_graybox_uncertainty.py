@@ -17,7 +17,7 @@ from test_graybox_fit import frf_of, noisy, random_covariance
 
 import jaxfrf as jf
 from jaxfrf.graybox import Coordinates
-from jaxfrf.graybox.cost import target
+from jaxfrf.graybox.cost import Cost, target
 from jaxfrf.graybox.solver import descend
 from jaxfrf.graybox.uncertainty import uncertainty
 
@@ -68,7 +68,8 @@ def trials(model, frfs, weights, values):
     truth = coordinates.start()
     targets = [target(frf, weights, model.points(frf.q, frf.n_pos)) for frf in frfs]
     ends = [
-        descend(model, coordinates, tg, truth, jf.LevenbergMarquardt(max_steps=25), tolerance=1e-6) for tg in targets
+        descend(Cost(model, coordinates, tg), truth, jf.LevenbergMarquardt(max_steps=25), tolerance=1e-6)
+        for tg in targets
     ]
     x = np.stack([end.x for end in ends])
     known = [uncertainty(model, coordinates, tg, xi) for tg, xi in zip(targets, x, strict=True)]

@@ -6,6 +6,7 @@
 """
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -20,6 +21,7 @@ from .model import AbstractModel
 from .parameter import Coordinates
 
 _LEAST = 2.0  # degrees of freedom beyond the size of a covariance: with fewer, its inverse has no variance
+_PLACES = 400  # lines of all positions that are worked on at the same time
 _FLOOR = 1e-6  # a variance of zero has no weight
 
 
@@ -251,47 +253,137 @@ def _kernel(line: int, width: int, count: int) -> np.ndarray:
 
 def at_position(model: AbstractModel, coordinates: Coordinates, frequency, x, point):
     """G and d log G/dx at one operating point: (freq, vec), (freq, vec, parameter)."""
-    values = coordinates.values(x)
-    G, slopes = model.response_and_jacobian(frequency, values, point)
+    G, columns, chain = _columns(model, coordinates, frequency, x, point)
+    slopes = jnp.swapaxes(columns / G[..., None], 1, 2).reshape(len(G), -1, columns.shape[-1])
+    return vec(G), slopes @ chain.astype(slopes.dtype)
+
+
+def _columns(model: AbstractModel, coordinates: Coordinates, frequency, x, point):
+    """G, its derivative in every value that depends on x, and that of the values in x: (freq, out, in), (freq, out, in,
+    column), (column, parameter)."""
+    own, moving = coordinates.parameters, _moving(coordinates)
+    G, columns, names = model.response_and_columns(frequency, coordinates.values(x), point, moving)
     # Every value depends on one x only: the chain rule is a number for each.
     slope = jax.jvp(coordinates.values, (x,), (jnp.ones_like(x),))[1]
-    columns = [
-        sum(vec(slopes[n]) * slope[n] for n, p in coordinates.parameters.items() if name in (n, p.same_as))
-        for name in coordinates.names
-    ]
-    g = vec(G)
-    return g, jnp.stack(columns, axis=-1) / g[..., None]
+    place = np.array([coordinates.names.index(own[n].same_as or n) for n in names])
+    chain = jnp.stack([slope[n] for n in names])[:, None] * np.eye(coordinates.size)[place]
+    return G, columns, chain
 
 
-def _error_and_slope(model, coordinates, frequency, x, log_G, used, point):
-    """E and d log G/dx at one position, zero where an element is left out (the model may be 0 or infinite there): the
-    phase of the ratio by its principal value, never a difference of angles."""
-    g, slope = at_position(model, coordinates, frequency, x, point)
-    ratio = jnp.where(used, jnp.exp(log_G) / g, 1.0)
-    return jnp.log(jnp.abs(ratio)) + 1j * jnp.angle(ratio), jnp.where(used[..., None], slope, 0)
+def _moving(coordinates: Coordinates) -> tuple[str, ...]:
+    """Names of the values that depend on x."""
+    return tuple(n for n, p in coordinates.parameters.items() if (p.same_as or n) in coordinates.names)
 
 
-def weighted(magnitude, phase, whitener, E):
-    """Real residuals from complex errors E (freq, vec, ...): stacked along a leading axis of two."""
-    if whitener is not None:
-        E = jnp.einsum("fvw,fw...->fv...", whitener, E)
-    more = (...,) + (None,) * (E.ndim - 2)
-    return jnp.stack([magnitude[more] * E.real, phase[more] * E.imag])
+def _error(g, log_G, used):
+    """E, zero where an element is left out (the model may be 0 or infinite there): the phase of the ratio by its
+    principal value, never a difference of angles."""
+    g = jnp.where(used, g, 1.0)
+    size = jnp.where(used, log_G.real - jnp.log(jnp.abs(g)), 0.0)
+    return jax.lax.complex(size, jnp.where(used, jnp.angle(jnp.exp(1j * log_G.imag) * jnp.conj(g)), 0.0))
 
 
-@eqx.filter_jit
 def gram(model: AbstractModel, coordinates: Coordinates, target: Target, x) -> Float[Array, "column column"]:
     """[J r]^T [J r] of the weighted residuals r = sqrt(W) E and J = dr/dx: everything that least squares needs."""
+    return Cost(model, coordinates, target)(x)
+
+
+class Cost:
+    """The cost of a model and a target, made ready to be asked at many x: called with x (parameter,) it gives `gram`.
+
+    **Fields:** `coordinates`: of x. `total`: sum of the weights of all magnitudes and phases.
+    """
+
+    def __init__(self, model: AbstractModel, coordinates: Coordinates, target: Target):
+        self.coordinates = coordinates
+        weights = np.sum(np.square(target.magnitude)) + np.sum(np.square(target.phase))
+        self.total = float(weights) if target.whitener is None else float(target.log_G.size)
+        positions = (target.log_G, target.magnitude, target.phase, target.whitener, target.used, target.points)
+        arrays, rest = eqx.partition((model, coordinates, target.frequency, positions), eqx.is_array)
+        self._leaves, tree = jax.tree.flatten(jax.tree.map(jnp.asarray, arrays))
+        self._program = _Program(tree, rest, max(1, _PLACES // len(target.frequency)))
+
+    def __call__(self, x) -> Float[Array, "column column"]:
+        return _gram(self._program, self._leaves, x)
+
+
+class _Program:
+    """What the compiled cost depends on beside its arrays, with a hash that is taken once.
+
+    **Fields:** `tree`: how arrays are put together, `rest`: what is no array. `together`: positions at the same time.
+    """
+
+    def __init__(self, tree, rest, together: int):
+        self.tree, self.rest, self.together = tree, rest, together
+        leaves, shape = jax.tree.flatten(rest)
+        self._key = (tree, tuple(leaves), shape, together)
+        self._hash = hash(self._key)
+
+    def __hash__(self):
+        return self._hash
+
+    def __eq__(self, other):
+        return self is other or (isinstance(other, _Program) and self._key == other._key)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _gram(program: _Program, leaves, x):
+    arrays = jax.tree.unflatten(program.tree, leaves)
+    model, coordinates, frequency, positions = eqx.combine(arrays, program.rest)
+    mirrored = positions[3] is None and model.reciprocal(_moving(coordinates))
+    products = _mirrored_products if mirrored else _products
 
     def one(position):
-        log_G, magnitude, phase, whitener, used, point = position
-        E, slope = _error_and_slope(model, coordinates, target.frequency, x, log_G, used, point)
-        columns = jnp.concatenate([-slope, E[..., None]], axis=-1)
-        a = weighted(magnitude, phase, whitener, columns).reshape(-1, coordinates.size + 1)
-        return a.T @ a
+        *data, point = position
+        G, columns, chain = _columns(model, coordinates, frequency, x, point)
+        # The chain rule after the sum, where it costs nothing.
+        onto = jax.scipy.linalg.block_diag(chain, jnp.ones((1, 1)))
+        return onto.T @ products(G, columns, *data) @ onto
 
-    positions = (target.log_G, target.magnitude, target.phase, target.whitener, target.used, target.points)
-    return jnp.sum(jax.lax.map(one, positions), axis=0)
+    return jnp.sum(jax.lax.map(one, positions, batch_size=program.together), axis=0)
+
+
+def _products(G, columns, log_G, magnitude, phase, whitener, used):
+    """[J r]^T [J r] of one position, J in the columns."""
+    g, columns = vec(G), jnp.swapaxes(columns, 1, 2).reshape(len(G), -1, columns.shape[-1])
+    error = _error(g, log_G, used)
+    real, imag = _relative(g, columns, used)
+    if whitener is not None:
+        whitened = whitener @ jnp.concatenate([jax.lax.complex(real, imag), error[..., None]], axis=-1)
+        real, imag, error = whitened.real[..., :-1], whitened.imag[..., :-1], whitened[..., -1]
+    return _square(magnitude, real, magnitude * error.real) + _square(phase, imag, phase * error.imag)
+
+
+def _mirrored_products(G, columns, log_G, magnitude, phase, whitener, used):
+    """The same where an element and its mirror image have the same slopes: one row for both."""
+    n = G.shape[-1]
+    out, into = np.triu_indices(n)
+    one, other = into * n + out, out * n + into  # their places in vec G
+    error = _error(vec(G), log_G, used)
+    real, imag = _relative(G[:, out, into], columns[:, out, into], used[:, one] | used[:, other])
+
+    def square(weight, slope, e):
+        weight = jnp.square(weight)
+        both = jnp.where(one == other, 0.5, 1.0) * (weight[:, one] + weight[:, other])
+        force = jnp.where(one == other, 0.5, 1.0) * ((weight * e)[:, one] + (weight * e)[:, other])
+        root = jnp.sqrt(both)
+        product = _square(root, slope, jnp.where(both > 0, force / jnp.where(both > 0, root, 1.0), 0.0))
+        return product.at[-1, -1].set(jnp.sum(weight * jnp.square(e)))
+
+    return square(magnitude, real, error.real) + square(phase, imag, error.imag)
+
+
+def _relative(g, columns, used):
+    """Slopes of E, -d log G, (freq, element, column), as real and imaginary part; 0 where an element is left out."""
+    inverse = -1.0 / jnp.where(used, g, 1.0)[..., None]
+    of = lambda part: jnp.where(used[..., None], part, 0.0)
+    real = columns.real * inverse.real - columns.imag * inverse.imag
+    return of(real), of(columns.real * inverse.imag + columns.imag * inverse.real)
+
+
+def _square(root, slope, weighted):
+    a = jnp.concatenate([root[..., None] * slope, weighted[..., None]], axis=-1).reshape(-1, slope.shape[-1] + 1)
+    return a.T @ a
 
 
 @eqx.filter_jit
@@ -302,7 +394,8 @@ def errors(
 
     def one(position):
         log_G, used, point = position
-        return _error_and_slope(model, coordinates, target.frequency, x, log_G, used, point)
+        g, slope = at_position(model, coordinates, target.frequency, x, point)
+        return _error(g, log_G, used), jnp.where(used[..., None], slope, 0)
 
     return jax.lax.map(one, (target.log_G, target.used, target.points))
 

@@ -14,7 +14,7 @@ from jaxtyping import Float, PRNGKeyArray, PyTree
 from .._errors import input_error
 from .._types import require_x64
 from ..frf import FRF
-from .cost import Target, Weights, assumed_cost, gram, select, target
+from .cost import Cost, Target, Weights, assumed_cost, gram, select, target
 from .model import AbstractModel, fix
 from .parameter import Coordinates, matching
 from .solver import AbstractSolver, Descent, LevenbergMarquardt, check_solver, descend
@@ -198,23 +198,24 @@ def fit_target(
     model, blind = _without_blind(model, tg)
     coordinates = Coordinates(model.parameters)
     begin = _starts(coordinates, starts, jr.key(0) if key is None else key)
-    coarse, share = _coarse(tg)
+    part, share = _coarse(tg)
+    whole, coarse = Cost(model, coordinates, tg), Cost(model, coordinates, part)
     ends, total = [], len(begin) + (len(begin) if keep is None else min(keep, len(begin)))
     for i, x in enumerate(begin):
-        ends.append(descend(model, coordinates, coarse, x, solver, tolerance=max(_NEAR, solver.tolerance)))
+        ends.append(descend(coarse, x, solver, tolerance=max(_NEAR, solver.tolerance)))
         if progress is not None:
             progress(i + 1, total)
     made = [_searched(end, share) for end in ends]
     chosen = _chosen(made, keep)
     for done, (i, members) in enumerate(chosen.items()):
-        end = descend(model, coordinates, tg, made[i].x, solver)
+        end = descend(whole, made[i].x, solver)
         for member in members:
             made[member] = _polished(made[member], end, alone=member == i)
         if progress is not None:
             progress(len(begin) + done + 1, total)
     if progress is not None:
         progress(total, total)
-    made = [_left(model, coordinates, tg, start) for start in made]
+    made = [_left(whole, start) for start in made]
     best = min(made, key=lambda s: s.cost)
     if not np.isfinite(best.cost):
         raise input_error("fit", "no start with a finite cost", "a model that is finite at its start", "Check it.")
@@ -317,11 +318,11 @@ def _searched(end: Descent, share: float) -> Start:
     return Start(end.x, cost if known else np.inf, end.path_x, end.path_cost * share, False, end.converged)
 
 
-def _left(model, coordinates, tg, start: Start) -> Start:
+def _left(whole: Cost, start: Start) -> Start:
     """A start that was not followed to the end, with its cost over all lines."""
     if start.polished or not np.isfinite(start.cost):
         return start
-    cost = float(gram(model, coordinates, tg, jnp.asarray(start.x))[-1, -1])
+    cost = float(whole(jnp.asarray(start.x))[-1, -1])
     return dataclasses.replace(start, cost=cost if np.isfinite(cost) else np.inf)
 
 

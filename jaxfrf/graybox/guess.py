@@ -10,7 +10,7 @@ from .._errors import input_error
 from .._types import require_x64
 from ..frf import FRF, features
 from ..robot import Robot, arm_inertia
-from .cost import Target, Weights, target
+from .cost import Cost, Target, Weights, target
 from .fit import _check_shape, _coarse, _without_blind
 from .model import RobotModel, starting_at
 from .parameter import Coordinates, Parameter
@@ -198,9 +198,10 @@ def _searched(begin: RobotModel, tg: Target, seen) -> tuple[dict[str, float], fl
     """Values at the best of several descents, their error in dB, and notes."""
     model, blind = _without_blind(begin, tg)
     coordinates, solver = Coordinates(model.parameters), LevenbergMarquardt()
+    diagonal = Cost(model, coordinates, tg)
     ends: list[tuple[float, np.ndarray]] = []
     for x in _starts(model, coordinates, seen):
-        end = descend(model, coordinates, tg, x, solver)
+        end = descend(diagonal, x, solver)
         if np.isfinite(end.cost) and np.isfinite(end.x).all():
             ends.append((float(end.cost), end.x))
         if _agreeing(ends, coordinates) >= _AGREE:

@@ -2,7 +2,7 @@
 
 import abc
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -37,6 +37,19 @@ class AbstractModel(eqx.Module):
         """G and dG/dvalue of every parameter, by forward differentiation; override it where it can be cheaper."""
         G = self.response(frequency, values, point)
         return G, jax.jacfwd(lambda v: self.response(frequency, v, point))(dict(values))
+
+    def response_and_columns(
+        self, frequency: Float[Array, "freq"], values: Values, point: PyTree, names: Sequence[str]
+    ) -> tuple[Complex[Array, "freq out in"], Complex[Array, "freq out in column"], tuple[str, ...]]:
+        """G, dG/dvalue of these parameters along a last axis, and their names in the order that they have there: what
+        the fit asks for. From `response_and_jacobian`, unless a model has them together already."""
+        G, slopes = self.response_and_jacobian(frequency, values, point)
+        return G, jnp.stack([slopes[name] for name in names], axis=-1), tuple(names)
+
+    def reciprocal(self, names: Sequence[str]) -> bool:
+        """Whether each of these parameters changes an element of log G and its mirror image, [a, b] and [b, a], by the
+        same amount, as springs and dampers of a machine do whose G is symmetric: the fit then needs one of the two."""
+        return False
 
     def points(self, q: Float[Array, "pos joint"] | None, n_pos: int) -> PyTree:
         """Operating points with a leading axis (pos, ...), from the arm configurations of an FRF."""
@@ -149,7 +162,7 @@ class RobotModel(AbstractModel):
         self.parameters = known
 
     def response(self, frequency, values, point):
-        return self._inner(frequency, values, point).G[0] * self._command(frequency, values)
+        return self._inner(frequency, values, point).G * self._command(frequency, values)
 
     def _command(self, frequency, values):
         """Gain and delay of every torque command, (freq, 1, axis)."""
@@ -165,19 +178,31 @@ class RobotModel(AbstractModel):
         robot = with_parameters(self.robot, {n: values[n] for n in springs})
         q, swing = (point.q, point.swing) if isinstance(point, RobotPoint) else (point, None)
         friction = self._by_axis(values, "effective_friction")
-        return frf_and_jacobian(robot, q[None], frequency, self.quantity, self.hold, 0.0, friction, swing)
+        return frf_and_jacobian(robot, q, frequency, self.quantity, self.hold, 0.0, friction, swing)
 
     def response_and_jacobian(self, frequency, values, point):
+        G, columns, names = self.response_and_columns(frequency, values, point, tuple(self.parameters))
+        return G, {name: columns[..., i] for i, name in enumerate(names)}
+
+    def response_and_columns(self, frequency, values, point, names):
         inner = self._inner(frequency, values, point)
         command = self._command(frequency, values)
-        G = inner.G[0] * command
-        slopes = {name: inner.jacobian[0, ..., i] * command for i, name in enumerate(inner.names)}
+        G = inner.G * command
+        kept = [i for i, name in enumerate(inner.names) if name in names]
+        slopes = inner.jacobian if len(kept) == len(inner.names) else inner.jacobian[..., np.array(kept, int)]
+        columns, names_of = [slopes * command[..., None]], [inner.names[i] for i in kept]
         s = 2j * jnp.pi * jnp.asarray(frequency)[:, None]
-        zero = jnp.zeros_like(G)
-        for i, axis in enumerate(self.robot.axis_names):
-            slopes[f"{axis}.torque_gain"] = zero.at[:, :, i].set(G[:, :, i] / values[f"{axis}.torque_gain"])
-            slopes[f"{axis}.delay"] = zero.at[:, :, i].set(-s * G[:, :, i])
-        return G, slopes
+        for axis, name in enumerate(self.robot.axis_names):
+            changes = {f"{name}.torque_gain": 1 / values[f"{name}.torque_gain"], f"{name}.delay": -s}
+            for parameter in [n for n in changes if n in names]:
+                column = jnp.zeros_like(G).at[:, :, axis].set(changes[parameter] * G[:, :, axis])
+                columns.append(column[..., None])
+                names_of.append(parameter)
+        return G, jnp.concatenate(columns, axis=-1), tuple(names_of)
+
+    def reciprocal(self, names):
+        kinds = {n.rpartition(".")[2] for n in names}
+        return not self.robot.effects and kinds <= {"stiffness", "damping", "effective_friction"}
 
     def points(self, q, n_pos):
         if q is None or np.shape(q)[-1] != self.robot.n_axes:

@@ -134,11 +134,12 @@ class Parameter(eqx.Module):
     def _ends(self):
         """The bounds in x, and the width of the corners at them."""
         low, high = self.limits
+        xp = np if isinstance(low, np.generic) else jnp  # a number of NumPy's, or one of a program being made
         if self.positive:
-            low, high = jnp.where(low > 0, jnp.log(jnp.maximum(low, 1e-300)), -jnp.inf), jnp.log(high)
+            low, high = xp.where(low > 0, xp.log(xp.maximum(low, 1e-300)), -xp.inf), xp.log(high)
         else:
             low, high = low / self.scale, high / self.scale
-        return (low, high), jnp.minimum(_ROUND, _SHARE * (high - low))
+        return (low, high), xp.minimum(_ROUND, _SHARE * (high - low))
 
 
 def _inverse_softplus(t: float) -> float:
@@ -188,10 +189,10 @@ class Coordinates(eqx.Module):
         """The nearest x that is not beyond a bound, (parameter,)."""
         return np.array([self.parameters[n].inside(float(xi)) for n, xi in zip(self.names, x, strict=True)])
 
-    def reach(self) -> tuple[jax.Array, jax.Array]:
+    def reach(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest x that a solver may try, (parameter,) each."""
         low, high = zip(*(self.parameters[name].reach() for name in self.names), strict=True)
-        return jnp.stack([jnp.asarray(x) for x in low]), jnp.stack([jnp.asarray(x) for x in high])
+        return np.array(low), np.array(high)
 
     def values(self, x: Float[Array, "parameter"]) -> dict[str, jax.Array]:
         """Every parameter of the model at x: free, shared and fixed."""

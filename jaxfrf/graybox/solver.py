@@ -12,9 +12,7 @@ from jaxtyping import Float
 
 from .._errors import input_error
 from .._types import Array
-from .cost import Target, gram
-from .model import AbstractModel
-from .parameter import Coordinates
+from .cost import Cost
 
 _REFUSED = 10  # steps refused one after the other: rounding is all that is left
 
@@ -125,6 +123,7 @@ def _machine(solver: AbstractSolver, size: int):
     state = inner.init(blank, jnp.zeros(size), None, {}, f_struct, aux_struct, tags)
     _, static = eqx.partition(state, eqx.is_array)  # a state holds a traced function too, the same at every step
 
+    @jax.jit
     def start(x):
         return eqx.filter(inner.init(blank, x, None, {}, f_struct, aux_struct, tags), eqx.is_array)
 
@@ -140,9 +139,7 @@ def _machine(solver: AbstractSolver, size: int):
 
 
 def descend(
-    model: AbstractModel,
-    coordinates: Coordinates,
-    target: Target,
+    cost: Cost,
     x: Float[Array, "parameter"],
     solver: AbstractSolver,
     max_steps: int | None = None,
@@ -152,24 +149,22 @@ def descend(
     max_steps = solver.max_steps if max_steps is None else max_steps
     tolerance = solver.tolerance if tolerance is None else tolerance
     # In these units the cost is a weighted mean square of E: optimistix starts with a damping of 1.
-    total = np.sum(np.square(target.magnitude)) + np.sum(np.square(target.phase))
-    total = total if target.whitener is None else target.log_G.size
-    scale = _GAIN / float(np.sqrt(max(total, 1e-300)))
-    start, advance = _machine(solver, coordinates.size)
-    low, high = coordinates.reach()
+    scale = _GAIN / float(np.sqrt(max(cost.total, 1e-300)))
+    start, advance = _machine(solver, cost.coordinates.size)
+    low, high = cost.coordinates.reach()
     x = jnp.asarray(x)
     state = start(x)
     path_x, path_cost, refused, converged = [], [], 0, False
     for step in range(max_steps + 1):
-        root = _root(gram(model, coordinates, target, state.y_eval), scale)
+        root = _root(cost(state.y_eval), scale)
         new, state = advance(x, state, root, low, high)
-        change, cost = float(jnp.max(jnp.abs(new - x))), float(state.aux) / scale**2
+        change, reached = float(jnp.max(jnp.abs(new - x))), float(state.aux) / scale**2
         x = new
         path_x.append(np.asarray(x))
-        path_cost.append(cost)
+        path_cost.append(reached)
         refused = 0 if change > 0 else refused + 1
         converged = bool(step > 0 and (0 < change < tolerance or refused > _REFUSED))
-        if converged or not np.isfinite(cost):
+        if converged or not np.isfinite(reached):
             break
     return Descent(path_x[-1], path_cost[-1], len(path_x) - 1, converged, np.stack(path_x), np.array(path_cost))
 

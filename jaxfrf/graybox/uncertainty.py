@@ -142,12 +142,13 @@ def _position(target: Target, slope, pos: int):
     flat = flat * np.sqrt(np.asarray(target.scatter[pos])[:, 1:])
     T = flat.reshape(T.shape)
     spread = flat if rho is None else rho @ flat
-    M = np.einsum("fpv,fqv->pq", spread.reshape(T.shape), T)
+    M = np.tensordot(spread.reshape(T.shape), T, axes=((0, 2), (0, 2)))
     solved = np.linalg.solve(np.where(known[:, None, None], factor, 0) + eye * ~(used & known[:, None])[:, None], J)
     solved = np.where(known[:, None, None], solved, 0)
     shares = np.ones(len(T)) if rho is None else 1.0 / np.maximum(rho.sum(axis=1), 1.0)
     shares = shares / np.asarray(target.scatter[pos])[:, 0]
-    information = 2 * np.real(np.einsum("fvp,fvq,f->pq", solved.conj(), solved, shares))
+    solved = (np.sqrt(shares)[:, None, None] * solved).reshape(-1, J.shape[-1])
+    information = 2 * np.real(solved.conj().T @ solved)
     power = np.square(weight)[..., None] * np.abs(seen_factor) ** 2
     power = float(np.sum(np.asarray(target.scatter[pos])[:, 0] * power.sum(axis=(-1, -2))))
     return M, information, power

@@ -66,16 +66,19 @@ def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quan
         (mass, damping, stiffness, losses), slope = position
         model = LinearRobot(mass, damping, stiffness, motor, partners, (), rebuilt(losses))
         X = motion(model, omega)
-        G = (motor.T @ X) * factor + aliases(model, hold, corrections)
-        derivative = _rank_one(robot, model, slope, X, omega, factor, complex_share)
+        position = motor.T @ X
+        G = position * factor + aliases(model, hold, corrections)
+        derivative = _rank_one(robot, model, slope, X, position, omega, factor, complex_share)
         if hold is not None:
             derivative = derivative + _alias_slopes(robot, model, slope, hold, corrections)
         return G, derivative
 
-    # One position after the other: what a position needs then stays in the cache.
-    lossy = tuple(loss.stiffness for loss in model.losses)
-    G, jacobian = jax.lax.map(at, ((model.mass, model.damping, model.stiffness, lossy), slopes))
+    matrices = (model.mass, model.damping, model.stiffness, tuple(loss.stiffness for loss in model.losses))
     batch = arm_angles.shape[:-1]
+    if not batch:  # no loop, so that the compiler can merge what comes after with what is here
+        return ParametricResponse(*at(jax.tree.map(lambda x: x[0], (matrices, slopes))), parameter_names(robot))
+    # One position after the other: what a position needs then stays in the cache.
+    G, jacobian = jax.lax.map(at, (matrices, slopes))
     return ParametricResponse(
         G.reshape(*batch, *G.shape[1:]), jacobian.reshape(*batch, *jacobian.shape[1:]), parameter_names(robot)
     )
@@ -134,11 +137,11 @@ def _complex_share(robot: Robot, model: LinearRobot, omega):
     return jnp.concatenate([gears, jnp.ones((robot.n_elastic, omega.size), complex)]).T
 
 
-def _rank_one(robot: Robot, model: LinearRobot, slope: _Slopes, X, omega, factor, complex_share):
+def _rank_one(robot: Robot, model: LinearRobot, slope: _Slopes, X, position, omega, factor, complex_share):
     """Derivative of `factor` times the position FRF: (freq, axis, axis, parameter)."""
-    springs, n_gears, n_springs = spring_directions(robot), robot.n_motors, robot.n_motors + robot.n_elastic
-    directions = jnp.concatenate([springs, springs, model.motor], axis=1)
-    across = jnp.einsum("fia,ip->fap", X, directions.astype(X.dtype))
+    n_gears, n_springs = robot.n_motors, robot.n_motors + robot.n_elastic
+    stretch = _stretch(robot, X)
+    across = jnp.concatenate([stretch, stretch, jnp.swapaxes(position, 1, 2)], axis=-1)
     gears = jnp.arange(n_springs) < n_gears
     static = jnp.broadcast_to(jnp.where(gears, slope.local, 0.0), (omega.size, n_springs))
     static = static if complex_share is None else static * complex_share
@@ -148,10 +151,16 @@ def _rank_one(robot: Robot, model: LinearRobot, slope: _Slopes, X, omega, factor
     columns = left[:, :, None] * (across * late)[:, None]
     if not robot.n_elastic:
         return columns
-    stretch = across[..., :n_springs]
     tight = stretch if complex_share is None else stretch * complex_share[:, None]
     elastic = _moved_equilibrium(slope, X[:, n_gears:], stretch, tight, omega) * late[:, None]
-    return columns + jnp.pad(elastic, ((0, 0), (0, 0), (0, 0), (n_gears, n_springs + robot.n_axes)))
+    return jnp.concatenate([columns[..., :n_gears], elastic, columns[..., n_springs:]], axis=-1)
+
+
+def _stretch(robot: Robot, X):
+    """Deflection of every spring per unit torque, (freq, axis, spring)."""
+    springs = spring_directions(robot)
+    of = lambda part: jnp.einsum("fia,is->fas", part, springs)  # a real product each: half the work of a complex one
+    return jax.lax.complex(of(X.real), of(X.imag))
 
 
 def _moved_equilibrium(slope: _Slopes, X, across, tight, omega):
