@@ -9,6 +9,7 @@ import re
 import jax.random as jr
 import numpy as np
 import pytest
+from two_axes import ROBOT
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
@@ -17,49 +18,6 @@ from jaxfrf.io.fits import read_fit, write_fit
 from jaxfrf.io.frf_or_record import holds_frf, read_frfs
 from jaxfrf.io.robots import read_robot
 
-ROBOT = """
-name = "two axes"
-gravity = [0.0, 0.0, -9.81]
-sampling_frequency = 500.0
-
-[[joint]]
-name = "shoulder"
-type = "driven"
-axis = [0.0, 1.0, 0.0]
-offset = [0.0, 0.0, 0.3]
-mass = 8.0
-com = [0.25, 0.0, 0.0]
-inertia = [0.02, 0.2, 0.2, 0.0, 0.0, 0.0]
-gear_ratio = 100.0
-motor_inertia = 2.0e-4
-stiffness = 2.0e4
-damping = 25.0
-viscous_friction = 2.0e-3
-coulomb_friction = 0.05
-torque_limit = 50.0
-velocity_gain = 0.02
-
-[[joint]]
-name = "elbow"
-type = "driven"
-axis = [0.0, 1.0, 0.0]
-offset = [0.5, 0.0, 0.0]
-mass = 4.0
-com = [0.2, 0.0, 0.0]
-inertia = [0.01, 0.1, 0.1, 0.0, 0.0, 0.0]
-gear_ratio = 80.0
-motor_inertia = 1.0e-4
-stiffness = 8.0e3
-damping = 8.0
-viscous_friction = 1.0e-3
-coulomb_friction = 0.03
-torque_limit = 50.0
-velocity_gain = 0.01
-
-[controller]
-position_gain = 8.0
-integral_time = 0.2
-"""
 TRUTH = {"shoulder.stiffness": 2e4, "elbow.stiffness": 8e3, "shoulder.damping": 25.0, "elbow.damping": 8.0}
 BEGIN = {"shoulder.stiffness": 2.6e4, "elbow.stiffness": 6.5e3, "shoulder.damping": 25.0, "elbow.damping": 12.0}
 FREQUENCY = np.arange(3.0, 60.0, 1.0)

@@ -1,5 +1,6 @@
 """How far the springs of a robot move in an experiment, from its records."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -39,36 +40,49 @@ def gear_torque_swing(robot: Robot, data: Experiment) -> Float[np.ndarray, "pos 
 
     From the part of one mean period below 120 Hz, where the excitation and its slow sine are: beyond, ripple and noise
     differentiated twice would rule."""
-    if not data.period:
-        raise input_error("record", "no period", "a periodic record", "Say its period (--set period=N).")
-    gear, inertia = (np.asarray(x) for x in (robot.drives.gear_ratio, robot.drives.motor_inertia))
-    flexible = list(robot.flexible_axes)
     swings = []
     for pos in range(data.n_pos):
-        torque, speed, acceleration = _slow_motion(data, pos)
-        rubbing = np.asarray(robot.drives.friction.torque(jnp.asarray(speed)))
-        in_gear = (gear * (torque - inertia * acceleration - rubbing))[..., flexible]
-        in_gear = in_gear - in_gear.mean(axis=1, keepdims=True)
-        every = in_gear.reshape(-1, len(flexible))
+        every = gear_torque(robot, motion(data, pos)).reshape(-1, len(robot.flexible_axes))
         swings.append(every[np.linspace(0, len(every) - 1, _SAMPLES).astype(int)])
     return np.stack(swings)
 
 
-def _slow_motion(data: Experiment, pos: int):
-    """Torque, motor speed and acceleration of one mean period below the limit, (exp, time, axis), coarsely sampled."""
+class Motion(eqx.Module):
+    """One mean period of every experiment at a position below 120 Hz, coarsely sampled: torque command (N m), motor
+    `angle` about its mean (rad), `speed` and `acceleration`, (exp, time, axis); `step`: between spectral lines, Hz."""
+
+    torque: Float[np.ndarray, "exp time axis"]
+    angle: Float[np.ndarray, "exp time axis"]
+    speed: Float[np.ndarray, "exp time axis"]
+    acceleration: Float[np.ndarray, "exp time axis"]
+    step: float
+
+
+def motion(data: Experiment, pos: int) -> Motion:
+    """The motion at a position, from periodic records.
+
+    **Raises:** `jaxfrf.InputError` for a record without a period."""
+    if not data.period:
+        raise input_error("record", "no period", "a periodic record", "Say its period (--set period=N).")
     steady = slice(data.transient_periods * data.period, (data.transient_periods + data.n_periods) * data.period)
     mean = lambda x: np.asarray(x)[pos, :, steady].reshape(data.n_exp, data.n_periods, data.period, -1).mean(axis=1)
-    count = min(int(_HIGHEST * data.period / data.fs) + 1, data.period // 2)
+    step = data.fs / data.period
+    count = min(int(_HIGHEST / step) + 1, data.period // 2)
     U, Y = (np.fft.rfft(mean(x), axis=1)[:, :count] / data.period for x in (data.u, data.y))
-    s = 2j * np.pi * np.arange(count)[:, None] * data.fs / data.period
-    speed = Y * s ** (1 - derivatives(data.y_quantity)) if derivatives(data.y_quantity) < 2 else _integrated(Y, s)
-    n = 2 * count
-    back = lambda X: np.fft.irfft(X, n, axis=1) * n
-    return back(U), back(speed), back(s * speed)
+    s = 2j * np.pi * np.arange(count)[:, None] * step
+    per = s ** derivatives(data.y_quantity)
+    angle = np.divide(Y, per, out=np.zeros_like(Y), where=s != 0)
+    back = lambda X: np.fft.irfft(X, 2 * count, axis=1) * 2 * count
+    return Motion(back(U), back(angle), back(s * angle), back(s**2 * angle), step)
 
 
-def _integrated(Y, s):
-    return np.divide(Y, s, out=np.zeros_like(Y), where=s != 0)
+def gear_torque(robot: Robot, moved: Motion) -> Float[np.ndarray, "exp time gear"]:
+    """Torque in every flexible transmission about its mean, arm side, N m: what the motors do not keep for
+    themselves."""
+    gear, inertia = (np.asarray(x) for x in (robot.drives.gear_ratio, robot.drives.motor_inertia))
+    rubbing = np.asarray(robot.drives.friction.torque(jnp.asarray(moved.speed)))
+    in_gear = (gear * (moved.torque - inertia * moved.acceleration - rubbing))[..., list(robot.flexible_axes)]
+    return in_gear - in_gear.mean(axis=1, keepdims=True)
 
 
 def deflection_swing(
@@ -76,13 +90,19 @@ def deflection_swing(
 ) -> Float[np.ndarray, "pos sample spring"]:
     """Deflections about the point of rest that a torque in the gears (about gravity's) makes, rad."""
     point = operating_point(robot, np.asarray(q))
-    rest = np.asarray(point.deflection)
     held = np.asarray(robot.springs.torque(point.deflection, jnp.zeros_like(point.deflection)))
-    total = np.repeat(held[:, None], torque.shape[1], axis=1)
-    total[..., : torque.shape[-1]] += torque
+    return deflections(robot, held, torque) - np.asarray(point.deflection)[..., None, :]
+
+
+def deflections(
+    robot: Robot, held: Float[np.ndarray, "*pos spring"], torque: Float[np.ndarray, "*pos sample gear"]
+) -> Float[np.ndarray, "*pos sample spring"]:
+    """Deflections of the springs, rad, under the torque `held` in them and this one in the gears beside it."""
+    none = np.zeros((*torque.shape[:-1], held.shape[-1] - torque.shape[-1]))  # in springs across the transmission
+    total = held[..., None, :] + np.concatenate([torque, none], axis=-1)
     x = total / np.asarray(robot.springs.stiffness)
     # Newton's method; a stiffening spring is convex on either side, so that it never turns back.
     for _ in range(12):
         force = np.asarray(robot.springs.torque(jnp.asarray(x), jnp.zeros_like(x)))
         x = x - (force - total) / np.asarray(robot.springs.tangent(jnp.asarray(x)))
-    return x - rest[:, None]
+    return x

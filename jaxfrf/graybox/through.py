@@ -18,12 +18,14 @@ from .cost import Target, Weights, target, vec
 from .fit import Fit, fit, fit_target
 from .model import RobotModel, RobotPoint, starting_at
 from .parameter import Coordinates
+from .slow_motion import SlowMotion, moving_response, slow_motion
 from .solver import AbstractSolver, LevenbergMarquardt
 from .swing import robot_points
 
 _NOT_SIMULATED = ("torque_gain", "delay")  # parameters of the linear model that no simulation knows
 _STAY = 0.1  # of a standard deviation: a correction below it changes nothing that matters
 _STILL = 2e-5  # relative: nor does one below this
+_AGAIN = 6  # fits in motion
 _DEPTH = 3  # corrections that the next one learns from
 _LONGEST = 0.7  # of one correction, in x
 _WORSE = 1.05  # times the smallest gap: then it turns back
@@ -123,7 +125,7 @@ def fit_through_experiment(
     if rounds < 1:
         raise input_error("rounds", f"{rounds}", "1 or more", "Use `fit` for the direct fit.")
     measured = measured_frf(data, method, model.quantity)
-    direct = fit_with_swing(model, data, measured, weights, solver, starts, key)
+    direct = fit_in_motion(model, data, measured, weights, solver, starts, key)
     _say(say, f"direct fit: {direct.verdict}, {direct.close_starts} of {len(direct.starts)} starts agree")
     loop = _Loop(model, data, method, measured, weights, solver, direct.model)
     history = list(done)
@@ -158,17 +160,41 @@ def check_simulated(model: RobotModel) -> None:
         )
 
 
-def fit_with_swing(model: RobotModel, data: Experiment, measured: FRF, weights, solver, starts, key=None) -> Fit:
-    """The direct fit, with nonlinear springs at their mean stiffness over the motion of the experiment.
+def fit_in_motion(model: RobotModel, data: Experiment, measured: FRF, weights, solver, starts, key=None) -> Fit:
+    """The direct fit, for the motion of the experiment: nonlinear springs at their mean stiffness over it, and the
+    response of an arm that moves slowly (`moving_response`) in place of that of an arm at rest.
 
-    The deflections depend on the springs: they are found again at the result, and the fit goes on from there."""
+    Both depend on the parameters: they are found again at the result, and the fit goes on from there until it stays."""
     found = fit(
         model, measured, weights=weights, solver=solver, starts=starts, key=key, points=robot_points(model.robot, data)
     )
-    again = starting_at(found.model, found.values)
-    points = robot_points(model.at(found.values), data)
-    last = fit_target(again, target(measured, weights, points), solver, 1)
+    slow = slow_motion(model.robot, data, 0.5 * float(np.min(measured.frequency)))
+    x, history = np.asarray(found.x), []
+    for _ in range(_AGAIN):
+        last = _fit_again(found, x, data, measured, weights, solver, slow)
+        history.append(Correction(x, np.asarray(last.x), 0.0, 0.0))
+        moved = np.abs(last.x - x)
+        if slow is None or np.all((moved < _STAY * last.uncertainty.std) | (moved < _STILL)):
+            break
+        x = _next(history, last)
     return dataclasses.replace(last, starts=found.starts, without_sensitivity=found.without_sensitivity)
+
+
+def _fit_again(found: Fit, x, data: Experiment, measured: FRF, weights, solver, slow: SlowMotion | None) -> Fit:
+    """The fit from x, where springs and slow motion are as x has them."""
+    values = {n: float(v) for n, v in found.coordinates.values(x).items()}
+    model = starting_at(found.model, values)
+    points = robot_points(model.at(values), data)
+    tg = target(measured, weights, points)
+    if slow is None:
+        return fit_target(model, tg, solver, 1)
+    moving = moving_response(model, values, tg.frequency, data.q, slow)
+    linear = np.asarray(_responses(model, found.coordinates, tg.frequency, jnp.asarray(x), points))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        smeared = np.log(moving.swapaxes(-1, -2).reshape(linear.shape) / linear)
+    used = tg.used & np.isfinite(smeared)
+    tg = dataclasses.replace(tg, log_G=np.where(used, tg.log_G - smeared, 0), used=used)
+    return fit_target(model, tg, solver, 1)
 
 
 class _Loop:

@@ -24,7 +24,7 @@ from ..graybox import (
 )
 from ..graybox.quality import model_quality, quality, response_quality
 from ..graybox.solver import LevenbergMarquardt
-from ..graybox.through import default_method, fit_with_swing, measured_frf
+from ..graybox.through import default_method, fit_in_motion, measured_frf
 from ..io.fits import plain_data
 from ..pipeline import spectra_of
 from ..robot import Robot
@@ -184,7 +184,7 @@ def _frf_of_record(data: Experiment, method: AbstractMethod, band) -> FRF:
 
 def _direct(model: RobotModel, data, measured: FRF, weights, starts: int, key) -> Fit:
     if isinstance(data, Experiment) and data.period:
-        return fit_with_swing(model, data, measured, weights, LevenbergMarquardt(), starts, key)
+        return fit_in_motion(model, data, measured, weights, LevenbergMarquardt(), starts, key)
     return fit(model, measured, weights=weights, starts=starts, key=key)
 
 

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from .._types import Array
 from ..effects import AbstractArmTorque, AbstractEffect, AbstractFriction, AbstractGearCoupling, AbstractStructure
@@ -36,6 +36,17 @@ class Controller(eqx.Module):
     integral_time: Float[Array, ""]
     velocity_gain: Float[Array, "axis"]
     feedforward: bool = eqx.field(static=True, default=True)
+
+    def feedback(self, frequency: Float[Array, "freq"], sampling_frequency: float) -> Complex[np.ndarray, "freq axis"]:
+        """FRF from measured motor position to the torque that the controller takes back, -du/dq, N m/rad.
+
+        Sampled as it runs: the speed is the difference of two positions, the integral the sum of all errors so far.
+        Limits of the torque are left out. `frequency`: Hz, above 0.
+        """
+        back = np.exp(-2j * np.pi * np.asarray(frequency) / sampling_frequency)[:, None]
+        error = np.asarray(self.position_gain) + sampling_frequency * (1.0 - back)
+        rate = 1.0 / (sampling_frequency * np.asarray(self.integral_time))
+        return np.asarray(self.velocity_gain) * error * (1.0 + rate / (1.0 - back))
 
 
 class Robot(eqx.Module):

@@ -12,11 +12,12 @@ from ..graybox import (
     d_optimal,
     fit_through_experiment,
     position_information,
+    robot_points,
 )
 from ..graybox.cost import Weights
 from ..graybox.fit import fit
 from ..graybox.solver import LevenbergMarquardt
-from ..graybox.through import default_method, fit_with_swing, measured_frf
+from ..graybox.through import default_method, fit_in_motion, measured_frf
 from ..robot import Robot, parameters, r3x, with_parameters
 from ..simulation import random_positions
 from .bias import first_experiments, measure
@@ -24,6 +25,10 @@ from .settings import OWN_METHODS, PAPER_METHODS, SLOW_AMPLITUDE, Settings, desi
 
 FRF_NOISE = 0.05  # relative, that the choice of positions assumes
 STIFFNESS_SPREAD, DAMPING_SPREAD = 0.25, 1.0
+
+
+AT_REST = {"arm as at rest": robot_points, "arm and springs as at rest": lambda robot, data: np.asarray(data.q)}
+"""What the direct fit would be without its account of the motion of the experiment."""
 
 
 class Row(eqx.Module):
@@ -112,13 +117,14 @@ def direct_rows(settings: Settings, seed: int, say=None) -> list[dict]:
         part = first_experiments(data, count)
         for name, method in _fitted_methods(count, extra=seed == settings.seeds[0]).items():
             frf = measured_frf(part, method, model.quantity)
-            fitted = fit_with_swing(model, part, frf, Weights(), LevenbergMarquardt(), settings.starts, jr.key(seed))
+            fitted = fit_in_motion(model, part, frf, Weights(), LevenbergMarquardt(), settings.starts, jr.key(seed))
             rows.append(row(fitted, count, name, seed))
             if say is not None:
                 say(f"{count} experiments, {name}: mean bias {100 * rows[-1]['mean_bias']:.1f} %")
             if name == "LRM, JIO" and seed == settings.seeds[0]:
-                still = fit(model, frf, starts=settings.starts, key=jr.key(seed))
-                rows.append(row(still, count, "LRM, JIO, springs as at rest", seed))
+                for label, points in AT_REST.items():
+                    still = fit(model, frf, starts=settings.starts, key=jr.key(seed), points=points(model.robot, part))
+                    rows.append(row(still, count, f"LRM, JIO, {label}", seed))
     return rows
 
 

@@ -1,0 +1,111 @@
+"""The response of an arm that moves slowly while it is measured."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ..experiment import Experiment
+from ..robot import Robot, operating_point
+from ..robot.quantity import derivatives
+from .model import RobotModel, RobotPoint
+from .swing import deflections, gear_torque, motion
+
+_PLACES = 89  # of the slow motion: a number of Fibonacci's, with which the golden section is even
+_GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+_SAMPLES = 144  # of the fast motion
+_STILL = 1e-3  # rad: an arm that moves less has one response
+
+
+class SlowMotion(eqx.Module):
+    """Where an arm was while it was measured, in places that follow each other evenly in time.
+
+    **Fields:** `q`: arm angles, (pos, place, axis), rad. `torque`: in the flexible transmissions about its mean, slow
+    part, (pos, place, gear), N m. `fast`: samples of the rest of it, (pos, sample, gear), N m.
+    """
+
+    q: Float[np.ndarray, "pos place axis"]
+    torque: Float[np.ndarray, "pos place gear"]
+    fast: Float[np.ndarray, "pos sample gear"]
+
+
+def slow_motion(robot: Robot, data: Experiment, below: float) -> SlowMotion | None:
+    """The slow motion in periodic records; `None` where the arm stays within a milliradian.
+
+    **Arguments:** `below`: the highest frequency that counts as slow, Hz. Robots whose axes turn each other through
+    their gears are taken as if they did not: the motion is small.
+    """
+    gear = np.asarray(robot.drives.gear_ratio)
+    q, torque, fast = [], [], []
+    for pos in range(data.n_pos):
+        moved = motion(data, pos)
+        in_gear = gear_torque(robot, moved)
+        slow, angle = (_below(x, moved.step, below) for x in (in_gear, moved.angle))
+        at = _spread(_PLACES, *angle.shape[:2])
+        q.append(np.asarray(data.q)[pos] + angle[at] / gear)
+        torque.append(slow[at])
+        fast.append((in_gear - slow)[_spread(_SAMPLES, *angle.shape[:2])])
+    found = SlowMotion(np.stack(q), np.stack(torque), np.stack(fast))
+    still = np.abs(found.q - np.asarray(data.q)[:, None]).max() < _STILL
+    return None if still else found
+
+
+def _spread(count: int, n_exp: int, n_time: int) -> tuple[np.ndarray, np.ndarray]:
+    """Experiments and samples to take: by the golden section, which no line of the motion keeps step with."""
+    i = np.arange(count)
+    return i % n_exp, (n_time * ((i + 0.5) * _GOLDEN % 1.0)).astype(int)
+
+
+def _below(x: Float[np.ndarray, "exp time channel"], step: float, frequency: float) -> np.ndarray:
+    """The part of periodic signals at lines up to a frequency."""
+    X = np.fft.rfft(x, axis=1)
+    X[:, int(frequency / step) + 1 :] = 0
+    return np.fft.irfft(X, x.shape[1], axis=1)
+
+
+def moving_response(
+    model: RobotModel, values: dict, frequency: Float[np.ndarray, "freq"], q, slow: SlowMotion
+) -> Complex[np.ndarray, "pos freq out in"]:
+    """The FRF that an estimator finds of a robot in slow motion.
+
+    With the arm at place p it answers by G_p, and in closed loop its torque by W_p = (I + C G_p)^-1 times something
+    that is the same everywhere. What the two joint spectra have in common with the reference are their means, so that
+    the estimate is <G W> <W>^-1: places where the loop lets torque through count more. Without controller: <G>.
+
+    Biased where the motion is not slow against the width of resonances: it counts the places, not the way between them.
+
+    **Arguments:** `values`: of all parameters. `q`: arm angles at rest, (pos, axis).
+    """
+    robot = model.at(values)
+    held = operating_point(robot, np.asarray(q))
+    held = np.asarray(robot.springs.torque(held.deflection, jnp.zeros_like(held.deflection)))
+    swing = deflections(robot, held[:, None], slow.torque[:, :, None] + slow.fast[:, None])
+    rest = np.asarray(operating_point(robot, slow.q).deflection)
+    points = RobotPoint(slow.q, swing - rest[:, :, None])
+    feedback = _feedback(robot, np.asarray(frequency), model.quantity)
+    return np.asarray(_mean_response(model, values, jnp.asarray(frequency), feedback, points))
+
+
+def _feedback(robot: Robot, frequency, quantity: str):
+    """Torque per motor motion in this quantity that the controller takes back, (freq, axis); 0 without controller."""
+    if robot.controller is None:
+        return np.zeros((len(frequency), robot.n_axes), complex)
+    s = 2j * np.pi * frequency[:, None]
+    return robot.controller.feedback(frequency, robot.sampling_frequency) / s ** derivatives(quantity)
+
+
+@eqx.filter_jit
+def _mean_response(model: RobotModel, values, frequency, feedback, points: RobotPoint):
+    eye = jnp.eye(feedback.shape[-1])
+
+    def at(place):
+        G = model.response(frequency, values, place)
+        W = jnp.linalg.inv(eye + feedback[:, :, None] * G)
+        return G @ W, W
+
+    def mean(places):
+        GW, W = jax.lax.map(at, places)
+        return GW.mean(axis=0) @ jnp.linalg.inv(W.mean(axis=0))
+
+    return jax.lax.map(mean, points)
