@@ -13,7 +13,7 @@ import scipy.optimize
 
 import jaxfrf as jf
 from jaxfrf.graybox import Coordinates, focus_band, share
-from jaxfrf.graybox.cost import errors, gram, select, target
+from jaxfrf.graybox.cost import errors, gram, select, shifted, target
 
 FREQUENCY = np.geomspace(0.5, 8.0, 24)
 TRUE = {"k": 120.0, "d": 0.4, "f": 0.6, "tau": 3e-3}
@@ -254,6 +254,23 @@ class TestCost:
             two = gram(jf.GrayBox(swapped, drive().parameters), coordinates, target(other, weights, ARMS), X)
             np.testing.assert_allclose(two, one, rtol=1e-9, atol=1e-9)
 
+    def test_shift(self, measured):
+        """What is added to the model is taken from the measurement; where it is not finite nothing counts."""
+        rng = np.random.default_rng(3)
+        factor = np.exp(plants.circular(rng, np.asarray(measured.G).shape))
+        weights = jf.Weights(focus=1)
+        tg = target(measured, weights, ARMS)
+        shift = np.log(reference.vec(factor))
+        found = gram(drive(), Coordinates(drive().parameters), shifted(tg, shift, ARMS), X)
+        W = np.square(np.asarray(tg.magnitude))
+        coordinates = Coordinates(drive().parameters)
+        values = {n: float(v) for n, v in coordinates.values(X).items()}
+        e = np.log(reference.vec(np.asarray(measured.G)) / reference.vec(true_response(values) * factor))
+        np.testing.assert_allclose(found[-1, -1], np.sum(W * np.abs(e) ** 2), rtol=1e-9)
+        shift[0, 3, 1] = np.nan
+        left = gram(drive(), coordinates, shifted(tg, shift, ARMS), X)
+        np.testing.assert_allclose(left[-1, -1], np.sum(W * np.abs(e) ** 2) - (W * np.abs(e) ** 2)[0, 3, 1], rtol=1e-9)
+
     def test_parts_of_a_target_add_up(self, measured):
         tg = target(measured, jf.Weights(correlated=True), ARMS)
         model, coordinates = drive(), Coordinates(drive().parameters)
@@ -264,14 +281,18 @@ class TestCost:
         ):
             np.testing.assert_allclose(sum(gram(model, coordinates, p, X) for p in parts), whole, rtol=1e-9, atol=1e-9)
 
-    @pytest.mark.parametrize("correlated", [False, True])
-    def test_robot(self, correlated):
-        """R3X against its linearised FRF, differenced: stiffness, damping, friction, gain and delay."""
+    @pytest.mark.parametrize("kind", ["gains", "correlated", "springs alone"])
+    def test_robot(self, kind):
+        """R3X against its linearised FRF, differenced: stiffness, damping, friction, gain and delay.
+
+        Without gain and delay an element and its mirror image share their slopes, not their weights."""
         robot, q = linear_r3x(), positions(2)
         frequency = np.geomspace(8.0, 60.0, 5)
         model = jf.RobotModel(robot)
-        model = jf.graybox.free(model, ["joint2.torque_gain", "joint5.delay"])
+        if kind != "springs alone":
+            model = jf.graybox.free(model, ["joint2.torque_gain", "joint5.delay"])
         coordinates = Coordinates(model.parameters)
+        assert model.reciprocal(coordinates.names) == (kind == "springs alone")
         rng = np.random.default_rng(1)
         x = coordinates.start() + 0.2 * rng.standard_normal(coordinates.size)
         G = np.asarray(robot_frf(robot, q, frequency, friction_of(model)))
@@ -287,9 +308,14 @@ class TestCost:
             G[..., 4] *= np.exp(-2j * np.pi * frequency * float(v["joint5.delay"]))[:, None]
             return G
 
-        weights = jf.Weights(focus=1, correlated=correlated, floor=0.05)
-        rule = reference.Rule(correlated=correlated, floor=0.05)
-        assert_same_equations(model, frf, weights, rule, x, response, atol=1e-5)
+        options = {"correlated": kind == "correlated", "floor": 0.05}
+        if kind == "springs alone":
+            variance = np.real(np.einsum("pfvv->pfv", reference.relative_covariance(np.asarray(frf.G), cov)))
+            options |= {"elements": rng.random((6, 6)) * (rng.random((6, 6)) > 0.2), "reject": np.median(variance)}
+        weights, rule = jf.Weights(focus=1, **options), reference.Rule(**options)
+        tg, _ = assert_same_equations(model, frf, weights, rule, x, response, atol=1e-5)
+        square = np.asarray(tg.used).reshape(2, 5, 6, 6)
+        assert (square != square.swapaxes(-1, -2)).any() == (kind == "springs alone")
 
 
 def series(omega, values):

@@ -85,6 +85,7 @@ class Target(eqx.Module):
 
     frequency: Float[Array, "freq"]
     log_G: Complex[Array, "pos freq vec"]
+    shift: Complex[Array, "pos freq vec"]
     magnitude: Float[Array, "pos freq vec"]
     phase: Float[Array, "pos freq vec"]
     whitener: Complex[Array, "pos freq vec vec"] | None
@@ -102,6 +103,12 @@ class Target(eqx.Module):
     def n_terms(self) -> int:
         """Real numbers that the cost compares."""
         return 2 * int(np.count_nonzero(self.used))
+
+
+def shifted(target: Target, shift: Complex[Array, "pos freq vec"], points: PyTree) -> Target:
+    """The same target at these operating points, with a `shift`; elements where that is not finite are left out."""
+    used = np.asarray(target.used) & np.isfinite(shift)
+    return dataclasses.replace(target, shift=np.where(used, shift, 0), used=used, points=points)
 
 
 def vec(G):
@@ -145,6 +152,7 @@ def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
     return Target(
         frequency=np.asarray(frf.frequency),
         log_G=np.where(used, np.log(np.where(used, g, 1.0)), 0),
+        shift=np.zeros_like(g),
         magnitude=root,
         phase=root,
         whitener=whitener,
@@ -296,9 +304,16 @@ class Cost:
 
     def __init__(self, model: AbstractModel, coordinates: Coordinates, target: Target):
         self.coordinates = coordinates
-        weights = np.sum(np.square(target.magnitude)) + np.sum(np.square(target.phase))
-        self.total = float(weights) if target.whitener is None else float(target.log_G.size)
-        positions = (target.log_G, target.magnitude, target.phase, target.whitener, target.used, target.points)
+        total = np.sum(np.square(target.magnitude)) + np.sum(np.square(target.phase))
+        self.total = float(total) if target.whitener is None else float(target.log_G.size)
+        positions = (
+            target.log_G - target.shift,
+            target.magnitude,
+            target.phase,
+            target.whitener,
+            target.used,
+            target.points,
+        )
         arrays, rest = eqx.partition((model, coordinates, target.frequency, positions), eqx.is_array)
         self._leaves, tree = jax.tree.flatten(jax.tree.map(jnp.asarray, arrays))
         self._program = _Program(tree, rest, max(1, _PLACES // len(target.frequency)))
@@ -397,7 +412,7 @@ def errors(
         g, slope = at_position(model, coordinates, target.frequency, x, point)
         return _error(g, log_G, used), jnp.where(used[..., None], slope, 0)
 
-    return jax.lax.map(one, (target.log_G, target.used, target.points))
+    return jax.lax.map(one, (target.log_G - target.shift, target.used, target.points))
 
 
 def assumed_cost(target: Target, floor: float) -> float:
@@ -420,6 +435,7 @@ def select(target: Target, positions=None, lines=None) -> Target:
         target,
         frequency=np.asarray(target.frequency)[lines],
         log_G=cut(target.log_G),
+        shift=cut(target.shift),
         magnitude=cut(target.magnitude),
         phase=cut(target.phase),
         whitener=cut(target.whitener),

@@ -10,7 +10,7 @@ from ..experiment import Experiment
 from ..robot import Robot, operating_point
 from ..robot.quantity import derivatives
 from .model import RobotModel, RobotPoint
-from .swing import deflections, gear_torque, motion
+from .swing import deflections, gear_torque, motion, robot_points
 
 _PLACES = 89  # of the slow motion: a number of Fibonacci's, with which the golden section is even
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
@@ -84,7 +84,33 @@ def moving_response(
     rest = np.asarray(operating_point(robot, slow.q).deflection)
     points = RobotPoint(slow.q, swing - rest[:, :, None])
     feedback = _feedback(robot, np.asarray(frequency), model.quantity)
-    return np.asarray(_mean_response(model, values, jnp.asarray(frequency), feedback, points))
+    return np.asarray(_mean_response(model, _arrays(values), jnp.asarray(frequency), feedback, points))
+
+
+def response_in_motion(
+    model: RobotModel, values: dict, frequency: Float[np.ndarray, "freq"], data: Experiment
+) -> Complex[np.ndarray, "pos freq out in"]:
+    """The FRF that these periodic records would show of a robot with these parameters, without simulating them."""
+    slow = slow_motion(model.robot, data, slow_limit(frequency))
+    if slow is not None:
+        return moving_response(model, values, frequency, data.q, slow)
+    points = robot_points(model.at(values), data)
+    return np.asarray(_response(model, _arrays(values), jnp.asarray(frequency), points))
+
+
+def _arrays(values: dict) -> dict:
+    """The same as arrays: for other values nothing is compiled again."""
+    return {name: jnp.asarray(value, float) for name, value in values.items()}
+
+
+def slow_limit(frequency: Float[np.ndarray, "freq"]) -> float:
+    """The highest frequency that counts as slow beside an FRF at these lines, Hz."""
+    return 0.5 * float(np.min(frequency))
+
+
+@eqx.filter_jit
+def _response(model: RobotModel, values, frequency, points: RobotPoint):
+    return jax.lax.map(lambda point: model.response(frequency, values, point), points)
 
 
 def _feedback(robot: Robot, frequency, quantity: str):

@@ -14,11 +14,11 @@ from ..experiment import Experiment
 from ..frf import FRF, LRM, AbstractMethod, JointInputOutput, estimate
 from ..simulation import replay
 from ..spectra import dft, with_output_quantity
-from .cost import Target, Weights, target, vec
+from .cost import Target, Weights, shifted, target, vec
 from .fit import Fit, fit, fit_target
 from .model import RobotModel, RobotPoint, starting_at
 from .parameter import Coordinates
-from .slow_motion import SlowMotion, moving_response, slow_motion
+from .slow_motion import SlowMotion, moving_response, slow_limit, slow_motion
 from .solver import AbstractSolver, LevenbergMarquardt
 from .swing import robot_points
 
@@ -168,7 +168,7 @@ def fit_in_motion(model: RobotModel, data: Experiment, measured: FRF, weights, s
     found = fit(
         model, measured, weights=weights, solver=solver, starts=starts, key=key, points=robot_points(model.robot, data)
     )
-    slow = slow_motion(model.robot, data, 0.5 * float(np.min(measured.frequency)))
+    slow = slow_motion(model.robot, data, slow_limit(measured.frequency))
     x, history = np.asarray(found.x), []
     for _ in range(_AGAIN):
         last = _fit_again(found, x, data, measured, weights, solver, slow)
@@ -191,10 +191,8 @@ def _fit_again(found: Fit, x, data: Experiment, measured: FRF, weights, solver, 
     moving = moving_response(model, values, tg.frequency, data.q, slow)
     linear = np.asarray(_responses(model, found.coordinates, tg.frequency, jnp.asarray(x), points))
     with np.errstate(invalid="ignore", divide="ignore"):
-        smeared = np.log(moving.swapaxes(-1, -2).reshape(linear.shape) / linear)
-    used = tg.used & np.isfinite(smeared)
-    tg = dataclasses.replace(tg, log_G=np.where(used, tg.log_G - smeared, 0), used=used)
-    return fit_target(model, tg, solver, 1)
+        shift = np.log(np.asarray(vec(moving)) / linear)
+    return fit_target(model, shifted(tg, shift, points), solver, 1)
 
 
 class _Loop:
@@ -216,15 +214,13 @@ class _Loop:
         linear = np.asarray(_responses(self.model, self.coordinates, self.target.frequency, jnp.asarray(x), points))
         ghost = np.asarray(simulated.G).swapaxes(-1, -2).reshape(self.g.shape)
         with np.errstate(invalid="ignore", divide="ignore"):
-            corrected = np.log(self.g * linear / ghost)
-            gap = np.log(self.g / ghost)
-        used = self.target.used & np.isfinite(corrected)
-        tg = dataclasses.replace(self.target, log_G=np.where(used, corrected, 0), used=used, points=points)
+            shift, gap = np.log(ghost / linear), np.log(self.g / ghost)
+        tg = shifted(self.target, shift, points)
         found = fit_target(starting_at(self.model, values), tg, self.solver, 1)
         # The fit came from a single start on purpose; what it knows is counted both ways: distortion that repeats in
         # the simulation is in the FRF's covariance, but not in these residuals.
-        weight = np.square(self.target.magnitude) * used
-        rms = lambda part: float(np.sqrt(np.sum(weight * np.where(used, part, 0) ** 2) / np.sum(weight)))
+        weight = np.square(self.target.magnitude) * tg.used
+        rms = lambda part: float(np.sqrt(np.sum(weight * np.where(tg.used, part, 0) ** 2) / np.sum(weight)))
         correction = Correction(
             np.asarray(x), np.asarray(found.x), 20 / np.log(10) * rms(gap.real), np.rad2deg(rms(gap.imag))
         )

@@ -19,10 +19,10 @@ from ..graybox import (
     fit,
     fit_through_experiment,
     initial_guess,
-    robot_points,
     starting_near,
 )
 from ..graybox.quality import model_quality, quality, response_quality
+from ..graybox.slow_motion import response_in_motion
 from ..graybox.solver import LevenbergMarquardt
 from ..graybox.through import default_method, fit_in_motion, measured_frf
 from ..io.fits import plain_data
@@ -199,10 +199,10 @@ def _guessed(model: RobotModel, measured: FRF, say: Say | None) -> RobotModel:
 
 def _judged(found: Fit, through: ThroughFit | None, rest, frf: FRF, held, method, weights) -> HeldOut:
     """Errors at positions that were not fitted: of the linear model, and of the simulated experiment."""
-    points = None
     if isinstance(rest, Experiment) and rest.period:
-        points = robot_points(found.model.at(found.values), rest)
-    direct = model_quality(found, frf, weights, points)
+        direct = response_quality(response_in_motion(found.model, found.values, frf.frequency, rest), frf, weights)
+    else:
+        direct = model_quality(found, frf, weights)
     if through is None:
         return HeldOut(held, direct, None)
     played = replay(through.fit.model.at(through.fit.values), rest)

@@ -155,8 +155,13 @@ class Identification(eqx.Module):
 
 
 def model_response(fitted: Fit, frequency) -> np.ndarray:
-    """G of a fitted model at its operating points, (pos, freq, out, in)."""
-    return np.asarray(_responses(fitted.model, fitted.coordinates.values(fitted.x), frequency, fitted.target.points))
+    """G of a fitted model at its operating points, (pos, freq, out, in); at the lines of the fit as the experiment
+    shows it, with the shift of its target."""
+    tg = fitted.target
+    G = np.asarray(_responses(fitted.model, fitted.coordinates.values(fitted.x), frequency, tg.points))
+    if not np.array_equal(frequency, tg.frequency):
+        return G
+    return G * np.exp(tg.shift).reshape(*G.shape[:2], G.shape[3], G.shape[2]).swapaxes(-1, -2)
 
 
 @eqx.filter_jit

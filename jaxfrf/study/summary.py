@@ -48,12 +48,12 @@ def _cell(by: dict, name: str, count: int) -> str:
 
 
 def table_two(results: dict) -> list[str]:
-    rows = [f"  {'n_e':>3}  {'method':32}{'all parameters':>28}{'stiffness':>20}{'damping':>22}"]
+    rows = [f"  {'n_e':>3}  {'method':38}{'all parameters':>28}{'stiffness':>20}{'damping':>22}"]
     for entry in sorted(results["summary"], key=lambda e: -e["experiments"]):
         published = PUBLISHED_PARAMETERS.get(entry["experiments"], {}).get(entry["method"])
         bracket = "" if published is None else f" ({100 * published:.1f})"
         rows.append(
-            f"  {entry['experiments']:>3}  {entry['method']:32}{spread(entry['mean_bias']) + bracket:>28}"
+            f"  {entry['experiments']:>3}  {entry['method']:38}{spread(entry['mean_bias']) + bracket:>28}"
             f"{spread(entry['stiffness_bias']):>20}{spread(entry['damping_bias']):>22}"
         )
     return rows
