@@ -22,6 +22,7 @@ from .parameter import Coordinates
 
 _LEAST = 2.0  # degrees of freedom beyond the size of a covariance: with fewer, its inverse has no variance
 _PLACES = 400  # lines of all positions that are worked on at the same time
+_NEIGHBOURS = 4  # lines on either side that a scatter is taken over
 _FLOOR = 1e-6  # a variance of zero has no weight
 
 
@@ -30,7 +31,8 @@ class Weights(eqx.Module):
 
     The weight of an element at a line is user weight / (var/|G|^2 + floor^2): the uncertainty of the FRF together with
     what the model (and the estimator's bias) can be trusted to. Elements more uncertain than `reject` are left out;
-    where the covariance is not known (NaN) the weight is user weight / floor^2.
+    where the covariance is not known (NaN), var is the scatter of neighbouring lines about straight lines between them,
+    which counts a resonance between two lines as noise.
 
     **Arguments:**
 
@@ -132,6 +134,7 @@ def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
     known = np.isfinite(cov).all(axis=(-1, -2), keepdims=True)
     relative = np.where(known, cov, 0) / (size[..., :, None] * size.conj()[..., None, :])
     variance = np.real(np.diagonal(relative, axis1=-2, axis2=-1))
+    variance = np.where(known[..., 0], variance, roughness(np.asarray(frf.frequency), size))
     user = _user_weights(frf, weights)
     used = usable & ~worthless & (variance <= weights.reject) & (user > 0)
     if not used.any():
@@ -162,6 +165,21 @@ def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
         used=used,
         scatter=_scatter(frf, weights, variance, used, floor),
     )
+
+
+def roughness(
+    frequency: Float[np.ndarray, "freq"], g: Complex[np.ndarray, "pos freq vec"]
+) -> Float[np.ndarray, "pos freq vec"]:
+    """Relative variance of every element from how far lines are off the straight line between their neighbours, the
+    mean over some lines: a stand-in for a variance that is not known. 0 for fewer than three lines."""
+    if len(frequency) < 3:
+        return np.zeros(g.shape)
+    share = ((frequency[2:] - frequency[1:-1]) / (frequency[2:] - frequency[:-2]))[:, None]
+    off = np.abs(g[:, 1:-1] - share * g[:, :-2] - (1 - share) * g[:, 2:]) ** 2 / (1 + share**2 + (1 - share) ** 2)
+    near = np.abs(np.arange(len(frequency))[:, None] - np.arange(1, len(frequency) - 1)) <= _NEIGHBOURS
+    mean = lambda x, w: np.einsum("fk,pkv->pfv", w / w.sum(axis=1, keepdims=True), x)
+    whole = np.abs(np.arange(len(frequency))[:, None] - np.arange(len(frequency))) <= _NEIGHBOURS
+    return mean(off, near) / mean(np.abs(g) ** 2, whole)
 
 
 def _user_weights(frf: FRF, weights: Weights) -> np.ndarray:

@@ -129,15 +129,15 @@ def fit_through_experiment(
     _say(say, f"direct fit: {direct.verdict}, {direct.close_starts} of {len(direct.starts)} starts agree")
     loop = _Loop(model, data, method, measured, weights, solver, direct.model)
     history = list(done)
-    x = np.asarray(direct.x) if not history else _next(history, direct)
+    x = np.asarray(direct.x) if not history else _next(history, loop.coordinates, direct)
     while True:
         correction, latest, simulated = loop.round(x)
         history.append(correction)
         if keep is not None:
             keep(correction)
-        moved = np.abs(correction.answer - correction.x)[latest.coordinates.wanted()]
-        std = latest.uncertainty.std[latest.coordinates.wanted()]
-        converged = bool(np.all((moved < _STAY * std) | (moved < _STILL)))
+        wanted = loop.coordinates.wanted()
+        moved = np.abs(correction.answer - correction.x)[wanted]
+        converged = bool(_stays(correction, loop.coordinates, latest)[wanted].all())
         _say(
             say,
             f"round {len(history)}: gap {correction.gap_db:.3f} dB, largest change {100 * moved.max():.2f} %"
@@ -145,7 +145,7 @@ def fit_through_experiment(
         )
         if converged or len(history) >= rounds:
             return ThroughFit(latest, direct, tuple(history), converged, measured, simulated)
-        x = _next(history, latest)
+        x = _next(history, loop.coordinates, latest)
 
 
 def check_simulated(model: RobotModel) -> None:
@@ -172,12 +172,29 @@ def fit_in_motion(model: RobotModel, data: Experiment, measured: FRF, weights, s
     x, history = np.asarray(found.x), []
     for _ in range(_AGAIN):
         last = _fit_again(found, x, data, measured, weights, solver, slow)
-        history.append(Correction(x, np.asarray(last.x), 0.0, 0.0))
-        moved = np.abs(last.x - x)
-        if slow is None or np.all((moved < _STAY * last.uncertainty.std) | (moved < _STILL)):
+        history.append(Correction(x, _answer(found.coordinates, last), 0.0, 0.0))
+        if slow is None or _stays(history[-1], found.coordinates, last).all():
             break
-        x = _next(history, last)
-    return dataclasses.replace(last, starts=found.starts, without_sensitivity=found.without_sensitivity)
+        x = _next(history, found.coordinates, last)
+    blind = tuple(dict.fromkeys((*found.without_sensitivity, *last.without_sensitivity)))
+    return dataclasses.replace(last, starts=found.starts, without_sensitivity=blind)
+
+
+def _answer(coordinates: Coordinates, fitted: Fit) -> np.ndarray:
+    """x of a fit in these coordinates; a parameter that it found without effect is where it was left."""
+    return (
+        np.asarray(fitted.x)
+        if fitted.coordinates.names == coordinates.names
+        else coordinates.coordinates(fitted.values)
+    )
+
+
+def _stays(correction: Correction, coordinates: Coordinates, fitted: Fit) -> np.ndarray:
+    """Whether each parameter moved by less than a part of its standard deviation, (parameter,)."""
+    known = dict(zip(fitted.coordinates.names, fitted.uncertainty.std, strict=True))
+    std = np.array([known.get(name, np.inf) for name in coordinates.names])
+    moved = np.abs(correction.answer - correction.x)
+    return (moved < _STAY * std) | (moved < _STILL)
 
 
 def _fit_again(found: Fit, x, data: Experiment, measured: FRF, weights, solver, slow: SlowMotion | None) -> Fit:
@@ -222,7 +239,7 @@ class _Loop:
         weight = np.square(self.target.magnitude) * tg.used
         rms = lambda part: float(np.sqrt(np.sum(weight * np.where(tg.used, part, 0) ** 2) / np.sum(weight)))
         correction = Correction(
-            np.asarray(x), np.asarray(found.x), 20 / np.log(10) * rms(gap.real), np.rad2deg(rms(gap.imag))
+            np.asarray(x), _answer(self.coordinates, found), 20 / np.log(10) * rms(gap.real), np.rad2deg(rms(gap.imag))
         )
         return correction, found, simulated
 
@@ -233,7 +250,7 @@ def _responses(model: RobotModel, coordinates: Coordinates, frequency, x, points
     return jax.lax.map(lambda point: vec(model.response(jnp.asarray(frequency), values, point)), points)
 
 
-def _next(history: list[Correction], latest: Fit) -> np.ndarray:
+def _next(history: list[Correction], coordinates: Coordinates, latest: Fit) -> np.ndarray:
     """Where to simulate next: Anderson's mixture of the last answers, or half a step from the best round so far."""
     best = min(history, key=lambda c: c.gap_db)
     last = history[-1]
@@ -244,7 +261,10 @@ def _next(history: list[Correction], latest: Fit) -> np.ndarray:
     if len(recent) == 1:
         return last.x + _limited(f[-1])
     # Residuals count by what the data know of them: along loose directions they are mostly noise.
-    root = np.linalg.cholesky(np.asarray(latest.uncertainty.information) + 1e-12 * np.eye(f.shape[1])).T
+    information = np.eye(f.shape[1])
+    if latest.coordinates.names == coordinates.names:
+        information = np.asarray(latest.uncertainty.information) + 1e-12 * information
+    root = np.linalg.cholesky(information).T
     change = np.diff(f, axis=0)
     shares = np.linalg.lstsq((change @ root.T).T, root @ f[-1], rcond=1e-8)[0]
     steps = np.diff(np.stack([c.x for c in recent]), axis=0)
