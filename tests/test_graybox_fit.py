@@ -13,7 +13,7 @@ import scipy.optimize
 
 import jaxfrf as jf
 from jaxfrf.graybox import Coordinates, focus_band, share
-from jaxfrf.graybox.cost import errors, gram, select, shifted, target
+from jaxfrf.graybox.cost import errors, gram, roughness, select, shifted, target
 
 FREQUENCY = np.geomspace(0.5, 8.0, 24)
 TRUE = {"k": 120.0, "d": 0.4, "f": 0.6, "tau": 3e-3}
@@ -194,12 +194,20 @@ class TestCost:
         assert not tg.used[0, 3].any() and not tg.used[0, 4, 2] and not tg.used[1, 5, 3] and not tg.used[0, 7, 2]
         assert tg.used[0, 7, [0, 1, 3]].all()
 
-    def test_no_covariance_at_all(self, measured):
-        """Methods without residual degrees of freedom say NaN: every element counts by the floor alone."""
-        frf = dataclasses.replace(measured, cov=np.full_like(np.asarray(measured.cov), np.nan))
-        zero = dataclasses.replace(measured, cov=np.zeros_like(np.asarray(measured.cov)))
-        of = lambda f: gram(drive(), Coordinates(drive().parameters), target(f, jf.Weights(focus=1), ARMS), X)
-        np.testing.assert_allclose(of(frf), of(zero), rtol=1e-12)
+    def test_no_covariance_at_all(self):
+        """Methods without residual degrees of freedom say NaN: lines that scatter count less, whatever scatters."""
+        rng, frequency = np.random.default_rng(8), np.sort(np.random.default_rng(9).uniform(1.0, 4.0, 300))
+        G = (1.0 + 0.2j) * np.ones((1, 300, 2, 2)) * (1 + 0.1 * frequency)[:, None, None]  # straight, unevenly spaced
+        size = np.array([[0.02, 0.1], [0.2, 1e-6]])
+        noisy = G + np.abs(G) * size * plants.circular(rng, G.shape)
+        found = roughness(frequency, reference.vec(noisy))
+        np.testing.assert_allclose(found.mean(axis=1)[0], reference.vec(size**2), rtol=0.15)
+        assert np.all(roughness(frequency, reference.vec(G)) < 1e-28)
+        assert not roughness(frequency[:2], reference.vec(G[:, :2])).any()
+        frf = frf_of(noisy, np.full((1, 300, 4, 4), np.nan + 0j), frequency, None)
+        tg = target(frf, jf.Weights(focus=1, off_diagonal=1.0), np.zeros((1, 0)))
+        np.testing.assert_allclose(tg.magnitude**2, 1 / (found + 0.03**2), rtol=1e-12)
+        assert not tg.cov.any()
 
     def test_one_line_one_position_one_channel(self, measured):
         """A callable of omega and values, and an FRF of one number."""
