@@ -10,7 +10,7 @@ from two_axes import ROBOT
 
 import jaxfrf as jf
 from jaxfrf.graybox.slow_motion import SlowMotion, moving_response, slow_motion
-from jaxfrf.graybox.through import fit_in_motion, measured_frf
+from jaxfrf.graybox.through import measured_frf
 from jaxfrf.io.robots import read_robot
 from jaxfrf.robot import Controller, with_parameters
 from jaxfrf.simulation.controller import Cascade, ControllerState
@@ -165,9 +165,8 @@ class TestFit:
         start = with_parameters(robot, {"shoulder.stiffness": 2.3e4, "elbow.stiffness": 7e3, "elbow.damping": 5.0})
         model = jf.RobotModel(start)
         frf = measured_frf(moving, jf.JointInputOutput(jf.LRM()), "acceleration")
-        solver, weights = jf.graybox.LevenbergMarquardt(), jf.Weights()
-        plain = jf.fit(model, frf, starts=2, weights=weights)
-        found = fit_in_motion(model, moving, frf, weights, solver, 2)
+        plain = jf.fit(model, frf, starts=2)
+        found = jf.fit_in_motion(model, moving, frf, starts=2)
         true = {name: float(v) for name, v in jf.robot.parameters(robot).items()}
         off = lambda fitted: np.mean([abs(fitted.values[n] / v - 1) for n, v in true.items() if n.endswith("damping")])
         print(f"damping off by {100 * off(plain):.1f} %, in motion {100 * off(found):.1f} %")

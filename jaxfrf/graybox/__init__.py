@@ -1,5 +1,6 @@
 """From frequency responses to the physical parameters of a model: models, weights, fits and what is known of them."""
 
+from .corrections import Correction as Correction
 from .cost import Target as Target, Weights as Weights, focus_band as focus_band
 from .derived import Derived as Derived, derived as derived
 from .fit import Fit as Fit, Start as Start, evaluate as evaluate, fit as fit
@@ -9,6 +10,7 @@ from .guess import (
     initial_guess as initial_guess,
     starting_near as starting_near,
 )
+from .in_motion import fit_in_motion as fit_in_motion
 from .model import (
     AbstractModel as AbstractModel,
     GrayBox as GrayBox,
@@ -34,6 +36,11 @@ from .quality import (
     quality as quality,
     response_quality as response_quality,
 )
+from .slow_motion import (
+    moving_response as moving_response,
+    response_in_motion as response_in_motion,
+    slow_motion as slow_motion,
+)
 from .solver import (
     BFGS as BFGS,
     AbstractSolver as AbstractSolver,
@@ -41,7 +48,6 @@ from .solver import (
 )
 from .swing import robot_points as robot_points
 from .through import (
-    Correction as Correction,
     ThroughFit as ThroughFit,
     fit_through_experiment as fit_through_experiment,
 )

@@ -94,7 +94,13 @@ def response_in_motion(
     slow = slow_motion(model.robot, data, slow_limit(frequency))
     if slow is not None:
         return moving_response(model, values, frequency, data.q, slow)
-    points = robot_points(model.at(values), data)
+    return response_at(model, values, frequency, robot_points(model.at(values), data))
+
+
+def response_at(
+    model: RobotModel, values: dict, frequency: Float[np.ndarray, "freq"], points: RobotPoint
+) -> Complex[np.ndarray, "pos freq out in"]:
+    """The linear response at operating points."""
     return np.asarray(_response(model, _arrays(values), jnp.asarray(frequency), points))
 
 

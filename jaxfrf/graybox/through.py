@@ -1,50 +1,29 @@
 """The fit through the experiment: the model is asked for what it would have measured, measured the same way."""
 
-import dataclasses
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
 from .._errors import input_error
 from ..experiment import Experiment
 from ..frf import FRF, LRM, AbstractMethod, JointInputOutput, estimate
 from ..simulation import replay
 from ..spectra import dft, with_output_quantity
+from .corrections import Correction, answer, next_point, stays
 from .cost import Target, Weights, shifted, target, vec
-from .fit import Fit, fit, fit_target
-from .model import RobotModel, RobotPoint, starting_at
+from .fit import Fit, fit_target
+from .in_motion import fit_in_motion
+from .model import RobotModel, starting_at
 from .parameter import Coordinates
-from .slow_motion import SlowMotion, moving_response, slow_limit, slow_motion
+from .slow_motion import response_at
 from .solver import AbstractSolver, LevenbergMarquardt
 from .swing import robot_points
 
 _NOT_SIMULATED = ("torque_gain", "delay")  # parameters of the linear model that no simulation knows
-_STAY = 0.1  # of a standard deviation: a correction below it changes nothing that matters
-_STILL = 2e-5  # relative: nor does one below this
-_AGAIN = 6  # fits in motion
-_DEPTH = 3  # corrections that the next one learns from
-_LONGEST = 0.7  # of one correction, in x
-_WORSE = 1.05  # times the smallest gap: then it turns back
 
 Say = Callable[[str], None]
-
-
-class Correction(eqx.Module):
-    """One round of a fit through the experiment.
-
-    **Fields:** `x`: parameters that were simulated. `answer`: parameters that the corrected fit gave, which are `x`
-    where it has come to rest. `gap_db`, `gap_deg`: weighted rms difference of measured and simulated FRF, in magnitude
-    and phase.
-    """
-
-    x: Float[np.ndarray, "parameter"]
-    answer: Float[np.ndarray, "parameter"]
-    gap_db: float
-    gap_deg: float
 
 
 class ThroughFit(eqx.Module):
@@ -125,11 +104,11 @@ def fit_through_experiment(
     if rounds < 1:
         raise input_error("rounds", f"{rounds}", "1 or more", "Use `fit` for the direct fit.")
     measured = measured_frf(data, method, model.quantity)
-    direct = fit_in_motion(model, data, measured, weights, solver, starts, key)
+    direct = fit_in_motion(model, data, measured, weights=weights, solver=solver, starts=starts, key=key)
     _say(say, f"direct fit: {direct.verdict}, {direct.close_starts} of {len(direct.starts)} starts agree")
     loop = _Loop(model, data, method, measured, weights, solver, direct.model)
     history = list(done)
-    x = np.asarray(direct.x) if not history else _next(history, loop.coordinates, direct)
+    x = np.asarray(direct.x) if not history else next_point(history, loop.coordinates, direct)
     while True:
         correction, latest, simulated = loop.round(x)
         history.append(correction)
@@ -137,7 +116,7 @@ def fit_through_experiment(
             keep(correction)
         wanted = loop.coordinates.wanted()
         moved = np.abs(correction.answer - correction.x)[wanted]
-        converged = bool(_stays(correction, loop.coordinates, latest)[wanted].all())
+        converged = bool(stays(correction, loop.coordinates, latest)[wanted].all())
         _say(
             say,
             f"round {len(history)}: gap {correction.gap_db:.3f} dB, largest change {100 * moved.max():.2f} %"
@@ -145,7 +124,7 @@ def fit_through_experiment(
         )
         if converged or len(history) >= rounds:
             return ThroughFit(latest, direct, tuple(history), converged, measured, simulated)
-        x = _next(history, loop.coordinates, latest)
+        x = next_point(history, loop.coordinates, latest)
 
 
 def check_simulated(model: RobotModel) -> None:
@@ -158,58 +137,6 @@ def check_simulated(model: RobotModel) -> None:
             "stiffnesses and dampings: the simulation of the experiment knows no other",
             "Fit it directly (--direct, `fit`), or leave it fixed.",
         )
-
-
-def fit_in_motion(model: RobotModel, data: Experiment, measured: FRF, weights, solver, starts, key=None) -> Fit:
-    """The direct fit, for the motion of the experiment: nonlinear springs at their mean stiffness over it, and the
-    response of an arm that moves slowly (`moving_response`) in place of that of an arm at rest.
-
-    Both depend on the parameters: they are found again at the result, and the fit goes on from there until it stays."""
-    found = fit(
-        model, measured, weights=weights, solver=solver, starts=starts, key=key, points=robot_points(model.robot, data)
-    )
-    slow = slow_motion(model.robot, data, slow_limit(measured.frequency))
-    x, history = np.asarray(found.x), []
-    for _ in range(_AGAIN):
-        last = _fit_again(found, x, data, measured, weights, solver, slow)
-        history.append(Correction(x, _answer(found.coordinates, last), 0.0, 0.0))
-        if slow is None or _stays(history[-1], found.coordinates, last).all():
-            break
-        x = _next(history, found.coordinates, last)
-    blind = tuple(dict.fromkeys((*found.without_sensitivity, *last.without_sensitivity)))
-    return dataclasses.replace(last, starts=found.starts, without_sensitivity=blind)
-
-
-def _answer(coordinates: Coordinates, fitted: Fit) -> np.ndarray:
-    """x of a fit in these coordinates; a parameter that it found without effect is where it was left."""
-    return (
-        np.asarray(fitted.x)
-        if fitted.coordinates.names == coordinates.names
-        else coordinates.coordinates(fitted.values)
-    )
-
-
-def _stays(correction: Correction, coordinates: Coordinates, fitted: Fit) -> np.ndarray:
-    """Whether each parameter moved by less than a part of its standard deviation, (parameter,)."""
-    known = dict(zip(fitted.coordinates.names, fitted.uncertainty.std, strict=True))
-    std = np.array([known.get(name, np.inf) for name in coordinates.names])
-    moved = np.abs(correction.answer - correction.x)
-    return (moved < _STAY * std) | (moved < _STILL)
-
-
-def _fit_again(found: Fit, x, data: Experiment, measured: FRF, weights, solver, slow: SlowMotion | None) -> Fit:
-    """The fit from x, where springs and slow motion are as x has them."""
-    values = {n: float(v) for n, v in found.coordinates.values(x).items()}
-    model = starting_at(found.model, values)
-    points = robot_points(model.at(values), data)
-    tg = target(measured, weights, points)
-    if slow is None:
-        return fit_target(model, tg, solver, 1)
-    moving = moving_response(model, values, tg.frequency, data.q, slow)
-    linear = np.asarray(_responses(model, found.coordinates, tg.frequency, jnp.asarray(x), points))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shift = np.log(np.asarray(vec(moving)) / linear)
-    return fit_target(model, shifted(tg, shift, points), solver, 1)
 
 
 class _Loop:
@@ -228,10 +155,10 @@ class _Loop:
         played = replay(robot, self.data)
         simulated = measured_frf(played, self.method, self.model.quantity)
         points = robot_points(robot, played)
-        linear = np.asarray(_responses(self.model, self.coordinates, self.target.frequency, jnp.asarray(x), points))
-        ghost = np.asarray(simulated.G).swapaxes(-1, -2).reshape(self.g.shape)
+        linear = response_at(self.model, values, self.target.frequency, points)
+        ghost = np.asarray(vec(np.asarray(simulated.G)))
         with np.errstate(invalid="ignore", divide="ignore"):
-            shift, gap = np.log(ghost / linear), np.log(self.g / ghost)
+            shift, gap = np.log(ghost / np.asarray(vec(linear))), np.log(self.g / ghost)
         tg = shifted(self.target, shift, points)
         found = fit_target(starting_at(self.model, values), tg, self.solver, 1)
         # The fit came from a single start on purpose; what it knows is counted both ways: distortion that repeats in
@@ -239,40 +166,9 @@ class _Loop:
         weight = np.square(self.target.magnitude) * tg.used
         rms = lambda part: float(np.sqrt(np.sum(weight * np.where(tg.used, part, 0) ** 2) / np.sum(weight)))
         correction = Correction(
-            np.asarray(x), _answer(self.coordinates, found), 20 / np.log(10) * rms(gap.real), np.rad2deg(rms(gap.imag))
+            np.asarray(x), answer(self.coordinates, found), 20 / np.log(10) * rms(gap.real), np.rad2deg(rms(gap.imag))
         )
         return correction, found, simulated
-
-
-@eqx.filter_jit
-def _responses(model: RobotModel, coordinates: Coordinates, frequency, x, points: RobotPoint):
-    values = coordinates.values(x)
-    return jax.lax.map(lambda point: vec(model.response(jnp.asarray(frequency), values, point)), points)
-
-
-def _next(history: list[Correction], coordinates: Coordinates, latest: Fit) -> np.ndarray:
-    """Where to simulate next: Anderson's mixture of the last answers, or half a step from the best round so far."""
-    best = min(history, key=lambda c: c.gap_db)
-    last = history[-1]
-    if last.gap_db > _WORSE * best.gap_db:
-        return best.x + 0.5 * _limited(best.answer - best.x)
-    recent = history[-_DEPTH:]
-    f = np.stack([c.answer - c.x for c in recent])
-    if len(recent) == 1:
-        return last.x + _limited(f[-1])
-    # Residuals count by what the data know of them: along loose directions they are mostly noise.
-    information = np.eye(f.shape[1])
-    if latest.coordinates.names == coordinates.names:
-        information = np.asarray(latest.uncertainty.information) + 1e-12 * information
-    root = np.linalg.cholesky(information).T
-    change = np.diff(f, axis=0)
-    shares = np.linalg.lstsq((change @ root.T).T, root @ f[-1], rcond=1e-8)[0]
-    steps = np.diff(np.stack([c.x for c in recent]), axis=0)
-    return last.x + _limited(f[-1] - shares @ (steps + change))
-
-
-def _limited(step: np.ndarray) -> np.ndarray:
-    return step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
 
 
 def _say(say: Say | None, text: str) -> None:

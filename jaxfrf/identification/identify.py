@@ -21,10 +21,10 @@ from ..graybox import (
     initial_guess,
     starting_near,
 )
+from ..graybox.in_motion import fit_in_motion
 from ..graybox.quality import model_quality, quality, response_quality
 from ..graybox.slow_motion import response_in_motion
-from ..graybox.solver import LevenbergMarquardt
-from ..graybox.through import default_method, fit_in_motion, measured_frf
+from ..graybox.through import default_method, measured_frf
 from ..io.fits import plain_data
 from ..pipeline import spectra_of
 from ..robot import Robot
@@ -184,7 +184,7 @@ def _frf_of_record(data: Experiment, method: AbstractMethod, band) -> FRF:
 
 def _direct(model: RobotModel, data, measured: FRF, weights, starts: int, key) -> Fit:
     if isinstance(data, Experiment) and data.period:
-        return fit_in_motion(model, data, measured, weights, LevenbergMarquardt(), starts, key)
+        return fit_in_motion(model, data, measured, weights=weights, starts=starts, key=key)
     return fit(model, measured, weights=weights, starts=starts, key=key)
 
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from .. import __version__
 from ..experiment import Experiment
-from ..graybox import RobotModel
-from ..graybox.through import Correction
+from ..graybox import Correction, RobotModel
 from ..io._container import replacing
 from ..io.fits import plain_data
 from ..pipeline import folder_of_parts

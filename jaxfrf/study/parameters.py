@@ -14,10 +14,9 @@ from ..graybox import (
     position_information,
     robot_points,
 )
-from ..graybox.cost import Weights
 from ..graybox.fit import fit
-from ..graybox.solver import LevenbergMarquardt
-from ..graybox.through import default_method, fit_in_motion, measured_frf
+from ..graybox.in_motion import fit_in_motion
+from ..graybox.through import default_method, measured_frf
 from ..robot import Robot, parameters, r3x, with_parameters
 from ..simulation import random_positions
 from .bias import first_experiments, measure
@@ -117,7 +116,7 @@ def direct_rows(settings: Settings, seed: int, say=None) -> list[dict]:
         part = first_experiments(data, count)
         for name, method in _fitted_methods(count, extra=seed == settings.seeds[0]).items():
             frf = measured_frf(part, method, model.quantity)
-            fitted = fit_in_motion(model, part, frf, Weights(), LevenbergMarquardt(), settings.starts, jr.key(seed))
+            fitted = fit_in_motion(model, part, frf, starts=settings.starts, key=jr.key(seed))
             rows.append(row(fitted, count, name, seed))
             if say is not None:
                 say(f"{count} experiments, {name}: mean bias {100 * rows[-1]['mean_bias']:.1f} %")

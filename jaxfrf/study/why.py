@@ -8,8 +8,9 @@ import jax.random as jr
 import numpy as np
 
 from ..experiment import concatenate
-from ..graybox import LevenbergMarquardt, RobotModel, Weights
-from ..graybox.through import default_method, fit_in_motion, measured_frf
+from ..graybox import RobotModel
+from ..graybox.in_motion import fit_in_motion
+from ..graybox.through import default_method, measured_frf
 from ..robot import Robot, parameters, r3x, r3x_ripple, with_parameters
 from ..simulation import simulate
 from .bias import bias_at
@@ -82,5 +83,5 @@ def _fitted(settings: Settings, robot: Robot, data) -> dict:
     own = with_parameters(dataclasses.replace(robot, effects=()), known)
     model = RobotModel(own, slow_amplitude=np.array(SLOW_AMPLITUDE))
     frf = measured_frf(data, default_method(), model.quantity)
-    fitted = fit_in_motion(model, data, frf, Weights(), LevenbergMarquardt(), settings.starts, jr.key(seed))
+    fitted = fit_in_motion(model, data, frf, starts=settings.starts, key=jr.key(seed))
     return row(fitted, 6, "direct, LRM, JIO stacked", seed)

@@ -1,0 +1,78 @@
+"""The direct fit to the FRF of a record: the linear model, as the motion of the experiment shows it."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import PRNGKeyArray
+
+from ..experiment import Experiment
+from ..frf import FRF
+from .corrections import Correction, answer, next_point, stays
+from .cost import Weights, shifted, target, vec
+from .fit import Fit, fit, fit_target
+from .model import RobotModel, starting_at
+from .slow_motion import SlowMotion, moving_response, response_at, slow_limit, slow_motion
+from .solver import AbstractSolver, LevenbergMarquardt
+from .swing import robot_points
+
+_AGAIN = 6  # fits in motion
+
+
+def fit_in_motion(
+    model: RobotModel,
+    data: Experiment,
+    measured: FRF,
+    *,
+    weights: Weights | None = None,
+    solver: AbstractSolver | None = None,
+    starts: int | Sequence[Mapping[str, float]] = 20,
+    key: PRNGKeyArray | None = None,
+) -> Fit:
+    """Fit a robot's parameters to the FRF of a record, without simulating the record.
+
+    `fit`, for the motion of the experiment: nonlinear springs at their mean stiffness over it, and in place of the
+    response of an arm at rest that of an arm in slow motion (`moving_response`: the sine that keeps joints sliding
+    turns an arm by degrees, its modes move along, and their mean looks like damping). Both depend on the parameters:
+    they are found again at the result, and the fit goes on from there until it stays.
+
+    Biased by what no linear response has: friction that comes and goes with the slow motion counts as a constant
+    viscous one, a local estimator smooths sharp resonances. `fit_through_experiment` takes that out.
+
+    **Arguments:**
+
+    - `data`: periodic records with arm configurations q.
+    - `measured`: their FRF, in the quantity of the model.
+    - Others as in `jaxfrf.fit`.
+
+    **Raises:** `jaxfrf.InputError` as `jaxfrf.fit` does, and for records without period or configurations.
+    """
+    weights = Weights() if weights is None else weights
+    solver = LevenbergMarquardt() if solver is None else solver
+    points = robot_points(model.robot, data)
+    found = fit(model, measured, weights=weights, solver=solver, starts=starts, key=key, points=points)
+    slow = slow_motion(model.robot, data, slow_limit(measured.frequency))
+    x, history = np.asarray(found.x), []
+    for _ in range(_AGAIN):
+        last = _fit_again(found, x, data, measured, weights, solver, slow)
+        history.append(Correction(x, answer(found.coordinates, last), 0.0, 0.0))
+        if slow is None or stays(history[-1], found.coordinates, last).all():
+            break
+        x = next_point(history, found.coordinates, last)
+    blind = tuple(dict.fromkeys((*found.without_sensitivity, *last.without_sensitivity)))
+    return dataclasses.replace(last, starts=found.starts, without_sensitivity=blind)
+
+
+def _fit_again(found: Fit, x, data: Experiment, measured: FRF, weights, solver, slow: SlowMotion | None) -> Fit:
+    """The fit from x, where springs and slow motion are as x has them."""
+    values = {n: float(v) for n, v in found.coordinates.values(x).items()}
+    model = starting_at(found.model, values)
+    points = robot_points(model.at(values), data)
+    tg = target(measured, weights, points)
+    if slow is None:
+        return fit_target(model, tg, solver, 1)
+    moving = moving_response(model, values, tg.frequency, data.q, slow)
+    linear = response_at(model, values, tg.frequency, points)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shift = np.log(np.asarray(vec(moving / linear)))
+    return fit_target(model, shifted(tg, shift, points), solver, 1)
