@@ -23,7 +23,7 @@ import bench_gap
 from _gap_picture import draw
 from _gap_score import Judged, found, load, rate, report, score, summary
 from _hidden_cases import CLASSES, cases, make, nominal_robot
-from _hidden_effects import JOINTS, MAIN, kind_of
+from _hidden_effects import JOINTS, MAIN, Hidden, kind_of
 from _mujoco_loop import Bristles
 from _mujoco_records import mujoco_experiment
 from _outside_effects import OUTSIDE, Bumper, GainDrift, PreslidingFriction
@@ -41,6 +41,13 @@ def relative(found, expected):
     """Largest relative rms of any channel."""
     rms = lambda x: np.sqrt(np.mean(x**2, axis=(0, 1, 2)))
     return np.max(rms(found - expected) / rms(expected))
+
+
+def test_truth_keeps_a_parameter_called_level():
+    """Coulomb friction has a parameter of the name that the truth gives to how visible an effect is."""
+    described = _hidden_cases._described(effects.CoulombFriction("joint2", 0.03), Hidden("coulomb", "joint2", 2.0), 2.1)
+    assert described["parameters"] == {"level": 0.03}
+    assert (described["level"], described["drawn_level"], described["joint"]) == (2.1, 2.0, "joint2")
 
 
 @pytest.mark.parametrize(("part", "counts"), [("tune", (8, 16, 4, 4)), ("report", (16, 30, 8, 10))])
