@@ -1,7 +1,7 @@
 """The direct fit to the FRF of a record: the linear model, as the motion of the experiment shows it."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import PRNGKeyArray
@@ -28,6 +28,7 @@ def fit_in_motion(
     solver: AbstractSolver | None = None,
     starts: int | Sequence[Mapping[str, float]] = 20,
     key: PRNGKeyArray | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> Fit:
     """Fit a robot's parameters to the FRF of a record, without simulating the record.
 
@@ -43,7 +44,7 @@ def fit_in_motion(
 
     - `data`: periodic records with arm configurations q.
     - `measured`: their FRF, in the quantity of the model.
-    - Others as in `jaxfrf.fit`.
+    - `say`: called with a line of what was found in the motion. Others as in `jaxfrf.fit`.
 
     **Raises:** `jaxfrf.InputError` as `jaxfrf.fit` does, and for records without period or configurations.
     """
@@ -52,6 +53,9 @@ def fit_in_motion(
     points = robot_points(model.robot, data)
     found = fit(model, measured, weights=weights, solver=solver, starts=starts, key=key, points=points)
     slow = slow_motion(model.robot, data, slow_limit(measured.frequency))
+    if slow is not None and say is not None:
+        turn = np.rad2deg(np.abs(slow.q - np.asarray(data.q)[:, None]).max())
+        say(f"slow motion turns the arm by up to {turn:.2g} degrees: fitted is its mean response over the way")
     x, history = np.asarray(found.x), []
     for _ in range(_AGAIN):
         last = _fit_again(found, x, data, measured, weights, solver, slow)

@@ -117,7 +117,7 @@ def identify(
     if why:
         _tell(say, f"direct fit only: {why}")
         measured = frf_of(part)
-        found = _direct(model, part, measured, weights, starts, key)
+        found = _direct(model, part, measured, weights, starts, key, say)
     else:
         folder, done, keep = kept_rounds(output, fingerprint(model, part, settings), resume, say)
         options = {"weights": weights, "starts": starts, "key": key, "rounds": rounds}
@@ -182,9 +182,9 @@ def _frf_of_record(data: Experiment, method: AbstractMethod, band) -> FRF:
     return estimate(with_output_quantity(spectra_of(data, method, band=band), QUANTITY), method)
 
 
-def _direct(model: RobotModel, data, measured: FRF, weights, starts: int, key) -> Fit:
+def _direct(model: RobotModel, data, measured: FRF, weights, starts: int, key, say) -> Fit:
     if isinstance(data, Experiment) and data.period:
-        return fit_in_motion(model, data, measured, weights=weights, starts=starts, key=key)
+        return fit_in_motion(model, data, measured, weights=weights, starts=starts, key=key, say=say)
     return fit(model, measured, weights=weights, starts=starts, key=key)
 
 
