@@ -9,12 +9,12 @@ from jaxtyping import PRNGKeyArray
 from ..experiment import Experiment
 from ..frf import FRF
 from .corrections import Correction, answer, next_point, stays
-from .cost import Weights, shifted, target, vec
+from .cost import Target, Weights, shifted, target, vec
 from .fit import Fit, fit, fit_target
 from .model import RobotModel, starting_at
 from .slow_motion import SlowMotion, moving_response, response_at, slow_limit, slow_motion
 from .solver import AbstractSolver, LevenbergMarquardt
-from .swing import robot_points
+from .swing import gear_torque_swing, swinging_points
 
 _AGAIN = 6  # fits in motion
 
@@ -50,7 +50,8 @@ def fit_in_motion(
     """
     weights = Weights() if weights is None else weights
     solver = LevenbergMarquardt() if solver is None else solver
-    points = robot_points(model.robot, data)
+    torque = gear_torque_swing(model.robot, data)
+    points = swinging_points(model.robot, data.q, torque)
     found = fit(model, measured, weights=weights, solver=solver, starts=starts, key=key, points=points)
     slow = slow_motion(model.robot, data, slow_limit(measured.frequency))
     if slow is not None and say is not None:
@@ -58,7 +59,12 @@ def fit_in_motion(
         say(f"slow motion turns the arm by up to {turn:.2g} degrees: fitted is its mean response over the way")
     x, history = np.asarray(found.x), []
     for _ in range(_AGAIN):
-        last = _fit_again(found, x, data, measured, weights, solver, slow)
+        values = {n: float(v) for n, v in found.coordinates.values(x).items()}
+        begin = starting_at(found.model, values)
+        tg = target(measured, weights, swinging_points(begin.at(values), data.q, torque))
+        if slow is not None:
+            tg = _as_moving(begin, values, tg, data.q, slow)
+        last = fit_target(begin, tg, solver, 1)
         history.append(Correction(x, answer(found.coordinates, last), 0.0, 0.0))
         if slow is None or stays(history[-1], found.coordinates, last).all():
             break
@@ -67,16 +73,10 @@ def fit_in_motion(
     return dataclasses.replace(last, starts=found.starts, without_sensitivity=blind)
 
 
-def _fit_again(found: Fit, x, data: Experiment, measured: FRF, weights, solver, slow: SlowMotion | None) -> Fit:
-    """The fit from x, where springs and slow motion are as x has them."""
-    values = {n: float(v) for n, v in found.coordinates.values(x).items()}
-    model = starting_at(found.model, values)
-    points = robot_points(model.at(values), data)
-    tg = target(measured, weights, points)
-    if slow is None:
-        return fit_target(model, tg, solver, 1)
-    moving = moving_response(model, values, tg.frequency, data.q, slow)
-    linear = response_at(model, values, tg.frequency, points)
+def _as_moving(model: RobotModel, values: dict, tg: Target, q, slow: SlowMotion) -> Target:
+    """The target for a model of the arm at rest, where the arm was in slow motion."""
+    moving = moving_response(model, values, tg.frequency, q, slow)
+    linear = response_at(model, values, tg.frequency, tg.points)
     with np.errstate(invalid="ignore", divide="ignore"):
         shift = np.log(np.asarray(vec(moving / linear)))
-    return fit_target(model, shifted(tg, shift, points), solver, 1)
+    return shifted(tg, shift, tg.points)

@@ -24,15 +24,14 @@ def robot_points(robot: Robot, data: Experiment) -> RobotPoint:
 
     **Arguments:** `data`: periodic records with arm configurations q.
     """
-    if data.q is None or data.q.shape[-1] != robot.n_axes:
-        raise input_error(
-            "q of the records",
-            "none" if data.q is None else f"{data.q.shape[-1]} angles",
-            f"the {robot.n_axes} arm angles of {robot.name} at every position",
-            "Store q with the records.",
-        )
-    torque = gear_torque_swing(robot, data)
-    return RobotPoint(np.asarray(data.q), deflection_swing(robot, data.q, torque))
+    return swinging_points(robot, data.q, gear_torque_swing(robot, data))
+
+
+def swinging_points(
+    robot: Robot, q: Float[np.ndarray, "pos axis"], torque: Float[np.ndarray, "pos sample gear"]
+) -> RobotPoint:
+    """Operating points at which the torque in the gears swings by these samples about gravity's."""
+    return RobotPoint(np.asarray(q), deflection_swing(robot, q, torque))
 
 
 def gear_torque_swing(robot: Robot, data: Experiment) -> Float[np.ndarray, "pos sample gear"]:
@@ -40,6 +39,13 @@ def gear_torque_swing(robot: Robot, data: Experiment) -> Float[np.ndarray, "pos 
 
     From the part of one mean period below 120 Hz, where the excitation and its slow sine are: beyond, ripple and noise
     differentiated twice would rule."""
+    if data.q is None or data.q.shape[-1] != robot.n_axes:
+        raise input_error(
+            "q of the records",
+            "none" if data.q is None else f"{data.q.shape[-1]} angles",
+            f"the {robot.n_axes} arm angles of {robot.name} at every position",
+            "Store q with the records.",
+        )
     swings = []
     for pos in range(data.n_pos):
         every = gear_torque(robot, motion(data, pos)).reshape(-1, len(robot.flexible_axes))
