@@ -106,11 +106,12 @@ def test_log_estimate_is_the_linearised_robot(smooth):
     assert np.abs(np.rad2deg(np.angle(ratio))).max() < 0.1
 
 
-class TestRecord:
-    @pytest.fixture(scope="class")
-    def recorded(self):
-        return jf.simulate(jf.robot.r3x(), design(), jf.random_positions(2, KEY), key=KEY, run_in=1.0)
+@pytest.fixture(scope="module")
+def recorded():
+    return jf.simulate(jf.robot.r3x(), design(), jf.random_positions(2, KEY), key=KEY, run_in=1.0)
 
+
+class TestRecord:
     def test_contents(self, recorded):
         plan = design()
         assert recorded.u.shape == recorded.y.shape == recorded.r.shape == (2, 6, 2000, 6)

@@ -9,6 +9,7 @@ from ..frf import AbstractMethod
 from ..graybox import (
     Fit,
     RobotModel,
+    RobotPoint,
     d_optimal,
     fit_through_experiment,
     position_information,
@@ -26,7 +27,13 @@ FRF_NOISE = 0.05  # relative, that the choice of positions assumes
 STIFFNESS_SPREAD, DAMPING_SPREAD = 0.25, 1.0
 
 
-AT_REST = {"arm as at rest": robot_points, "arm and springs as at rest": lambda robot, data: np.asarray(data.q)}
+def _without_swing(robot: Robot, data: Experiment) -> RobotPoint:
+    """Operating points at rest, in the shape of those with swing, so that nothing is compiled anew."""
+    points = robot_points(robot, data)
+    return RobotPoint(points.q, np.zeros_like(points.swing))
+
+
+AT_REST = {"arm as at rest": robot_points, "arm and springs as at rest": _without_swing}
 """What the direct fit would be without its account of the motion of the experiment."""
 
 
