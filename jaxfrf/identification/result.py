@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .. import __version__
 from ..frf import FRF
 from ..graybox import Fit, RobotModel, ThroughFit
 from ..graybox.quality import Quality
+from ..graybox.slow_motion import response_at
 from ..io.fits import fit_contents, plain_data, starts_contents
 from ..robot import Robot
 
@@ -158,15 +157,10 @@ def model_response(fitted: Fit, frequency) -> np.ndarray:
     """G of a fitted model at its operating points, (pos, freq, out, in); at the lines of the fit as the experiment
     shows it, with the shift of its target."""
     tg = fitted.target
-    G = np.asarray(_responses(fitted.model, fitted.coordinates.values(fitted.x), frequency, tg.points))
+    G = response_at(fitted.model, fitted.values, frequency, tg.points)
     if not np.array_equal(frequency, tg.frequency):
         return G
     return G * np.exp(tg.shift).reshape(*G.shape[:2], G.shape[3], G.shape[2]).swapaxes(-1, -2)
-
-
-@eqx.filter_jit
-def _responses(model, values, frequency, points):
-    return jax.lax.map(lambda point: model.response(jnp.asarray(frequency), values, point), points)
 
 
 def _quality_contents(own: Quality, positions: Sequence[int]) -> dict[str, Any]:

@@ -1,8 +1,6 @@
 """Table I: how far estimated amplitudes are from the truth."""
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +9,7 @@ from .._types import Array
 from ..experiment import Experiment
 from ..frf import FRF, estimate
 from ..graybox import Coordinates, RobotModel, RobotPoint, robot_points
+from ..graybox.slow_motion import response_at
 from ..robot import Robot, describing_friction
 from ..simulation import simulate
 from ..spectra import dft, with_output_quantity
@@ -53,12 +52,7 @@ def true_response(robot: Robot, points: RobotPoint, frequency) -> Float[np.ndarr
     model = RobotModel(robot)
     values = Coordinates(model.parameters).values(Coordinates(model.parameters).start())
     values |= {f"{axis}.effective_friction": f for axis, f in zip(robot.axis_names, friction, strict=True)}
-    return np.asarray(_responses(model, values, jnp.asarray(frequency), points))
-
-
-@eqx.filter_jit
-def _responses(model, values, frequency, points):
-    return jax.lax.map(lambda point: model.response(frequency, values, point), points)
+    return response_at(model, values, frequency, points)
 
 
 def at_rest(q) -> RobotPoint:
