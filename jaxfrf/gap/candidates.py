@@ -5,7 +5,7 @@ enters nonlinearly (a knee, a width, a clipping level) is tried at several value
 """
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import ClassVar
 
 import equinox as eqx
@@ -52,23 +52,31 @@ class Candidate(eqx.Module):
 def candidates(robot: Robot, largest: np.ndarray, more: Iterable[type[AbstractEffect]] = ()) -> tuple[Candidate, ...]:
     """Every effect of the library on every joint that it can act on, and `more` of the user's own.
 
-    Ripple and the errors of gears, whose orders are found in the data, and quantisation are not among them.
+    Those without a table here are tried by the range that their class states. Ripple and the errors of gears, whose
+    orders are found in the data, and quantisation are not among them.
 
     **Arguments:** `largest`: command of every motor in the record, (axis,), N m, for the clipping levels.
     """
     found = []
     for joint in robot.axis_names:
-        for table in _TABLES:
+        for table in dict.fromkeys(_TABLES.values()):
             found += table(robot, joint)
         found += _saturation(robot, joint, float(largest[axis_of(robot, joint)]))
     found += _payload(robot)
-    for kind in more:
+    for kind in (*_without_table(), *more):
         found += own_kind(kind, robot)
     return tuple(found)
 
 
+def _without_table() -> list[type[AbstractEffect]]:
+    """Effects of the library that only their class describes."""
+    return [kind for name, kind in fx.library().items() if name not in _TABLES and name not in _ELSEWHERE]
+
+
 def own_kind(kind: type[AbstractEffect], robot: Robot) -> list[Candidate]:
-    """An effect of the user's own on every joint that takes it, linear in its first parameter about none of it."""
+    """An effect known by its class alone on every joint that takes it, linear in its first parameter about none of it.
+
+    A class whose first parameter is no single number, or typically zero, has no such direction: it is left out."""
     found = []
     for joint in robot.axis_names:
         try:
@@ -77,8 +85,11 @@ def own_kind(kind: type[AbstractEffect], robot: Robot) -> list[Candidate]:
         except ValueError:
             continue
         first = next(iter(kind.units))
-        value = float(np.asarray(getattr(typical, first)))
-        low, high = (b / value for b in kind.bounds[first])
+        value = np.asarray(getattr(typical, first))
+        if value.size != 1 or not np.all(value):
+            continue
+        value = float(value.item())
+        low, high = (b / value for b in kind.bounds.get(first, (-np.inf, np.inf)))
         found.append(_scaled(kind.name, joint, typical, first, value, (min(low, high), max(low, high))))
     return found
 
@@ -311,22 +322,30 @@ def _carried(c):
     return fx.Payload(float(c[0]))
 
 
-_TABLES: Sequence[Callable[[Robot, str], list[Candidate]]] = (
-    _plain(fx.CoulombFriction, "level"),
-    _plain(fx.ViscousFriction, "coefficient"),
-    _plain(fx.ArmViscousFriction, "coefficient"),
-    _stribeck,
-    _plain(fx.FrictionAsymmetry, "offset"),
-    _plain(fx.LoadDependentFriction, "coefficient"),
-    _plain(fx.TorqueDelay, "delay"),
-    _plain(fx.CurrentLoopLag, "time_constant"),
-    _gaps,
-    _hardening,
-    _plain(fx.StructuralDamping, "loss"),
-    _hysteresis,
-    _plain(fx.TorqueConstant, "error"),
-    _plain(fx.MotorInertia, "increase"),
-    _spring_to_ground,
-    _flexibility,
-    _plain(fx.WristCoupling, "ratio"),
+_TABLES: Mapping[str, Callable[[Robot, str], list[Candidate]]] = {
+    "coulomb_friction": _plain(fx.CoulombFriction, "level"),
+    "viscous_friction": _plain(fx.ViscousFriction, "coefficient"),
+    "arm_viscous_friction": _plain(fx.ArmViscousFriction, "coefficient"),
+    "stribeck_friction": _stribeck,
+    "friction_asymmetry": _plain(fx.FrictionAsymmetry, "offset"),
+    "load_dependent_friction": _plain(fx.LoadDependentFriction, "coefficient"),
+    "torque_delay": _plain(fx.TorqueDelay, "delay"),
+    "current_loop_lag": _plain(fx.CurrentLoopLag, "time_constant"),
+    "backlash": _gaps,
+    "stiffness_hardening": _hardening,
+    "structural_damping": _plain(fx.StructuralDamping, "loss"),
+    "gear_hysteresis": _hysteresis,
+    "torque_constant": _plain(fx.TorqueConstant, "error"),
+    "motor_inertia": _plain(fx.MotorInertia, "increase"),
+    "counterbalance": _spring_to_ground,
+    "dress_pack": _spring_to_ground,
+    "extra_flexibility": _flexibility,
+    "wrist_coupling": _plain(fx.WristCoupling, "ratio"),
+}
+_ELSEWHERE = frozenset(
+    (
+        *("torque_saturation", "payload"),  # above: they need more than robot and joint
+        *("torque_ripple", "resolver_ripple", "transmission_error"),  # `stage`: their orders are found in the data
+        "encoder_quantisation",  # `quantised`: seen in the readings
+    )
 )

@@ -193,8 +193,6 @@ def _axis(joint: str, runs: list[_Run], draws: int, seed: int) -> _Axis:
     for step in range(_MOST):
         names, before = tuple(x[0] for x in chosen), squares(tuple(x[0] for x in chosen))
         p = _p_values(runs, names, draws, seed + step)
-        if __import__("os").environ.get("DBG"):
-            print(joint, p)
         best = None
         for name in (n for n in _TERMS if n not in names):
             if p[name] > _LEVEL or not _sensible(runs, (*names, name)):

@@ -19,6 +19,7 @@ from .scene import Scene
 _SLOW_MISMATCH, _MISMATCH = 0.004, 0.02
 _CORNERS = (1.5, 4.0)  # Hz, between the two
 _AROUND = 20  # lines
+_BANDS = np.array([0.0, 1.5, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 60.0])  # Hz
 
 
 class Evidence:
@@ -58,7 +59,7 @@ def _lines(x, count):
 
 def _noise(stills, noise) -> Float[np.ndarray, "line axis"]:
     """rms of the noise of the measured positions in the residual."""
-    power = [np.einsum("lab,b->la", np.abs(s.impedance / s.command[:, :, None]) ** 2, noise**2) for s in stills]
+    power = [np.einsum("lab,lb->la", np.abs(s.impedance / s.command[:, :, None]) ** 2, noise**2) for s in stills]
     return np.sqrt(np.mean(power, axis=0))
 
 
@@ -69,6 +70,24 @@ def _floor(U, noise, frequency):
     around[0] = np.maximum(around[0], smooth[0])
     mismatch = np.exp(np.interp(frequency, _CORNERS, np.log([_SLOW_MISMATCH, _MISMATCH])))
     return np.sqrt(noise**2 + mismatch[:, None] ** 2 * around)
+
+
+def band_edges(frequency) -> Float[np.ndarray, "edge"]:
+    """Of the bands in which a residual is looked at, Hz; those of each hold a line."""
+    edges = [0.0]
+    for edge in (*_BANDS[1:], np.inf):
+        if np.any((frequency >= edges[-1]) & (frequency < edge)):
+            edges.append(float(min(edge, frequency[-1])))
+    return np.array(edges)
+
+
+def by_band(left, floor, frequency) -> Float[np.ndarray, "pos exp axis band"]:
+    """Mean square over the floor in every band, 1 where real and imaginary parts are at their floor."""
+    edges = band_edges(frequency)
+    first = np.searchsorted(frequency, edges[:-1])
+    power = np.add.reduceat(0.5 * np.abs(left / floor) ** 2, first, axis=2)
+    count = np.diff(np.append(first, len(frequency)))
+    return np.swapaxes(power / count[:, None], 2, 3)
 
 
 def inflated(floor, left) -> Float[np.ndarray, "line axis"]:

@@ -5,6 +5,7 @@ import dataclasses
 import equinox as eqx
 import numpy as np
 import scipy.fft
+import scipy.ndimage
 from jaxtyping import Complex, Float
 
 from .._errors import input_error
@@ -13,19 +14,22 @@ from ..robot.quantity import derivatives
 
 _HIGHEST = 80.0  # Hz, where the excitation says nothing else
 _QUIET = (0.25, 0.475)  # of the sampling frequency: beyond what moves
+_BEYOND = 1.25  # times the highest line, where the excitation reaches into that band
+_AROUND = 41  # lines over which the scatter between periods is smoothed
 
 
 class Measured(eqx.Module):
     """Lines from 0 to the highest excited one of the mean steady period, all of them.
 
     **Fields:** `data`: the record. `U`: N m, `Y`: rad, (pos, exp, line, axis), amplitudes of one period; the mean motor
-    position is left out. `noise`: rms amplitude of noise in a line of `Y`, (axis,). `frequency`: (line,), Hz.
+    position is left out. `noise`: rms amplitude of noise in every line of `Y`, rad, (line, axis), whatever was logged.
+    `frequency`: (line,), Hz.
     """
 
     data: Experiment
     U: Complex[np.ndarray, "pos exp line axis"]
     Y: Complex[np.ndarray, "pos exp line axis"]
-    noise: Float[np.ndarray, "axis"]
+    noise: Float[np.ndarray, "line axis"]
     frequency: Float[np.ndarray, "line"]
 
     def at(self, positions) -> "Measured":
@@ -41,7 +45,8 @@ class Measured(eqx.Module):
 def measured(data: Experiment) -> Measured:
     """Lines of a periodic record.
 
-    **Raises:** `jaxfrf.InputError` for a record without period.
+    **Raises:** `jaxfrf.InputError` for a record without period, and for one of a single period whose lines leave no
+    band to see its noise in.
     """
     if not data.period:
         raise input_error(
@@ -51,14 +56,14 @@ def measured(data: Experiment) -> Measured:
             "Say its period (--set period=N), or compare torques of the measured motion (`diagnose_torque`).",
         )
     highest = _HIGHEST if data.lines is None or not len(data.lines) else max(data.lines) * data.fs / data.period
-    count = int(np.floor(highest * data.period / data.fs)) + 1
+    count = min(int(np.floor(highest * data.period / data.fs)), data.period // 2) + 1
     U, Y = (lines_of(x, data, count) for x in (data.u, data.y))
     frequency = np.arange(count) * data.fs / data.period
     s = 2j * np.pi * frequency[:, None]
     order = derivatives(data.y_quantity)
     Y[..., 1:, :] /= s[1:] ** order
     Y[..., 0, :] = 0.0
-    return Measured(data, U, Y, _noise(data, order), frequency)
+    return Measured(data, U, Y, _noise(data, order, frequency), frequency)
 
 
 def fewer(data: Experiment, most: int) -> Experiment:
@@ -85,12 +90,53 @@ def lines_of(signal, data: Experiment, count: int) -> Complex[np.ndarray, "pos e
     return result
 
 
-def _noise(data: Experiment, order: int):
-    """Of a line of the position, from the part of the record beyond what moves, where it is white as measured."""
-    low, high = (int(x * data.period) for x in _QUIET)
+def _noise(data: Experiment, order: int, frequency) -> Float[np.ndarray, "line axis"]:
+    """rms of the noise in every line of the angle, whose derivative of this order was logged.
+
+    Several periods show it line by line. A single one shows it beyond what moves, from where it is continued: white in
+    a log of angles; in one of speeds or accelerations as steep as it is there, but not falling towards high lines (a
+    central difference does fall, and its noise is overestimated).
+    """
+    power = _between_periods(data, len(frequency)) if data.n_periods > 1 else _continued(data, order, frequency)
+    s = 2.0 * np.pi * frequency[1:, None]
+    return np.concatenate([np.zeros((1, power.shape[1])), np.sqrt(power[1:]) / s**order])
+
+
+def _between_periods(data: Experiment, count: int):
+    """Power of the noise of the mean period, from the scatter of the periods about it, (line, axis)."""
+    steady = slice(data.transient_periods * data.period, (data.transient_periods + data.n_periods) * data.period)
+    power = []
+    for y in data.y:
+        x = np.asarray(y[:, steady]).reshape(data.n_exp, data.n_periods, data.period, -1)
+        lines = scipy.fft.rfft(x, axis=2)[:, :, :count] / data.period
+        power.append(np.mean(np.var(lines, axis=1, ddof=1), axis=0) / data.n_periods)
+    return scipy.ndimage.uniform_filter1d(np.mean(power, axis=0), _AROUND, axis=0, mode="nearest")
+
+
+def _continued(data: Experiment, order: int, frequency):
+    """Power of the noise of a single period, from the band beyond what moves, (line, axis)."""
+    low, high = max(_QUIET[0] * data.fs, _BEYOND * frequency[-1]), _QUIET[1] * data.fs
+    if low > 0.9 * high:
+        raise input_error(
+            "lines",
+            f"lines up to {frequency[-1]:.4g} Hz in a single period sampled at {data.fs:g} Hz",
+            f"lines up to {0.9 * high / _BEYOND:.4g} Hz, or two periods",
+            "Use two or more steady periods, whose scatter shows the noise, or a faster sampled record.",
+        )
+    middle = np.sqrt(low * high)
+    lower, upper = (_level(data, *band) for band in ((low, middle), (middle, high)))
+    at = [np.sqrt(low * middle), np.sqrt(middle * high)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.log(upper / lower) / np.log(at[1] / at[0])
+    slope = np.clip(np.nan_to_num(slope), 0.0, 2.0 * order)
+    return np.sqrt(lower * upper) * (frequency[:, None] / middle) ** slope
+
+
+def _level(data: Experiment, low: float, high: float) -> Float[np.ndarray, "axis"]:
+    """Usual power of a line of the log in a band, Hz."""
+    band = slice(*(int(x * data.period / data.fs) for x in (low, high)))
     power = []
     for pos in range(data.n_pos):
-        lines = scipy.fft.rfft(mean_period(data, pos, data.y), axis=1)[:, low:high] / data.period
+        lines = scipy.fft.rfft(mean_period(data, pos, data.y), axis=1)[:, band] / data.period
         power.append(np.median(np.abs(lines) ** 2, axis=1))
-    level = np.median(np.concatenate(power), axis=0) / np.log(2.0)
-    return np.sqrt(level)
+    return np.median(np.concatenate(power), axis=0) / np.log(2.0)

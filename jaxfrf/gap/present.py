@@ -1,7 +1,7 @@
 """From a search to what a person reads: verdict, effects, where, gap, maps."""
 
 import dataclasses
-import itertools
+from collections.abc import Sequence
 
 import numpy as np
 import scipy.fft
@@ -9,17 +9,17 @@ import scipy.fft
 from ..effects import library
 from ..experiment import Experiment
 from ..graybox.through import default_method, measured_frf
-from ..robot import parameters
-from .evidence import weigh
+from ..robot import Robot, parameters
+from .evidence import band_edges, by_band, weigh
 from .refine import refine
 from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
-from .score import family_wise, fit_beside, sums, variance
+from .score import deviations, family_wise, fit_beside
 from .search import CLASSES, FLOOR, Search, Step, passes
 from .signature import signature
 from .stage import Stage, mean_square, remainder
 from .trial import Fitted, corrected, usual_misfit, with_effect
+from .verify import Verified, Written, judged_positions, relative_torque, verified, written
 
-_BANDS = np.array([0.0, 1.5, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 60.0, 1e9])  # Hz
 _BINS = 24
 _FAR_OFF, _UNEXPLAINED = 2.0, 0.25  # misfit, and part of the reducible one, that must not be left
 _TOLERANCE = 0.06  # of the torque: half a decibel
@@ -28,32 +28,31 @@ _AT_MOST = 0.9  # of the gap is floor: a steady torque alone hardly lifts the rm
 
 
 def present(search: Search, compared: str, frf: bool = True) -> Diagnosis:
-    """The result of a search."""
-    base, last = _left(search, search.base), _left(search, search.last)
-    verdict, says, effects = _verdict(search, base)
-    extended = search.last if effects else search.base
-    after = last if effects else base
-    gap = _gap(search, base, after, extended)
-    values, changed = _parameters(search, extended)
-    maps = _maps(search, base, after, bool(effects))
+    """The result of a search: of the robots that would be written, judged on the sealed positions."""
+    stands = verified(search)
+    verdict, says, effects, extended = _verdict(search, stands)
+    gap = _gap(search, stands.base, extended)
+    last = stands.steps[-1].stage if extended is not stands.base else search.base
+    values, changed = _parameters(search, last, extended.robot)
+    maps = _maps(search, stands.base, extended)
     sealed = np.flatnonzero(~search.opened)
     return Diagnosis(
         verdict=verdict,
         says=says,
         effects=effects,
-        ranking=_ranking(search),
+        ranking=_ranking(search, stands),
         where=_where(search, maps),
         gap=gap,
         maps=maps,
         parameters=values,
         changed=changed,
         given=search.given,
-        base=search.base.robot,
+        base=stands.base.robot,
         extended=extended.robot,
         compared=compared,
         fitted=tuple(int(i) for i in np.flatnonzero(search.opened)),
         sealed=tuple(int(i) for i in sealed),
-        frf=_responses(search, extended, sealed) if frf and len(sealed) else None,
+        frf=_responses(search, (stands.base, extended), sealed) if frf and len(sealed) else None,
         next_experiment=_next(verdict, effects, search),
         sources=tuple(search.record.data.sources),
         settings={"lines": len(search.record.frequency), "highest_hz": float(search.record.frequency[-1])},
@@ -65,54 +64,52 @@ def _left(search: Search, stage: Stage) -> np.ndarray:
     return remainder(stage.evidence, stage.weighed, stage.fit, stage.fit.columns, stage.fit.x)
 
 
-def _sealed(search: Search) -> np.ndarray:
-    return ~search.opened if not search.opened.all() else search.opened
-
-
-def _mean_square(left, floor, where) -> float:
-    return mean_square(left[where] / floor)
-
-
-def _verdict(search: Search, base):
-    before, after = search.base.misfit, search.last.misfit
-    steps = search.steps
-    least = float(np.mean((search.base.evidence.plain / search.base.evidence.floor) ** 2))
-    usual = [usual_misfit(stage, search.base) - least for stage in (search.base, search.last)]
-    left = usual[1] / max(usual[0], 1e-9)
-    relative = _relative(search, base)
-    if steps and after > _FAR_OFF and left > _UNEXPLAINED:
-        return "unexplained", _tell_unexplained(search, left), ()
+def _verdict(search: Search, stands: Verified):
+    """Verdict, a sentence or two, the effects that are named, and the robot that has them."""
+    before, steps = search.base.misfit, stands.steps
+    taken_back = "".join(f" {text[0].upper() + text[1:]}." for text in stands.refused)
     if not steps:
         counted = _counting(search)
         if counted:
             names = ", ".join(f"{n.effect.name} on {n.joint}" for n in counted)
-            return "named", f"The readings move in whole counts: {names}.", counted
+            return "named", f"The readings move in whole counts: {names}.", counted, stands.base
         if before > _FAR_OFF:
-            return "unexplained", _tell_unexplained(search, 1.0), ()
+            return "unexplained", _tell_unexplained(search, 1.0) + taken_back, (), stands.base
+        relative = relative_torque(search, stands.base.residual, np.ones_like(search.opened))
         if np.all(relative < _TOLERANCE):
-            return (
-                "sufficient",
-                f"Nothing is missing that these data show: the torque is met within "
-                f"{100 * relative.max():.1f} % (rms, worst axis), and no effect explains more of the rest than chance.",
-                (),
+            says = (
+                f"Nothing is missing that these data show: the torque is met within {100 * relative.max():.1f} % (rms, "
+                "worst axis)"
             )
-        return "inconclusive", "No effect stands out, but the gap is not bounded below the tolerance either.", ()
-    effects = tuple(_named(search, step) for step in steps) + _counting(search)
-    rivals = _close_rivals(steps[0])
+            return "sufficient", f"{says}, and {_nothing_more(search)}.{taken_back}", (), stands.base
+        says = "No effect stands out, but the gap is not bounded below the tolerance either."
+        return "inconclusive", says + taken_back, (), stands.base
+    left = _part_left(search, steps[-1].stage)
+    if steps[-1].stage.misfit > _FAR_OFF and left > _UNEXPLAINED:
+        return "unexplained", _tell_unexplained(search, left) + taken_back, (), stands.base
+    effects = tuple(_named(search, steps, step) for step in steps) + _counting(search)
     names = " and ".join(f"{e.name.replace('_', ' ')}" + (f" on {e.joint}" if e.joint else "") for e in effects)
+    rivals = _close_rivals(steps, steps[0])
     if rivals:
         others = ", ".join(f"{k[0].replace('_', ' ')} on {k[1]}" for k in rivals)
-        return (
-            "ambiguous",
-            f"{names[0].upper() + names[1:]} explains the gap; {others} does so nearly as well.",
-            effects,
-        )
+        says = f"{names[0].upper() + names[1:]} explains the gap; {others} does so nearly as well."
+        return "ambiguous", says + taken_back, effects, stands.extended
     part = 100 * (1 - max(left, 0.0))
-    return (
-        "named",
-        f"Missing: {names}. It explains {part:.0f} % of what the refitted model left above the floor.",
-        effects,
-    )
+    says = f"Missing: {names}. It explains {part:.0f} % of what the refitted model left above the floor."
+    return "named", says + taken_back, effects, stands.extended
+
+
+def _nothing_more(search: Search) -> str:
+    if search.scored:
+        return "no effect explains more of the rest than chance"
+    return "what is left is nowhere beyond its floor, so that no effect was looked for"
+
+
+def _part_left(search: Search, last: Stage) -> float:
+    """Of what the base leaves above its floor."""
+    least = float(np.mean((search.base.evidence.plain / search.base.evidence.floor) ** 2))
+    usual = [usual_misfit(stage, search.base) - least for stage in (search.base, last)]
+    return usual[1] / max(usual[0], 1e-9)
 
 
 def _tell_unexplained(search: Search, left: float) -> str:
@@ -122,28 +119,26 @@ def _tell_unexplained(search: Search, left: float) -> str:
     )
 
 
-def _relative(search: Search, left) -> np.ndarray:
-    """rms residual over rms torque about its mean, per axis."""
-    U = search.record.U
-    return np.sqrt(np.sum(np.abs(left) ** 2, axis=(0, 1, 2)) / np.sum(np.abs(U[:, :, 1:]) ** 2, axis=(0, 1, 2)))
+def _close_rivals(steps: Sequence[Step], step: Step) -> list[tuple[str, str]]:
+    """Options that were hardly worse than the one taken, but for its own class and what is named besides."""
+    named = {other.option.key for other in steps}
 
-
-def _close_rivals(step: Step) -> list[tuple[str, str]]:
     def one_class(key):
         return key[1] == step.option.key[1] and any({step.effect.name, key[0]} <= c for c in CLASSES)
 
-    return [r.option.key for r in step.rivals if r.near and not one_class(r.option.key)]
+    keys = [rival.option.key for rival in step.rivals if rival.near]
+    return [key for key in keys if key not in named and not one_class(key)]
 
 
-def _equivalent(step: Step) -> tuple[str, ...]:
+def _equivalent(steps: Sequence[Step], step: Step) -> tuple[str, ...]:
     names = [n for c in CLASSES if step.effect.name in c for n in sorted(c - {step.effect.name})]
-    return tuple(dict.fromkeys(names + [k[0] for k in _close_rivals(step) if k[0] != step.effect.name]))
+    return tuple(dict.fromkeys(names + [k[0] for k in _close_rivals(steps, step) if k[0] != step.effect.name]))
 
 
-def _named(search: Search, step: Step) -> Named:
+def _named(search: Search, steps: Sequence[Step], step: Step) -> Named:
     effect, runs = step.effect, int(np.sum(search.base.fit.runs))
     first = step.option.scored
-    equivalent = _equivalent(step)
+    equivalent = _equivalent(steps, step)
     confusable = [f"{other}: {how}" for other, how in effect.confusable.items() if other in equivalent]
     return Named(
         effect=effect,
@@ -193,10 +188,11 @@ def _counting(search: Search) -> tuple[Named, ...]:
     return tuple(found)
 
 
-def _ranking(search: Search) -> tuple[Ranked, ...]:
+def _ranking(search: Search, stands: Verified) -> tuple[Ranked, ...]:
     seen, found = set(), []
     runs = int(np.sum(search.base.fit.runs))
-    taken = {step.option.key: i for i, step in enumerate(search.steps)}
+    taken = {step.option.key: i for i, step in enumerate(stands.steps)}
+    taken_back = {step.option.key for step in search.steps[len(stands.steps) :]}
     simulated = {
         r.option.key: f"simulated: leaves {r.misfit / s.before:.0%}, the one taken {s.after / s.before:.0%}"
         for s in search.steps
@@ -212,6 +208,8 @@ def _ranking(search: Search) -> tuple[Ranked, ...]:
         expected = {first: float(np.ravel(np.asarray(getattr(effect, first)))[0])}
         if scored.candidate.key in taken:
             why = "taken" if taken[scored.candidate.key] == 0 else "taken after the first"
+        elif scored.candidate.key in taken_back:
+            why = "taken back: the sealed positions speak against it"
         elif scored.candidate.key in simulated:
             why = simulated[scored.candidate.key]
         elif scored.size < 0.5:
@@ -227,25 +225,32 @@ def _ranking(search: Search) -> tuple[Ranked, ...]:
     return tuple(found)
 
 
-def _gap(search: Search, base, after, extended: Stage) -> Gap:
-    where, floor = _sealed(search), extended.evidence.plain
-    b, a = (np.sqrt(_mean_square(x, floor, where)) for x in (base, after))
+def _gap(search: Search, base: Written, extended: Written) -> Gap:
+    return _gap_between(search, base.residual, extended.residual, extended.evidence.plain)
+
+
+def _gap_between(search: Search, before, after, floor) -> Gap:
+    where = judged_positions(search)
+    b, a = (np.sqrt(mean_square(x[where] / floor)) for x in (before, after))
     low = min(np.sqrt(FLOOR), _AT_MOST * b)
     shrink = float(np.clip(1.0 - (a - low) / (b - low), -9.0, 1.0))
-    U = search.record.U[where][:, :, 1:]
-    torque = lambda x: np.sqrt(np.sum(np.abs(x[where]) ** 2, axis=(0, 1, 2)) / np.sum(np.abs(U) ** 2, axis=(0, 1, 2)))
     on = "sealed positions" if not search.opened.all() else "the fitted positions (none were sealed)"
-    return Gap(float(b), float(a), float(low), shrink, "1", on, torque(base), torque(after))
+    torque = (relative_torque(search, x, where) for x in (before, after))
+    return Gap(float(b), float(a), float(low), shrink, "1", on, *torque)
 
 
 def shrink_with(search: Search, effects) -> float | None:
     """Shrink of the gap on the sealed positions with these effects instead, fitted from these values and simulated,
     from the robot as it was given."""
     end = _end_with(search, search.views[-1], effects)
-    return None if end is None else _gap(search, _left(search, search.base), _left(search, end), end).shrink
+    if end is None:
+        return None
+    stage, fitted = end
+    return _gap(search, written(search.setting, search.base, ()), written(search.setting, stage, fitted)).shrink
 
 
-def _end_with(search: Search, stage: Stage, effects) -> Stage | None:
+def _end_with(search: Search, stage: Stage, effects) -> tuple[Stage, list] | None:
+    """The last stage and the effects with their fitted parameters."""
     before = []
     for effect in effects:
         first = with_effect(search.setting, stage, effect, before)
@@ -254,7 +259,7 @@ def _end_with(search: Search, stage: Stage, effects) -> Stage | None:
         fitted = corrected(search.setting, Fitted(effect, (), first), stage, _visible_of(effect), before)
         stage = fitted.stage
         before.append(fitted.effect)
-    return stage
+    return stage, before
 
 
 def linear_shrink(search: Search, effects) -> float:
@@ -266,7 +271,9 @@ def linear_shrink(search: Search, effects) -> float:
     columns = stage.fit.columns
     x = fit_beside(weighed.gram, stage.fit, row).x
     left = remainder(stage.evidence, weighed, stage.fit, np.append(columns, row), np.append(x, 1.0))
-    return _gap(search, _left(search, stage), left, stage).shrink
+    base = written(search.setting, stage, ())
+    after = base.residual + left - _left(search, stage)
+    return _gap_between(search, base.residual, after, stage.evidence.plain).shrink
 
 
 def _visible_of(effect) -> float:
@@ -274,41 +281,26 @@ def _visible_of(effect) -> float:
     return float(np.max(np.abs(value)))
 
 
-def _parameters(search: Search, stage: Stage):
-    """Stiffnesses and dampings of the last model with their standard deviations."""
-    gram, fit = stage.weighed.gram, stage.fit
-    A = sums(gram, fit.columns, fit.limits, fit.runs)[0][np.ix_(fit.columns, fit.columns)]
-    size = np.sqrt(np.maximum(np.diag(A), 0.0))
-    size = np.where(size > 0, size, 1.0)
-    inverse = np.linalg.pinv(A / np.outer(size, size) + 1e-9 * np.eye(len(A))) / np.outer(size, size)
-    std = np.sqrt(np.maximum(np.diag(inverse) * variance(gram, fit), 0.0))
-    own = {**parameters(stage.robot)}
+def _parameters(search: Search, stage: Stage, robot: Robot):
+    """Stiffnesses and dampings of the robot that is written, with their standard deviations from its stage."""
+    std = deviations(stage.weighed.gram, stage.fit)
+    own, given = parameters(robot), parameters(search.given)
     values, changed = {}, {}
     units = {"stiffness": "N m/rad", "damping": "N m s/rad"}
     for i, knob in enumerate(search.knobs):
         if knob.free:
-            value = float(own[knob.name]) * (1.0 + float(fit.x[i]))
-            values[knob.name] = Estimate(value, float(own[knob.name]) * float(std[i]), units[knob.kind])
-            changed[knob.name] = float((1.0 + stage.turns[i]) * (1.0 + fit.x[i]) - 1.0)
+            value = float(own[knob.name])
+            values[knob.name] = Estimate(value, value * float(std[i]), units[knob.kind])
+            changed[knob.name] = value / float(given[knob.name]) - 1.0
     return values, changed
 
 
-def _maps(search: Search, base, after, named: bool) -> Maps:
-    frequency = search.record.frequency
-    edges = np.minimum(_BANDS, frequency[-1])
-    edges = edges[: int(np.argmax(_BANDS >= frequency[-1])) + 1]
-    floor = search.base.evidence.plain
-
-    def rms(left):
-        power = 0.5 * np.mean(np.abs(left / floor) ** 2, axis=1)
-        parts = [
-            power[:, (frequency >= a) & ((frequency < b) | (b == edges[-1]))].mean(axis=1)
-            for a, b in itertools.pairwise(edges)
-        ]
-        return np.sqrt(np.stack(parts, axis=-1))
-
-    before = rms(base)
-    return Maps(before, rms(after) if named else before, edges, _courses(search, base, after))
+def _maps(search: Search, base: Written, extended: Written) -> Maps:
+    frequency, floor = search.record.frequency, search.base.evidence.plain
+    rms = lambda left: np.sqrt(np.mean(by_band(left, floor, frequency), axis=1))
+    before = rms(base.residual)
+    after = before if extended is base else rms(extended.residual)
+    return Maps(before, after, band_edges(frequency), _courses(search, base.residual, extended.residual))
 
 
 def _courses(search: Search, base, after):
@@ -356,18 +348,18 @@ def _where(search: Search, maps: Maps) -> tuple[Cell, ...]:
     return tuple(sorted(cells, key=lambda c: -c.z)[:8])
 
 
-def _responses(search: Search, extended: Stage, sealed):
+def _responses(search: Search, models: Sequence[Written], sealed):
     """FRFs of measurement, base and extended model, estimated alike."""
     data = search.record.at(sealed).data
     method = default_method()
     found = [measured_frf(data, method, "acceleration")]
-    for stage in (search.base, extended):
-        found.append(measured_frf(_played(data, stage, sealed), method, "acceleration"))
+    for model in models:
+        found.append(measured_frf(_played(data, model, sealed), method, "acceleration"))
     return tuple(found)
 
 
-def _played(data: Experiment, stage: Stage, sealed) -> Experiment:
-    scenes = [stage.evidence.scenes[i] for i in sealed]
+def _played(data: Experiment, model: Written, sealed) -> Experiment:
+    scenes = [model.evidence.scenes[i] for i in sealed]
     first = data.transient_periods * data.period
     return dataclasses.replace(
         data,

@@ -3,7 +3,9 @@
 import equinox as eqx
 import numpy as np
 
-from ..effects import AbstractEffect
+from ..effects import AbstractEffect, StiffnessHardening
+from ..effects._place import spring_of
+from ..robot import Robot
 from .evidence import weigh
 from .score import fit_beside, projected, sums, variance
 from .signature import signature
@@ -43,6 +45,14 @@ def names_of(effect: AbstractEffect) -> tuple[str, ...]:
         return ()
     first = FIRST.get(effect.name, next(iter(effect.units)))
     return (first, *MORE.get(effect.name, ()))
+
+
+def absent(effect: AbstractEffect, robot: Robot) -> float:
+    """Value of the first parameter at which a robot is as it is without the effect. Of a stiffness or a limit that is
+    infinity; being zero or being infinite are as many relative standard deviations away."""
+    if isinstance(effect, StiffnessHardening):
+        return float(robot.springs.stiffness_ratio[spring_of(robot, effect.joint)])
+    return 0.0
 
 
 def refine(stage: Stage, effect: AbstractEffect, visible: float, simulated: AbstractEffect | None = None) -> Refined:

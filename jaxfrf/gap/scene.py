@@ -26,6 +26,7 @@ from .frozen import Frozen
 _SPRINGS = 500.0  # Hz, samples of springs and arm, which move below 100 Hz
 _BLOCK = 500  # samples
 _LINKS = 250.0  # Hz, samples of the links' forces
+_PER_LINE = 3.0  # samples for a cycle of the highest line, at least: their laws make little beyond
 
 Signal = Float[np.ndarray, "exp time"]
 Signature = Complex[np.ndarray, "exp line axis"]
@@ -91,7 +92,12 @@ class Scene:
     @cached_property
     def coarse(self) -> int:
         """Samples of a period that springs and arm have."""
-        return min(self.period, 2 * int(np.ceil(0.5 * _SPRINGS * self.period / self.fs)))
+        return self._samples(_SPRINGS)
+
+    def _samples(self, rate: float) -> int:
+        """Of a period at this rate, Hz, or what its lines need if that is more."""
+        count = max(rate * self.period / self.fs, _PER_LINE * self.lines)
+        return min(self.period, 2 * int(np.ceil(0.5 * count)))
 
     def _coarse(self, derivatives: int, count: int):
         Z = self._Z[:, : count // 2 + 1] * self._s[: count // 2 + 1] ** derivatives * (count / self.period)
@@ -259,7 +265,7 @@ class Scene:
     @cached_property
     def _arm(self):
         """Angles, rates and accelerations of the arm, (row, exp sample)."""
-        count = min(self.period, 2 * int(np.ceil(0.5 * _LINKS * self.period / self.fs)))
+        count = self._samples(_LINKS)
         rows = slice(self.robot.n_motors, None)
         return tuple(self._coarse(n, count)[..., rows].reshape(-1, self.robot.dof - rows.start).T for n in range(3))
 

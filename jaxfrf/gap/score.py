@@ -109,6 +109,15 @@ def variance(gram: Gram, fit: BaseFit) -> float:
     return max(fit.misfit, 1.0) * max(gram.count * int(np.sum(fit.runs)) / _HONEST, 1.0)
 
 
+def deviations(gram: Gram, fit: BaseFit) -> Float[np.ndarray, "column"]:
+    """Standard deviations of the coefficients of a fit, with what the others share counted."""
+    A = sums(gram, fit.columns, fit.limits, fit.runs)[0][np.ix_(fit.columns, fit.columns)]
+    size = np.sqrt(np.maximum(np.diag(A), 0.0))
+    size = np.where(size > 0, size, 1.0)
+    inverse = np.linalg.pinv(A / np.outer(size, size) + 1e-9 * np.eye(len(A))) / np.outer(size, size)
+    return np.sqrt(np.maximum(np.diag(inverse) * variance(gram, fit), 0.0))
+
+
 class Drop(eqx.Module):
     """What more columns take off the misfit beside a base that gives way within its bounds.
 

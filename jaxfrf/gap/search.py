@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import numpy as np
+import scipy.stats
 from jaxtyping import Bool
 
 from ..effects import AbstractEffect
@@ -12,14 +13,15 @@ from ..robot import Robot
 from .candidates import candidates
 from .knobs import Knob, knobs, pinned, turned
 from .measured import Measured
-from .refine import Refined, names_of, refine
+from .refine import Refined, absent, names_of, refine
 from .rounds import Round, keep_round, read_round
-from .score import family_wise
+from .score import family_wise, variance
 from .stage import (
     FAR,
     Scored,
     Stage,
     Table,
+    excess,
     gear_candidates,
     look,
     look_again,
@@ -47,6 +49,7 @@ _REFITS, _CURES = 4, 0.7  # of the base model, each to leave this part of the mi
 _SHORT = 5  # candidates that are refined
 _SECOND = 0.05  # of the misfit, or of the floor, that a second effect must promise: what the first left is no effect
 _NEAR, _ANY = 0.1, 0.3  # of the misfit that is left, which is at least this: a rival this close is as good
+_INTERVAL = 1.96  # standard deviations
 _KEPT = 0.3  # of what a candidate promised must be kept by its simulation
 FLOOR = 1.0  # misfit of an honest model
 
@@ -96,7 +99,7 @@ class Search(eqx.Module):
     """A finished search.
 
     **Fields:** `views`: the refitted robot, and the given one where that was no cure. `steps`: effects found. `scored`:
-    the first ranking.
+    the first ranking, empty where nothing was beyond the floor.
     """
 
     setting: Setting
@@ -143,10 +146,14 @@ def search(
     these, setting = knobs(robot), Setting(robot, record, np.asarray(opened))
     starts = _views(setting, these, say)
     done(0.3)
-    columns = _table(starts[-1], record, opened, own)
-    steps, first = [], ()
+    steps, first, columns = [], (), None
     while len(steps) < MOST:
         views = (steps[-1].stage,) if steps else starts
+        most = excess(views[0], record, setting.opened)
+        if most <= FLOOR:
+            say(f"nowhere more than {most:.3g} times the floor is left: nothing to look for")
+            break
+        columns = columns or _table(starts[-1], record, opened, own)
         had = {step.option.key for step in steps}
         ranked = [
             _Ranked(view, tuple(s for s in _scored(view, columns, starts[-1]) if s.candidate.key not in had))
@@ -270,7 +277,7 @@ def _best(setting: Setting, ranked: Sequence[_Ranked], steps, say: Say) -> Step 
         if trial.stage.misfit > CLOSE:
             tried[i] = trial.further(setting, like, before)
             say(f"  corrected {tried[i].told(usual)}")
-    tried = [trial for trial in tried if trial.keeps(usual)]
+    tried = [trial for trial in tried if trial.keeps(usual) and trial.is_sure(say)]
     if not tried:
         return None
     best = _winner(tried, like)
@@ -357,6 +364,21 @@ class _Trial(eqx.Module):
         """Whether the simulation keeps what the signature promised."""
         before = usual(self.view)
         return before - usual(self.stage) >= _KEPT * self.option.drop * before
+
+    def is_sure(self, say: Say) -> bool:
+        """Whether the 95 % interval of its size does not hold "none of it"."""
+        effect, std = self.fitted.effect, self.fitted.std
+        if std:
+            size = abs(float(getattr(effect, names_of(effect)[0])) - absent(effect, self.view.robot))
+            sure = size > _INTERVAL * std[0]
+        else:  # waves, whose amplitudes are of no sign
+            gram, drop = self.view.weighed.gram, self.option.scored.found.drop
+            size = len(self.option.scored.found.x)
+            sure = drop > variance(gram, self.view.fit) * scipy.stats.chi2.ppf(0.95, size)
+        if not sure:
+            name, joint = self.option.key
+            say(f"  {name} {joint}: its interval holds none of it")
+        return sure
 
     def told(self, usual) -> str:
         name, joint = self.option.key

@@ -8,7 +8,7 @@ import numpy as np
 from ..effects import AbstractEffect, ResolverRipple, TorqueRipple, TransmissionError
 from ..robot import Robot
 from .candidates import Candidate
-from .evidence import Column, Evidence, Weighed, inflated, rebased, refloored, renewed, weigh
+from .evidence import Column, Evidence, Weighed, by_band, inflated, rebased, refloored, renewed, weigh
 from .knobs import Knob
 from .measured import Measured
 from .ripple import Order, find_orders, gear_orders
@@ -180,6 +180,13 @@ def _fitted(robot, evidence, weighed, knobs, turns, orders, loud, keep, opened, 
     return Stage(robot, evidence, tuple(knobs), turns, tuple(orders), tuple(loud), weighed, fit, misfit, near)
 
 
+def excess(stage: Stage, record: Measured, opened) -> float:
+    """Mean square over the floor where most is left: of one axis in one band, over the fitted positions. An honest
+    model leaves less than 1 everywhere."""
+    left = remainder(stage.evidence, stage.weighed, stage.fit, stage.fit.columns, stage.fit.x)[opened]
+    return float(np.max(np.mean(by_band(left, stage.evidence.plain, record.frequency), axis=(0, 1))))
+
+
 def mean_square(z) -> float:
     """Of real and imaginary parts alike: 1 where they are at their floor."""
     return 0.5 * float(np.mean(np.abs(z) ** 2))
@@ -269,6 +276,12 @@ def loud_candidates(stage: Stage) -> list[tuple[Candidate, np.ndarray]]:
     return found
 
 
+def waves_of(kind, joint: str, orders: Sequence[int], c) -> AbstractEffect:
+    """Ripple from the coefficients of sine and cosine of every order, (order, 2)."""
+    c = np.asarray(c)
+    return kind(joint, np.hypot(c[:, 0], c[:, 1]), tuple(orders), np.arctan2(c[:, 1], c[:, 0]))
+
+
 class _Waves:
     """Ripple from the coefficients of sine and cosine."""
 
@@ -277,10 +290,10 @@ class _Waves:
 
     def __call__(self, c):
         waves = np.asarray(c).reshape(-1, 2)
+        if self.teeth is None:
+            return waves_of(self.kind, self.joint, self.orders, waves)
         amplitude, phase = np.hypot(waves[:, 0], waves[:, 1]), np.arctan2(waves[:, 1], waves[:, 0])
-        if self.teeth is not None:
-            return TransmissionError(self.joint, amplitude, self.teeth, self.orders, phase)
-        return self.kind(self.joint, amplitude, self.orders, phase)
+        return TransmissionError(self.joint, amplitude, self.teeth, self.orders, phase)
 
 
 def gear_candidates(stage: Stage, opened) -> list[Candidate]:

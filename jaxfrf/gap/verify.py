@@ -1,0 +1,140 @@
+"""What a diagnosis would write, simulated as it would be written, and whether the sealed positions agree."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+import scipy.stats
+from jaxtyping import Bool, Complex, Float
+
+from .._errors import InputError
+from ..effects import AbstractEffect, ResolverRipple, TorqueRipple
+from ..robot import Robot
+from .evidence import Evidence
+from .knobs import turned
+from .score import deviations
+from .search import Search, Step
+from .stage import Stage, mean_square, waves_of
+from .trial import Setting, together
+
+_CHANCE = 1e-3  # of an order of ripple that is written without being there
+_SAME = 1e-3  # relative: numbers that move less are as they were simulated
+_RISE = 1.1  # of an axis that is beyond its floor, that another axis' gain does not pay for
+_GAIN = 0.98  # of what was there: more left is no gain
+
+
+class Written(eqx.Module):
+    """A robot with all its numbers as they would be written, simulated through the experiment: `residual` is what it
+    leaves of the record, which nothing has corrected."""
+
+    robot: Robot
+    evidence: Evidence = eqx.field(static=True)
+
+    @property
+    def residual(self) -> Complex[np.ndarray, "pos exp line axis"]:
+        """N m, referred to the motors' commands."""
+        return self.evidence.residual
+
+
+def written(setting: Setting, stage: Stage, effects: Sequence[AbstractEffect]) -> Written:
+    """The robot of a stage with these effects, what its fit still changes and the ripple that its motors have; or
+    without the last two, where the fitted positions are met better so."""
+    as_it_is = Written(stage.robot, stage.evidence)
+    change, waves = stage.fit.x[: len(stage.knobs)], motors_ripple(stage)
+    if np.max(np.abs(change), initial=0.0) < _SAME and not waves:
+        return as_it_is
+    turns = together(stage.turns, change)
+    try:
+        robot = turned(setting.given, stage.knobs, turns).with_effects(*effects, *waves)
+        found = Written(robot, Evidence(robot, setting.record))
+    except InputError:  # beyond a robot that stands, or that its controller holds
+        return as_it_is
+    floor, opened = stage.evidence.plain, setting.opened
+    better = mean_square(found.residual[opened] / floor) < mean_square(as_it_is.residual[opened] / floor)
+    return found if better else as_it_is
+
+
+def motors_ripple(stage: Stage) -> list[AbstractEffect]:
+    """Ripple of every motor that the fit of a stage is sure of, one effect for each motor and kind."""
+    fit, first = stage.fit, len(stage.knobs)
+    std = np.full(first + 2 * len(stage.orders), np.inf)
+    value = np.zeros_like(std)
+    std[fit.columns], value[fit.columns] = deviations(stage.weighed.gram, fit), fit.x
+    c, sure = value[first:].reshape(-1, 2), (value / std)[first:].reshape(-1, 2)
+    sure = np.sum(sure**2, axis=1) > scipy.stats.chi2.isf(_CHANCE, 2)
+    found = []
+    for axis, joint in enumerate(stage.robot.axis_names):
+        for kind, make in (("torque", TorqueRipple), ("resolver", ResolverRipple)):
+            rows = [i for i, o in enumerate(stage.orders) if (o.kind, o.axis) == (kind, axis) and sure[i]]
+            if rows:
+                found.append(waves_of(make, joint, [int(stage.orders[i].order) for i in rows], c[rows]))
+    return found
+
+
+class Verified(eqx.Module):
+    """What stands of a search.
+
+    **Fields:** `base`: the robot without effects. `steps`: the effects that the sealed positions agree with, and
+    `extended` the robot that has them, the base where there are none. `refused`: why others were taken back.
+    """
+
+    base: Written
+    steps: tuple[Step, ...]
+    extended: Written
+    refused: tuple[str, ...]
+
+
+def verified(search: Search) -> Verified:
+    """The longest beginning of the effects that were found whose written robot makes the gap on the sealed positions
+    smaller, and no axis' larger; on the fitted positions, where none are sealed."""
+    setting = search.setting
+    base, refused = written(setting, search.base, ()), []
+    for count in range(len(search.steps), 0, -1):
+        steps = search.steps[:count]
+        extended = written(setting, steps[-1].stage, [s.effect for s in steps])
+        against = _against(search, base, extended)
+        if against is None:
+            return Verified(base, steps, extended, tuple(refused))
+        refused.append(f"{_name(steps[-1])} was taken back: {against}")
+    return Verified(base, (), base, tuple(refused))
+
+
+def _name(step: Step) -> str:
+    name, joint = step.option.key
+    return name.replace("_", " ") + (f" of {joint}" if joint else "")
+
+
+def judged_positions(search: Search) -> Bool[np.ndarray, "pos"]:
+    """The sealed ones; those of the fit where none are."""
+    return search.opened if search.opened.all() else ~search.opened
+
+
+def over_floor(left, floor, positions) -> Float[np.ndarray, "axis"]:
+    """rms over the floor of every axis."""
+    return np.sqrt(0.5 * np.mean(np.abs(left[positions] / floor) ** 2, axis=(0, 1, 2)))
+
+
+def _against(search: Search, base: Written, extended: Written) -> str | None:
+    """What the sealed positions say against the extended robot."""
+    where, floor = judged_positions(search), search.base.evidence.plain
+    before, after = (over_floor(x.residual, floor, where) for x in (base, extended))
+    torque = tuple(relative_torque(search, x.residual, where) for x in (base, extended))
+    if np.sqrt(np.mean(after**2)) > _GAIN * np.sqrt(np.mean(before**2)):
+        return f"with it the gap is {_rms(after):.3g} times the floor, {_rms(before):.3g} without"
+    for axis, name in enumerate(search.given.axis_names):
+        if after[axis] > max(_RISE * before[axis], 1.0):
+            return f"with it the gap of {name} rises from {before[axis]:.3g} to {after[axis]:.3g} times the floor"
+        if torque[1][axis] > _RISE * torque[0][axis] and after[axis] > before[axis]:
+            return f"with it the torque of {name} is missed by {torque[1][axis]:.2%}, by {torque[0][axis]:.2%} without"
+    return None
+
+
+def _rms(x) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def relative_torque(search: Search, left, positions) -> Float[np.ndarray, "axis"]:
+    """rms residual over rms torque about its mean, per axis."""
+    U = search.record.U[positions][:, :, 1:]
+    squares = lambda x: np.sum(np.abs(x) ** 2, axis=(0, 1, 2))
+    return np.sqrt(squares(left[positions]) / squares(U))
