@@ -21,11 +21,9 @@ def main(arguments=None) -> int:
     try:
         summary = given.run(given)
     except (InputError, ImportError, OSError) as error:
-        print(f"jaxfrf {given.command}: {_plain(error)}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"jaxfrf {given.command}: interrupted; what was finished is kept (see --resume)", file=sys.stderr)
-        return 130
+        return _stopped(given.command, _plain(error), error, 2)
+    except KeyboardInterrupt as error:
+        return _stopped(given.command, "interrupted.", error, 130)
     _print(json.dumps(summary.pop("json", summary), indent=1) if given.json else "\n".join(summary["text"]))
     return 0
 
@@ -35,6 +33,12 @@ def _print(text: str) -> None:
         print(text, flush=True)
     except BrokenPipeError:  # the reader has seen enough (`| head`); Python would complain again at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _stopped(command: str, text: str, error: BaseException, code: int) -> int:
+    """Say why, with what was noted on the way (what is kept, what was not written)."""
+    print(f"jaxfrf {command}:", text, *getattr(error, "__notes__", ()), file=sys.stderr)
+    return code
 
 
 def _plain(error: Exception) -> str:
