@@ -37,13 +37,16 @@ def _print(text: str) -> None:
 
 def _stopped(command: str, text: str, error: BaseException, code: int) -> int:
     """Say why, with what was noted on the way (what is kept, what was not written)."""
-    print(f"jaxfrf {command}:", text, *getattr(error, "__notes__", ()), file=sys.stderr)
+    notes = getattr(error, "__notes__", ())
+    print(f"jaxfrf {command}:", f"{text.rstrip('.')}." if notes else text, *notes, file=sys.stderr)
     return code
 
 
 def _plain(error: Exception) -> str:
     if isinstance(error, FileNotFoundError) and error.filename:
         return f"{error.filename}: no such file or folder"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
 
 

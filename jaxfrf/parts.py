@@ -68,9 +68,8 @@ class Parts:
         if error is None or not finished:
             self.discard()
         else:
-            error.add_note(
-                f"{_count(finished)} kept in {self.folder}: the same command with --resume goes on from there."
-            )
+            kept = f"{_count(finished)} kept in {self.folder}"
+            error.add_note(f"{kept}: the same command with --resume goes on from there.")
 
     def begin(self, about: Mapping[str, Any], files: Sequence[str]) -> None:
         """Make the folder, or take over what an interrupted run left; once, before the work.
@@ -168,7 +167,7 @@ class Parts:
         """Finished parts of an earlier run; of another command, whatever may be one."""
         found = [p for p in self.folder.iterdir() if p.name != _STAMP and not _draft_of(p.name, files)]
         mine = stamp["about"].get("command") == self._command
-        return [p for p in found if _matches(p.name, files)] if mine else found
+        return [p for p in found if _matches(p.name, files) and _plain(p)] if mine else found
 
     def _write_stamp(self, about: Mapping[str, str]) -> None:
         stamp = {
