@@ -56,6 +56,7 @@ class Parts:
         self._command, self._resume, self._about = command, resume, dict(about or {})
         self._say = say or (lambda text: None)
         self._files: tuple[str, ...] = ()  # none before `begin`: then nothing is ours to delete
+        self._begun: dict[str, str] | None = None
 
     def __enter__(self) -> "Parts":
         self._stamp()
@@ -89,14 +90,12 @@ class Parts:
         elif self._resume:
             self._say(f"nothing to resume in {self.folder}: starting from the beginning")
         try:
-            self.folder.mkdir(exist_ok=True)
-            self._files = tuple(files)
-            if not left:
-                self._write_stamp(about)
+            self._make(about, new=stamp is None, stamped=bool(left))
         except OSError as error:
             raise output_error(
                 str(self.folder), f"no way to write there ({error.strerror})", "a folder for parts", "Write elsewhere."
             ) from error
+        self._files, self._begun = tuple(files), about
         if self.finished:
             self._say(f"{_count(len(self.finished))} taken over from {self.folder}")
 
@@ -108,9 +107,19 @@ class Parts:
         return sorted(p.name for p in self.folder.iterdir() if _matches(p.name, self._files) and _plain(p))
 
     def path(self, name: str) -> pathlib.Path:
-        """Where a part belongs; to be written whole or not at all."""
+        """Where a part belongs; to be written whole or not at all.
+
+        **Raises:** `jaxfrf.InputError` if another run has taken the folder meanwhile: parts of two must not mix.
+        """
         if not _matches(name, self._files):
             raise ValueError(f"{name} is none of {', '.join(self._files) or 'the parts: begin comes first'}.")
+        if not self._is_mine():
+            raise output_error(
+                str(self.folder),
+                "that it was deleted or taken by another run meanwhile",
+                "the parts of this run alone",
+                "Give every run an output of its own.",
+            )
         return self.folder / name
 
     def read(self, name: str, read: Callable[[pathlib.Path], Any]) -> Any:
@@ -129,7 +138,7 @@ class Parts:
     def discard(self) -> None:
         """Delete what this program wrote there; files of someone else stay, and the folder with them."""
         try:
-            if self.folder.is_symlink() or self._stamp() is None:
+            if not self._is_mine():
                 return
             for path in self.folder.iterdir():
                 if (_matches(path.name, self._files) or _draft_of(path.name, self._files)) and _plain(path):
@@ -139,8 +148,15 @@ class Parts:
                 self.folder.rmdir()
             else:
                 self._say(f"{self.folder} is left: it holds files of someone else")
-        except (OSError, OutputError) as error:  # the result stands already
+        except OSError as error:  # the result stands already
             self._say(f"{self.folder} is left ({error})")
+
+    def _is_mine(self) -> bool:
+        try:
+            stamp = self._stamp()
+        except OutputError:
+            return False
+        return stamp is not None and stamp["about"] == self._begun
 
     def _stamp(self) -> dict[str, Any] | None:
         """What the folder says of itself; `None` where there is none."""
@@ -168,6 +184,17 @@ class Parts:
         found = [p for p in self.folder.iterdir() if p.name != _STAMP and not _draft_of(p.name, files)]
         mine = stamp["about"].get("command") == self._command
         return [p for p in found if _matches(p.name, files) and _plain(p)] if mine else found
+
+    def _make(self, about: Mapping[str, str], new: bool, stamped: bool) -> None:
+        if new:
+            self.folder.mkdir()
+        try:
+            if not stamped:
+                self._write_stamp(about)
+        except OSError:
+            if new:
+                self.folder.rmdir()
+            raise
 
     def _write_stamp(self, about: Mapping[str, str]) -> None:
         stamp = {

@@ -132,6 +132,25 @@ class TestWhoseFolderItIs:
         with pytest.raises(jf.InputError, match=r"out\.parts: found no way to write there"):
             begun(tmp_path / "out")
 
+    def test_a_stamp_that_cannot_be_written(self, tmp_path, monkeypatch):
+        def full(source, destination):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        with monkeypatch.context() as patch:
+            patch.setattr(_files.os, "replace", full)
+            with pytest.raises(jf.InputError, match=r"out\.parts: found no way to write there \(No space left"):
+                begun(tmp_path / "out")
+        assert list(tmp_path.iterdir()) == []
+
+    def test_parts_of_two_runs_do_not_mix(self, tmp_path):
+        """A second run with the same output, before the first has finished a part: the first stops, and deletes
+        nothing."""
+        with pytest.raises(jf.InputError, match="taken by another run"), begun(tmp_path / "out") as first:
+            second = begun(tmp_path / "out", about={"method": "H2()"})
+            finish(second, 0)
+            first.read("part-0.txt", pathlib.Path.read_text)
+        assert names(second.folder) == [STAMP, "part-0.txt"]
+
     def test_names_of_parts_are_known(self, tmp_path):
         with begun(tmp_path / "out") as made, pytest.raises(ValueError, match=r"\.\./x is none of part"):
             made.path("../x")
