@@ -21,11 +21,9 @@ def main(arguments=None) -> int:
     try:
         summary = given.run(given)
     except (InputError, ImportError, OSError) as error:
-        print(f"jaxfrf {given.command}: {_plain(error)}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"jaxfrf {given.command}: interrupted; what was finished is kept (see --resume)", file=sys.stderr)
-        return 130
+        return _stopped(given.command, _plain(error), error, 2)
+    except KeyboardInterrupt as error:
+        return _stopped(given.command, "interrupted.", error, 130)
     _print(json.dumps(summary.pop("json", summary), indent=1) if given.json else "\n".join(summary["text"]))
     return 0
 
@@ -37,9 +35,18 @@ def _print(text: str) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _stopped(command: str, text: str, error: BaseException, code: int) -> int:
+    """Say why, with what was noted on the way (what is kept, what was not written)."""
+    notes = getattr(error, "__notes__", ())
+    print(f"jaxfrf {command}:", f"{text.rstrip('.')}." if notes else text, *notes, file=sys.stderr)
+    return code
+
+
 def _plain(error: Exception) -> str:
     if isinstance(error, FileNotFoundError) and error.filename:
         return f"{error.filename}: no such file or folder"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
 
 

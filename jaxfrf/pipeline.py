@@ -1,97 +1,69 @@
-"""From a record to an FRF file in one go, as the command line does it: choose the spectra, resume, summarise."""
+"""From spectra to an FRF as the command line does it: keep what is finished, summarise."""
 
-import dataclasses
-import hashlib
-import pathlib
-import shutil
 import time
 
 import equinox as eqx
 import numpy as np
 
-from . import __version__
-from ._errors import InputError, input_error
+from ._errors import InputError
 from ._status import describe
-from .experiment import Experiment, select_periods
 from .frf import FRF, AbstractMethod, concatenate_positions, describe_method, estimate
 from .frf.features import features
-from .spectra import Spectra, dft, record_spectra, select_band, select_positions
+from .parts import Parts, files_text, numbers_text
+from .spectra import Spectra, select_positions
 
-_RUN = "run-"  # begins the name of the file that says which run the finished parts belong to
-
-
-def spectra_of(data: Experiment, method: AbstractMethod, *, periods=None, band=None) -> Spectra:
-    """The spectra that `method` needs: of steady periods, or of the whole record if it is not periodic and the method
-    has a transient term. `periods` (from, to) and `band` (low, high, Hz) choose a part; `None` at an end: open.
-    """
-    if periods is not None:
-        data = select_periods(data, periods[0] or 0, periods[1])
-    if not data.period and _takes_transients(method):
-        low, high = band or (None, None)
-        whole = None if band is None else (low or 0.0, high or data.fs / 2)
-        return record_spectra(data, whole)
-    spectra = dft(data)
-    return spectra if band is None else select_band(spectra, band[0] or 0.0, band[1] or data.fs / 2)
+_PART_FILES = ("[0-9]" * 5 + ".npz",)
 
 
-def _takes_transients(method: AbstractMethod) -> bool:
-    inner = [getattr(method, f.name) for f in dataclasses.fields(method)]
-    return getattr(method, "transient", None) is not None or any(
-        _takes_transients(x) for x in inner if isinstance(x, AbstractMethod)
-    )
+def estimate_in_parts(spectra: Spectra, method: AbstractMethod, parts: Parts, *, say=None) -> FRF:
+    """`jaxfrf.estimate`, operating point by operating point, each kept in `parts`.
 
+    Operating points that an interrupted run left there are not estimated again. `say` is called with a line of text now
+    and then.
 
-def estimate_resumable(spectra: Spectra, method: AbstractMethod, output, *, resume: bool = False, say=None) -> FRF:
-    """`jaxfrf.estimate`, operating point by operating point, each kept in a folder beside `output` until all are done.
-
-    With `resume`, operating points found there from the same data and method are not estimated again.
-    `say` is called with a line of text now and then.
+    **Raises:** `jaxfrf.InputError` as `jaxfrf.estimate` does; nothing is kept then: it would again.
     """
     from .io import read_frf, write_frf
 
     method.check(spectra)
+    parts.begin(_about(spectra, method), _PART_FILES)
     if spectra.n_pos == 1:
         return estimate(spectra, method)
-    folder = folder_of_parts(output, _fingerprint(spectra, method), resume)
-    start, last, parts = time.monotonic(), 0.0, []
+    start, last, found = time.monotonic(), 0.0, []
     for pos in range(spectra.n_pos):
-        path = folder / f"{pos:05d}.npz"
-        if not path.exists():
-            try:
-                write_frf(path, estimate(select_positions(spectra, [pos]), method))
-            except InputError:
-                shutil.rmtree(folder)
-                raise
-        parts.append(read_frf(path))
+        name = f"{pos:05d}.npz"
+        frf = parts.read(name, read_frf)
+        if frf is None:
+            frf = _estimated(select_positions(spectra, [pos]), method, parts)
+            write_frf(parts.path(name), frf)
+        found.append(frf)
         spent = time.monotonic() - start
         if say is not None and spent - last > 5:
             last = spent
             say(f"{pos + 1} of {spectra.n_pos} operating points, {spent * (spectra.n_pos / (pos + 1) - 1):.0f} s left")
-    frf = concatenate_positions(parts)
-    shutil.rmtree(folder)
-    return frf
+    return concatenate_positions(found)
 
 
-def folder_of_parts(output, key: str, resume: bool) -> pathlib.Path:
-    """The folder for finished operating points: as an interrupted run of this `key` left it, or empty."""
-    folder = pathlib.Path(f"{output}.parts")
-    if folder.exists() and not any(folder.glob(f"{_RUN}*")):
-        raise input_error(str(folder), "files of someone else", "the parts of an earlier run, or nothing", "Rename it.")
-    if folder.exists() and not (resume and (folder / key).exists()):
-        shutil.rmtree(folder)
-    folder.mkdir(exist_ok=True)
-    (folder / key).touch()
-    return folder
+def _estimated(spectra: Spectra, method: AbstractMethod, parts: Parts) -> FRF:
+    try:
+        return estimate(spectra, method)
+    except InputError:
+        parts.discard()
+        raise
 
 
-def _fingerprint(spectra: Spectra, method: AbstractMethod) -> str:
+def _about(spectra: Spectra, method: AbstractMethod) -> dict:
     """What the estimate and everything that is stored with it depend on."""
-    about = (describe_method(method), __version__, spectra.y_quantity, spectra.n_periods, spectra.sources)
-    digest = hashlib.sha256(repr(about).encode())
-    for x in (spectra.U, spectra.Y, spectra.R, spectra.frequency, spectra.q):
-        if x is not None:
-            digest.update(np.ascontiguousarray(x).tobytes())
-    return f"{_RUN}{digest.hexdigest()[:16]}"
+    f = spectra.frequency
+    return {
+        "method": describe_method(method),
+        "data": files_text(spectra.sources),
+        "output": spectra.y_quantity,
+        "periods": spectra.n_periods,
+        "lines": f"{len(f)} from {f[0]:.6g} to {f[-1]:.6g} Hz",
+        "positions": spectra.n_pos,
+        "numbers of the data": numbers_text(spectra.U, spectra.Y, spectra.R, f, spectra.q),
+    }
 
 
 class Summary(eqx.Module):

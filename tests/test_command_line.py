@@ -526,27 +526,6 @@ def test_resume(tmp_path, monkeypatch, capsys, method):
     assert not (tmp_path / "frf.npz.parts").exists()
 
 
-@pytest.mark.parametrize(
-    ("change", "arguments"),
-    [
-        ({}, ["--method", "h1"]),  # without --resume
-        ({}, ["--resume", "--method", "log"]),
-        ({"seed": 1}, ["--resume", "--method", "h1"]),
-        ({}, ["--resume", "--method", "h1", "--set", "y_quantity=position"]),
-        ({}, ["--resume", "--method", "h1", "--band", "5:40"]),
-    ],
-)
-def test_what_does_not_belong_to_the_run_is_started_anew(tmp_path, monkeypatch, capsys, change, arguments):
-    interrupted(tmp_path, monkeypatch, capsys, positions(tmp_path), "--method", "h1")
-    data = positions(tmp_path, **change)
-    counted = Interrupt(monkeypatch)
-    assert estimate(data, "-o", tmp_path / "frf.npz", *arguments) == 0
-    assert counted.calls == 4
-    again = [x for x in arguments if x != "--resume"]
-    assert estimate(data, "-o", tmp_path / "whole.npz", *again) == 0
-    assert_same_file(tmp_path / "frf.npz", tmp_path / "whole.npz")
-
-
 def test_interrupted_twice(tmp_path, monkeypatch, capsys):
     data = positions(tmp_path)
     interrupted(tmp_path, monkeypatch, capsys, data, "--method", "h1", at=2)
@@ -638,7 +617,7 @@ def test_excite_tables(tmp_path, design):
         ("design.toml", "fs = ", [], r"design\.toml: found no valid TOML"),
         ("other.toml", DESIGN, [], r"design\.toml: found no such file"),
         ("design.toml", DESIGN, ["--plot", "a.xyz"], r"a\.xyz: found the suffix"),
-        ("design.toml", DESIGN, ["-o", "a.txt"], r"a\.txt: found the extension"),
+        ("design.toml", DESIGN, ["-o", "a.txt"], r"a\.txt: found the suffix"),
     ],
 )
 def test_excite_refuses(tmp_path, capsys, name, text, more, says):

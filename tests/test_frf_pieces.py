@@ -11,7 +11,8 @@ import pytest
 
 import jaxfrf as jf
 from jaxfrf.frf.catalogue import METHODS, method
-from jaxfrf.pipeline import spectra_of, summary
+from jaxfrf.frf.from_record import spectra_of
+from jaxfrf.pipeline import summary
 
 
 def refused(call, *patterns):

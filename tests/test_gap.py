@@ -28,10 +28,12 @@ from jaxfrf.gap.knobs import knobs
 from jaxfrf.gap.measured import fewer, measured
 from jaxfrf.gap.quantised import resolution
 from jaxfrf.gap.ripple import Order
+from jaxfrf.gap.rounds import PART_FILES
 from jaxfrf.gap.scene import Scene
 from jaxfrf.gap.score import Limits, drop, family_wise, fit_base, variance
 from jaxfrf.gap.signature import signature
 from jaxfrf.gap.stage import limits
+from jaxfrf.parts import Parts
 from jaxfrf.robot import linearise, motor_directions, operating_point, parameters, with_parameters
 from jaxfrf.simulation import Motion, replay_motion
 
@@ -564,8 +566,11 @@ class TestDiagnosis:
     def test_interrupted_after_the_last_round(self, machine, tmp_path):
         """Nothing is tried again, and it ends alike."""
         data = record(machine.with_effects(fx.CoulombFriction("shoulder", 0.15)))
-        found, told = diagnose(small_robot(), data, parts=tmp_path), []
-        again = diagnose(small_robot(), data, parts=tmp_path, say=told.append)
+        told = []
+        with Parts(tmp_path / "gap.json", "diagnose") as parts:
+            parts.begin({}, PART_FILES)
+            found = diagnose(small_robot(), data, parts=parts)
+            again = diagnose(small_robot(), data, parts=parts, say=told.append)
         assert not any("simulated" in text for text in told)
         assert (again.verdict, again.says) == (found.verdict, found.says)
         assert again.effects[0].parameters == found.effects[0].parameters

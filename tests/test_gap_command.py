@@ -63,8 +63,8 @@ class Diagnosing:
 
     def __call__(self, robot, data, *, own, parts, say, progress, **more):
         self.calls.append({"robot": robot, "data": data, "own": own, "parts": parts, **more})
-        self.found = sorted(p.name for p in parts.iterdir() if not p.name.startswith("run-"))
-        (parts / "base.json").write_text("{}")
+        self.found = parts.finished
+        parts.path("round-0.json").write_text("{}")
         if say is not None:
             say("fitting the base")
             progress(0.5)
@@ -184,18 +184,36 @@ class TestInterrupted:
         assert "--resume" in capsys.readouterr().err
         diagnosing.error = None
 
-    @pytest.mark.parametrize(
-        ("again", "found"),
-        [(["--resume"], ["base.json"]), ([], []), (["--resume", "--positions-sealed", "1"], [])],
-        ids=["resume", "anew", "another run"],
-    )
-    def test_goes_on(self, folder, tmp_path, capsys, diagnosing, again, found):
+    def test_goes_on(self, folder, tmp_path, capsys, diagnosing):
         out = tmp_path / "gap.json"
         self.interrupted(folder, out, diagnosing, capsys)
-        assert (tmp_path / "gap.json.parts" / "base.json").exists() and not out.exists()
-        assert run(folder, out, *again) == 0
-        assert diagnosing.found == found
+        assert (tmp_path / "gap.json.parts" / "round-0.json").exists() and not out.exists()
+        assert run(folder, out, "--resume") == 0
+        assert diagnosing.found == ["round-0.json"]
         assert [p.name for p in tmp_path.iterdir()] == ["gap.json"]
+
+    @pytest.mark.parametrize(
+        ("again", "says"),
+        [
+            ([], r"1 finished part of a run begun .*; expected none, or --resume"),
+            (
+                ["--resume", "--positions-sealed", "1"],
+                r"other options or data \(--positions-sealed: none then, 1 now",
+            ),
+            (["--resume", "--effects", "own.py"], r"--effects: none then, own\.py \(sha256 \w{16}\) now"),
+            (["--resume", "--robot", "other.toml"], r"--robot: robot\.toml .* then, other\.toml .* now"),
+        ],
+        ids=["anew", "sealed", "effects", "robot"],
+    )
+    def test_another_run_leaves_it(self, folder, tmp_path, monkeypatch, capsys, diagnosing, again, says):
+        monkeypatch.chdir(folder)
+        (folder / "other.toml").write_text((folder / "robot.toml").read_text() + "\n# another\n")
+        out = tmp_path / "gap.json"
+        self.interrupted(folder, out, diagnosing, capsys)
+        diagnosing.calls.clear()
+        assert run(folder, out, *again) == 2
+        assert re.search(says, capsys.readouterr().err) and not diagnosing.calls
+        assert (tmp_path / "gap.json.parts" / "round-0.json").read_text() == "{}"
 
     def test_bad_data_leaves_nothing(self, folder, tmp_path, capsys, diagnosing):
         diagnosing.error = jf.InputError("u: found no period; expected one. Set it.")
@@ -255,6 +273,14 @@ OWN_REFUSED = {
 
 
 class TestOwnEffects:
+    @pytest.mark.parametrize("command", ["simulate", "positions", "identify", "diagnose"])
+    def test_help_says_that_the_file_is_executed(self, capsys, command):
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        assert re.search(
+            r"--effects FILE\.py\s+effects of your own, .* executed", " ".join(capsys.readouterr().out.split())
+        )
+
     @pytest.mark.parametrize("case", OWN_REFUSED)
     def test_refused(self, tmp_path, case):
         text, message = OWN_REFUSED[case]

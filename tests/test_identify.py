@@ -17,6 +17,7 @@ from jaxfrf.identification import identify, robot_model
 from jaxfrf.io.fits import read_fit, write_fit
 from jaxfrf.io.frf_or_record import holds_frf, read_frfs
 from jaxfrf.io.robots import read_robot
+from jaxfrf.parts import Parts
 
 TRUTH = {"shoulder.stiffness": 2e4, "elbow.stiffness": 8e3, "shoulder.damping": 25.0, "elbow.damping": 8.0}
 BEGIN = {"shoulder.stiffness": 2.6e4, "elbow.stiffness": 6.5e3, "shoulder.damping": 25.0, "elbow.damping": 12.0}
@@ -134,13 +135,14 @@ class TestThroughTheExperiment:
                 raise KeyboardInterrupt
 
         robot, data = read_robot(folder / "start.toml"), jf.io.read(folder / "run.npz")
-        with pytest.raises(KeyboardInterrupt):
-            identify(robot, data, starts=3, heldout=[2], output=out, say=interrupt)
-        parts = pathlib.Path(f"{out}.parts")
-        assert len(list(parts.glob("*.json"))) == 1 and not out.exists()
+        with pytest.raises(KeyboardInterrupt) as stopped, Parts(out, "identify") as kept:
+            identify(robot, data, starts=3, heldout=[2], parts=kept, say=interrupt)
+        parts = kept.folder
+        assert kept.finished == ["00000.json"] and not out.exists()
+        assert "--resume" in stopped.value.__notes__[0]
         assert run(folder, *arguments, "--resume", out=out) == 0
         says = capsys.readouterr().err
-        assert "1 round(s) of an interrupted run taken over" in says and "round 1:" not in says and "round 2:" in says
+        assert "1 finished part taken over" in says and "round 1:" not in says and "round 2:" in says
         first, second = strict(whole / "fit.json"), strict(out)
         for name, p in first["parameters"].items():
             assert abs(p["value"] - second["parameters"][name]["value"]) < 0.1 * p["std"], name

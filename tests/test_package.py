@@ -152,7 +152,7 @@ def test_names_open_no_device_and_change_no_setting():
 
 # --- directions of the imports
 
-BASE = {"errors", "types", "status", "environment"}
+BASE = {"errors", "types", "status", "environment", "files"}
 EXCITATION = BASE | {"excitation"}
 EXPERIMENT = EXCITATION | {"experiment"}
 SPECTRA = EXPERIMENT | {"spectra"}
@@ -160,10 +160,11 @@ FRF = SPECTRA | {"frf"}
 ROBOT = BASE | {"effects", "robot"}
 SIMULATION = EXPERIMENT | ROBOT | {"simulation"}
 GRAYBOX = FRF | SIMULATION | {"graybox"}
-IO = GRAYBOX | {"screening", "io"}
+IO = GRAYBOX | {"screening", "parts", "io"}
 
 MAY_IMPORT = {
     **{name: {"errors"} for name in BASE},
+    "parts": {"errors", "files", "parts"},
     "excitation": EXCITATION,
     "experiment": BASE | {"experiment"},
     "spectra": BASE | {"experiment", "spectra"},
@@ -174,7 +175,7 @@ MAY_IMPORT = {
     "robot": ROBOT,
     "simulation": SIMULATION,
     "graybox": GRAYBOX,
-    "gap": GRAYBOX | {"gap"},
+    "gap": GRAYBOX | {"parts", "gap"},
     "io": IO,
     "plot": IO | {"plot"},
     "pipeline": IO,

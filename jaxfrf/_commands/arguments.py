@@ -7,7 +7,10 @@ import pathlib
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 
-from .._errors import InputError, input_error
+from .._errors import InputError, OutputError, input_error
+from .._files import check_writable
+
+RECORD_FILES = (".nc", ".mat", ".npz")  # that are written
 
 
 def command(commands, name: str, run, text: str) -> argparse.ArgumentParser:
@@ -37,6 +40,12 @@ def add_record_options(parser: argparse.ArgumentParser, method: str | None, defa
     parser.add_argument("--band", metavar="LOW:HIGH", help="use only the lines in this band, Hz")
 
 
+def add_resume_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with a run of the same options that was interrupted (OUTPUT.parts)"
+    )
+
+
 class _ListMethods(argparse.Action):
     def __call__(self, parser, namespace, values, option_string=None):
         from ..frf.catalogue import METHODS
@@ -62,6 +71,8 @@ def naming(files: Sequence[str]) -> Iterator[None]:
     """What is wrong with the data names the files."""
     try:
         yield
+    except OutputError:
+        raise
     except InputError as error:
         name = pathlib.Path(files[0]).name
         if str(error).startswith(name):
@@ -87,12 +98,17 @@ def check_picture(path: str | os.PathLike) -> None:
 
 
 def check_target(path: str | os.PathLike, suffixes: Iterable[str]) -> None:
-    """Refuse what could not be written, before anything is estimated or written."""
-    target = pathlib.Path(path)
-    if target.suffix.lower() not in suffixes:
-        raise input_error(str(path), f"the suffix {target.suffix!r}", f"one of {', '.join(suffixes)}", "Rename it.")
-    if not target.absolute().parent.is_dir():
-        raise input_error(str(path), f"no folder {target.parent}", "one that exists", "Make it first.")
+    """Refuse what could not be written, by trying, before anything long is done: for every output of every command."""
+    suffix = pathlib.Path(path).suffix
+    if suffix.lower() not in suffixes:
+        raise input_error(str(path), f"the suffix {suffix!r}", f"one of {', '.join(suffixes)}", "Rename it.")
+    check_writable(path)
+
+
+def check_result(path: str, inputs: Iterable[str], what: str) -> None:
+    """Refuse to put a result in the place of what it is made from."""
+    if pathlib.Path(path).resolve() in [pathlib.Path(name).resolve() for name in inputs]:
+        raise input_error(path, f"the {what} itself", "another file for the result", "Choose another name.")
 
 
 def options_of(pairs) -> dict[str, str]:

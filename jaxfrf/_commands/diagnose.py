@@ -1,12 +1,20 @@
 """`jaxfrf diagnose`."""
 
-import hashlib
-import pathlib
-import shutil
 import sys
 
-from .._errors import InputError, input_error
-from .arguments import Percent, check_target, check_x64, command, naming, read_records, say
+from .._errors import InputError, OutputError, input_error
+from . import own_effects
+from .arguments import (
+    Percent,
+    add_resume_option,
+    check_result,
+    check_target,
+    check_x64,
+    command,
+    naming,
+    read_records,
+    say,
+)
 
 
 def add(commands) -> None:
@@ -16,62 +24,67 @@ def add(commands) -> None:
     parser.add_argument("-o", "--output", required=True, help="diagnosis to write: .json")
     parser.add_argument("--report", metavar="FILE", help="page about the diagnosis to write: .html")
     parser.add_argument("--robot-out", metavar="FILE", help="robot with what was missing to write: .toml")
-    parser.add_argument("--effects", metavar="FILE.py", help="effects of your own, tried beside the library's")
+    own_effects.add_effects_option(parser)
     parser.add_argument(
         "--positions-sealed", type=int, metavar="N", help="positions that are kept to judge the result on"
     )
     parser.add_argument("--map", help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]")
     parser.add_argument("--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1")
     parser.add_argument("--scale", help="factors to SI units: y=0.0174532925")
-    parser.add_argument("--resume", action="store_true", help="go on with a run that was interrupted")
+    add_resume_option(parser)
 
 
 def run(given) -> dict:
     from ..io.gaps import gap_contents, write_gap
     from ..io.robots import read_robot
-    from .own_effects import own_effects
+    from ..parts import Parts
 
     check_x64("jaxfrf diagnose")
     _check_outputs(given)
-    own = own_effects(given.effects) if given.effects else ()
+    own = own_effects.own_effects(given.effects) if given.effects else ()
     robot = read_robot(given.robot, own)
-    data = [read_records(given, [path]) for path in given.data]
-    for text in dict.fromkeys(w for x in data for w in x.warnings):
-        print(f"warning: {text}", file=sys.stderr)
-    found = _diagnosed(given, robot, data, own)
-    write_gap(given.output, found)
-    written = [given.output, *_write_more(given, found, own)]
+    with Parts(given.output, "diagnose", resume=given.resume, about=own_effects.about(given), say=say) as parts:
+        data = [read_records(given, [path]) for path in given.data]
+        for text in dict.fromkeys(w for x in data for w in x.warnings):
+            print(f"warning: {text}", file=sys.stderr)
+        found = _diagnosed(given, robot, data, own, parts)
+        write_gap(given.output, found)
+        written = [given.output, *_write_more(given, found, own)]
     contents = gap_contents(found)
     return {"text": [*_lines(found), f"wrote {', '.join(written)}"], "json": contents | {"output": written}}
 
 
-def _diagnosed(given, robot, data, own):
-    """The diagnosis; what is finished of it is kept beside the output until it is whole."""
+def _diagnosed(given, robot, data, own, parts):
+    """The diagnosis; bad input leaves nothing, as it would be refused again."""
     from ..gap import diagnose
-    from ..pipeline import folder_of_parts
+    from ..gap.rounds import PART_FILES
 
-    parts = folder_of_parts(given.output, _key(given, data), given.resume)
+    parts.begin(_about(given, data), PART_FILES)
     sealed = {} if given.positions_sealed is None else {"sealed": given.positions_sealed}
     quiet = {"say": None, "progress": None} if given.json else {"say": say, "progress": Percent("diagnosed")}
     try:
         with naming(given.data):
-            found = diagnose(robot, data, own=own, parts=parts, **quiet, **sealed)
-    except InputError:
-        shutil.rmtree(parts)
+            return diagnose(robot, data, own=own, parts=parts, **quiet, **sealed)
+    except OutputError:
         raise
-    shutil.rmtree(parts)
-    return found
+    except InputError:
+        parts.discard()
+        raise
 
 
-def _key(given, data) -> str:
+def _about(given, data) -> dict:
     """What the finished parts depend on."""
-    from .. import __version__
+    from ..io.responses import source
+    from ..parts import files_text
 
-    about = (__version__, given.map, given.set, given.scale, given.positions_sealed, [x.sources for x in data])
-    digest = hashlib.sha256(repr(about).encode())
-    for path in (given.robot, given.effects):
-        digest.update(pathlib.Path(path).read_bytes() if path else b"")
-    return f"run-{digest.hexdigest()[:16]}"
+    return {
+        "--robot": files_text([source(given.robot)]),
+        "data": files_text(s for x in data for s in x.sources),
+        "--map": given.map,
+        "--set": given.set,
+        "--scale": given.scale,
+        "--positions-sealed": given.positions_sealed,
+    }
 
 
 def _check_outputs(given) -> None:
@@ -87,8 +100,8 @@ def _check_outputs(given) -> None:
         from ..io._optional import require
 
         require("matplotlib.figure", "plot")
-    if given.robot_out and pathlib.Path(given.robot_out).resolve() == pathlib.Path(given.robot).resolve():
-        raise input_error(given.robot_out, "the robot itself", "another file for the result", "Choose another name.")
+    if given.robot_out:
+        check_result(given.robot_out, [given.robot], "robot")
     if given.positions_sealed is not None and given.positions_sealed < 0:
         raise input_error("--positions-sealed", f"{given.positions_sealed}", "0 or more", "Say how many, e.g. 2.")
 

@@ -4,10 +4,12 @@ import pathlib
 import sys
 from collections.abc import Sequence
 
-from .._errors import input_error
 from .arguments import (
+    RECORD_FILES,
     add_record_options,
+    add_resume_option,
     check_picture,
+    check_result,
     check_target,
     check_x64,
     command,
@@ -25,12 +27,14 @@ def add(commands) -> None:
     parser.add_argument("-o", "--output", required=True, help="FRF to write: .nc, .mat, .npz or .uff")
     add_record_options(parser, method="auto", default="auto")
     parser.add_argument("--plot", metavar="FILE", help="Bode picture to write: .png, .pdf, .svg")
-    parser.add_argument("--resume", action="store_true", help="go on with a run that was interrupted")
+    add_resume_option(parser)
 
 
 def run(given) -> dict:
     from ..frf.catalogue import method
-    from ..pipeline import estimate_resumable, spectra_of, summary
+    from ..frf.from_record import spectra_of
+    from ..parts import Parts
+    from ..pipeline import estimate_in_parts, summary
 
     check_x64("jaxfrf estimate")
     write = _frf_writer(given.output, given.data)
@@ -38,18 +42,13 @@ def run(given) -> dict:
         check_picture(given.plot)
     chosen = method(given.method, options_of(given.option))
     periods, band = range_of("--periods", given.periods, int), range_of("--band", given.band, float)
-    data = read_records(given, given.data)
-    with naming(given.data):
-        spectra = spectra_of(data, chosen, periods=periods, band=band)
-        frf = estimate_resumable(spectra, chosen, given.output, resume=given.resume, say=None if given.json else say)
-    write(given.output, frf)
-    written = [given.output]
-    if given.plot:
-        from .. import plot
-
-        figure, _ = plot.bode([frf], [given.method], title=", ".join(pathlib.Path(name).name for name in given.data))
-        plot.save(figure, given.plot)
-        written.append(given.plot)
+    with Parts(given.output, "estimate", resume=given.resume, say=say) as parts:
+        data = read_records(given, given.data)
+        with naming(given.data):
+            spectra = spectra_of(data, chosen, periods=periods, band=band)
+            frf = estimate_in_parts(spectra, chosen, parts, say=None if given.json else say)
+        write(given.output, frf)
+        written = [given.output, *_write_picture(given, frf)]
     about = summary(spectra, frf)
     for warning in frf.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -59,13 +58,21 @@ def run(given) -> dict:
     }
 
 
+def _write_picture(given, frf) -> list[str]:
+    if not given.plot:
+        return []
+    from .. import plot
+
+    figure, _ = plot.bode([frf], [given.method], title=", ".join(pathlib.Path(name).name for name in given.data))
+    plot.save(figure, given.plot)
+    return [given.plot]
+
+
 def _frf_writer(path: str, data: Sequence[str]):
     """How to write this file; said before the estimation, not after it."""
     from .. import io
 
-    writers = dict.fromkeys((".nc", ".mat", ".npz"), io.write_frf) | dict.fromkeys((".uff", ".unv"), io.write_uff)
+    writers = dict.fromkeys(RECORD_FILES, io.write_frf) | dict.fromkeys((".uff", ".unv"), io.write_uff)
     check_target(path, writers)
-    target = pathlib.Path(path)
-    if target.resolve() in [pathlib.Path(name).resolve() for name in data]:
-        raise input_error(path, "the measurement itself", "another file for the FRF", "Choose another name.")
-    return writers[target.suffix.lower()]
+    check_result(path, data, "measurement")
+    return writers[pathlib.Path(path).suffix.lower()]

@@ -1,6 +1,6 @@
 """`jaxfrf example`."""
 
-from .arguments import command
+from .arguments import RECORD_FILES, check_target, command
 
 
 def add(commands) -> None:
@@ -14,6 +14,7 @@ def run(given) -> dict:
     from ..examples import example
     from ..io import write
 
+    check_target(given.output, RECORD_FILES)
     data = example(blocks=given.blocks, seed=given.seed)
     write(given.output, data)
     text = [

@@ -2,7 +2,7 @@
 
 import pathlib
 
-from .arguments import check_picture, command
+from .arguments import check_picture, check_target, command
 
 
 def add(commands) -> None:
@@ -17,6 +17,7 @@ def run(given) -> dict:
     from ..excitation import levels, reference
     from ..io import read_design, write_reference
 
+    check_target(given.output, (".nc", ".mat", ".csv"))
     picture = pathlib.Path(given.plot) if given.plot else pathlib.Path(given.output).with_suffix(".png")
     check_picture(picture)
     made = reference(read_design(given.design))

@@ -8,7 +8,9 @@ from .._errors import InputError, input_error
 from . import own_effects
 from .arguments import (
     add_record_options,
+    add_resume_option,
     check_picture,
+    check_result,
     check_target,
     check_x64,
     command,
@@ -31,7 +33,7 @@ def add(commands) -> None:
     parser.add_argument("-o", "--output", required=True, help="fit to write: .json")
     parser.add_argument("--report", metavar="FILE", help="page about the fit to write: .html")
     parser.add_argument("--plot", metavar="FILE", help="Bode picture of measurement and models: .png, .pdf, .svg")
-    parser.add_argument("--effects", metavar="FILE.py", help=own_effects.HELP)
+    own_effects.add_effects_option(parser)
     parser.add_argument("--robot-out", metavar="FILE", help="robot with the result to write: .toml")
     parser.add_argument("--starts", type=int, default=20, help="of the direct fit (default 20)")
     parser.add_argument("--seed", type=int, default=0, help="of the starts (default 0)")
@@ -49,41 +51,43 @@ def add(commands) -> None:
         "--weights", metavar="KEY=VALUE,...", help="off_diagonal=0.2, focus=4, floor=0.03, reject=0.25 (the defaults)"
     )
     add_record_options(parser, method=None, default="lrm-jio-stacked, auto where there is no reference")
-    parser.add_argument("--resume", action="store_true", help="go on with a run that was interrupted")
+    add_resume_option(parser)
 
 
 def run(given) -> dict:
     from ..identification import identify
     from ..io.fits import write_fit
+    from ..parts import Parts
 
     check_x64("jaxfrf identify")
     _check_outputs(given)
-    robot, data, method = _read(given)
-    with naming(given.data):
-        found = identify(
-            robot,
-            data,
-            method=method,
-            weights=_weights(given.weights),
-            starts=given.starts,
-            seed=given.seed,
-            rounds=given.rounds,
-            direct=given.direct,
-            guess=given.guess,
-            fixed=_names(given.fix),
-            freed=_names(given.free),
-            shared=[_group(text) for text in given.share],
-            heldout=_numbers(given.heldout),
-            band=range_of("--band", given.band, float),
-            output=given.output,
-            resume=given.resume,
-            say=None if given.json else say,
-        )
-    contents = found.as_dict()
-    write_fit(given.output, contents)
+    about = own_effects.about(given)
+    with Parts(given.output, "identify", resume=given.resume, about=about, say=say) as parts:
+        robot, data, method = _read(given)
+        with naming(given.data):
+            found = identify(
+                robot,
+                data,
+                method=method,
+                weights=_weights(given.weights),
+                starts=given.starts,
+                seed=given.seed,
+                rounds=given.rounds,
+                direct=given.direct,
+                guess=given.guess,
+                fixed=_names(given.fix),
+                freed=_names(given.free),
+                shared=[_group(text) for text in given.share],
+                heldout=_numbers(given.heldout),
+                band=range_of("--band", given.band, float),
+                parts=parts,
+                say=None if given.json else say,
+            )
+        contents = found.as_dict()
+        write_fit(given.output, contents)
+        written = [given.output, *_write_more(given, found)]
     for warning in found.measured.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    written = [given.output, *_write_more(given, found)]
     return {"text": [*found.lines(), f"wrote {', '.join(written)}"], "json": _brief(contents) | {"output": written}}
 
 
@@ -127,8 +131,8 @@ def _check_outputs(given) -> None:
         from ..io._optional import require
 
         require("matplotlib.figure", "plot")
-    if given.robot_out and pathlib.Path(given.robot_out).resolve() == pathlib.Path(given.robot).resolve():
-        raise input_error(given.robot_out, "the robot itself", "another file for the result", "Choose another name.")
+    if given.robot_out:
+        check_result(given.robot_out, [given.robot], "robot")
 
 
 def _read(given):

@@ -1,5 +1,6 @@
 """Effects of the user's own, from a Python file."""
 
+import argparse
 import importlib.util
 import inspect
 import os
@@ -9,8 +10,12 @@ import traceback
 
 from .._errors import input_error
 
-HELP = "effects of your own that the robot's file names"
+_HELP = "effects of your own, a Python file: it is executed, with all that stands in it"
 _STATED = ("name", "units", "bounds", "signature", "confusable")
+
+
+def add_effects_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--effects", metavar="FILE.py", help=_HELP)
 
 
 def robot_of(given):
@@ -20,8 +25,18 @@ def robot_of(given):
     return read_robot(given.robot, own_effects(given.effects) if given.effects else ())
 
 
+def about(given) -> dict[str, str]:
+    """What finished parts of a command depend on, that no robot shows: the laws in the file."""
+    if not given.effects:
+        return {}
+    from ..io.responses import source
+    from ..parts import files_text
+
+    return {"--effects": files_text([source(given.effects)])}
+
+
 def own_effects(path: str | os.PathLike) -> tuple[type, ...]:
-    """Every effect (subclass of `jaxfrf.effects.AbstractEffect`) that a Python file defines. The file is run.
+    """Every effect (subclass of `jaxfrf.effects.AbstractEffect`) that a Python file defines. The file is executed.
 
     **Raises:** `jaxfrf.InputError` if the file is missing or fails, defines no effect, or one that is not complete or
     has a name that is taken.

@@ -8,7 +8,7 @@ def add(commands) -> None:
     parser = command(commands, "positions", run, "Choose arm configurations to measure a robot at, before measuring.")
     parser.add_argument("robot", metavar="ROBOT.toml")
     parser.add_argument("design", metavar="DESIGN.toml")
-    parser.add_argument("--effects", metavar="FILE.py", help=own_effects.HELP)
+    own_effects.add_effects_option(parser)
     parser.add_argument("-n", "--count", type=int, default=7, help="positions to choose (default 7)")
     parser.add_argument("--candidates", type=int, default=200, metavar="N", help="random ones to choose from (200)")
     parser.add_argument("--seed", type=int, default=0, help="of the candidates (default 0)")

@@ -1,17 +1,15 @@
 """`jaxfrf simulate`."""
 
-import pathlib
-
 from .._errors import InputError
 from . import own_effects
-from .arguments import Percent, command
+from .arguments import RECORD_FILES, Percent, check_target, command
 
 
 def add(commands) -> None:
     parser = command(commands, "simulate", run, "Play a design on a simulated robot in closed loop.")
     parser.add_argument("robot", metavar="ROBOT.toml")
     parser.add_argument("design", metavar="DESIGN.toml")
-    parser.add_argument("--effects", metavar="FILE.py", help=own_effects.HELP)
+    own_effects.add_effects_option(parser)
     parser.add_argument("-o", "--output", required=True, help="record to write: .nc, .mat or .npz")
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--positions", type=int, default=None, metavar="N", help="random positions (default 1)")
@@ -32,11 +30,7 @@ def run(given) -> dict:
     from ..io import read_design, write
     from ..simulation import simulate
 
-    target = pathlib.Path(given.output)
-    if target.suffix.lower() not in (".nc", ".mat", ".npz"):
-        raise InputError(f"{target}: found the suffix {target.suffix!r}; expected .nc, .mat or .npz. Rename it.")
-    if not target.absolute().parent.is_dir():
-        raise InputError(f"{target}: found no folder {target.parent}; expected one that exists. Make it first.")
+    check_target(given.output, RECORD_FILES)
     robot, design = own_effects.robot_of(given), read_design(given.design)
     places, noise = jr.split(jr.key(given.seed))
     data = simulate(

@@ -1,6 +1,7 @@
-"""The verb of this package: spectra and a method to an FRF."""
+"""The verb of this package: spectra, or a record, and a method to an FRF."""
 
 import dataclasses
+import os
 
 import jax
 import numpy as np
@@ -9,7 +10,9 @@ from .. import __version__
 from .._errors import input_error
 from .._status import Status, describe
 from .._types import require_x64
+from ..experiment import Experiment
 from ..spectra import Spectra, select_positions
+from .from_record import spectra_of
 from .method import AbstractMethod, Estimate, dense
 from .response import FRF
 
@@ -18,26 +21,29 @@ _SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | S
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
 
 
-def estimate(spectra: Spectra, method: AbstractMethod, *, progress=None) -> FRF:
+def estimate(data: Spectra | Experiment, method: AbstractMethod, *, progress=None) -> FRF:
     """Estimate the FRF from u to y at every operating point and excited line.
 
     **Arguments:**
 
-    - `spectra`: from `jaxfrf.dft`. `method`: e.g. `jaxfrf.LRM(order=2)`, `jaxfrf.LogMean()`,
-      `jaxfrf.JointInputOutput(jaxfrf.LRM())`.
+    - `data`: spectra, e.g. from `jaxfrf.dft`; or a record, of which `jaxfrf.dft` then takes the mean steady period, or,
+      where it is not periodic and the method has a transient term (`jaxfrf.LPM(transient=2)`),
+      `jaxfrf.record_spectra` takes the whole, as `jaxfrf estimate` does.
+    - `method`: e.g. `jaxfrf.LRM(order=2)`, `jaxfrf.LogMean()`, `jaxfrf.JointInputOutput(jaxfrf.LRM())`.
     - `progress`: called with (operating points done, of how many) after every group of them.
 
     **Returns:** a `jaxfrf.FRF`, with covariance, degrees of freedom and a status at every frequency. A frequency that
     cannot be estimated is marked there and never stops the others.
 
-    **Raises:** `jaxfrf.InputError` if the method cannot be used on these spectra (too few experiments, no
-    reference, a window that is too narrow, ...); `ValueError` if JAX is set to 32 bit.
+    **Raises:** `jaxfrf.InputError` if `data` is something else, or the method cannot be used on it (too few
+    experiments, no reference, no period, a window that is too narrow, ...); `ValueError` if JAX is set to 32 bit.
     """
     require_x64("estimate")
     if not isinstance(method, AbstractMethod):
         raise input_error(
             "method", repr(method), "a method, e.g. jaxfrf.LRM(order=2)", "Names are for the command line (--method)."
         )
+    spectra = _spectra(data, method)
     method.check(spectra)
     _check_rank(spectra, method)
     groups = _groups(spectra)
@@ -66,6 +72,34 @@ def estimate(spectra: Spectra, method: AbstractMethod, *, progress=None) -> FRF:
         warnings=(*spectra.warnings, *serious),
         version=__version__,
     )
+
+
+def _spectra(data, method: AbstractMethod) -> Spectra:
+    if isinstance(data, Experiment):
+        return spectra_of(data, method)
+    if isinstance(data, Spectra):
+        return data
+    found, do = _instead(data)
+    raise input_error("data", found, "jaxfrf.Spectra or a jaxfrf.Experiment", do)
+
+
+def _instead(data) -> tuple[str, str]:
+    """What something else is, and how to come from there to what is needed."""
+    items = list(data) if isinstance(data, list | tuple) else []
+    first = items[0] if items else data
+    several = f"a {type(data).__name__} of {len(items)}, the first " if items else ""
+    if isinstance(first, str | os.PathLike):
+        return f"{several}{str(first)!r}", "Read files with jaxfrf.io.read(path, ...), which takes several."
+    if isinstance(first, Experiment):
+        return f"{several}an Experiment", "Join records with jaxfrf.concatenate(records)."
+    if isinstance(first, Spectra):
+        return f"{several}Spectra", "Estimate them one by one, or join the records with jaxfrf.concatenate."
+    if isinstance(first, FRF):
+        return f"{several}an FRF", "It is estimated already."
+    if hasattr(first, "shape"):
+        kind = f"an array of shape {tuple(first.shape)}"
+        return several + kind, "Make a record of the arrays: jaxfrf.Experiment(u, y, fs, period, r=r)."
+    return f"{several}{type(first).__name__}", "Make one: jaxfrf.io.read(path), or jaxfrf.Experiment(u, y, fs, period)."
 
 
 def describe_method(method) -> str:

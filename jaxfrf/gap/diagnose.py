@@ -1,7 +1,6 @@
 """Find where a model and its measurement disagree, name what is missing, add it, and see the gap shrink."""
 
 import dataclasses
-import pathlib
 from collections.abc import Callable, Sequence
 
 import jax
@@ -12,6 +11,7 @@ from .._errors import input_error
 from .._types import require_x64
 from ..effects import AbstractEffect
 from ..experiment import Experiment
+from ..parts import Parts
 from ..robot import Controller, Robot
 from ..robot.quantity import derivatives
 from .measured import fewer, measured
@@ -33,7 +33,7 @@ def diagnose(
     sealed: int | None = None,
     say: Say | None = None,
     progress: Callable[[float], None] | None = None,
-    parts: pathlib.Path | None = None,
+    parts: Parts | None = None,
 ) -> Diagnosis:
     """Which effect a robot's model lacks, from periodic records at several positions.
 
@@ -57,7 +57,7 @@ def diagnose(
     - `own`: effects of your own, classes like those of `jaxfrf.effects`.
     - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
     - `say`: called with a line of progress. `progress`: with the part that is done.
-    - `parts`: a folder in which finished rounds are kept; a run that finds them there goes on behind them.
+    - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`, begun); a run that finds some goes on behind them.
 
     **Raises:** `jaxfrf.InputError` for records without period or arm configurations, and for a robot that does not fit.
 
@@ -79,7 +79,7 @@ def investigate(
     sealed: int | None = None,
     say: Say | None = None,
     progress: Callable[[float], None] | None = None,
-    parts: pathlib.Path | None = None,
+    parts: Parts | None = None,
 ) -> Search:
     """The search of `diagnose`, with all that was simulated, on one record with references."""
     require_x64("A diagnosis")

@@ -1,4 +1,4 @@
-"""Rounds of a search that were finished, kept in a folder, so that an interrupted run need not simulate them again."""
+"""Rounds of a search that were finished, kept, so that an interrupted run need not simulate them again."""
 
 import json
 import pathlib
@@ -6,8 +6,12 @@ import pathlib
 import equinox as eqx
 import numpy as np
 
+from .._files import replacing
 from ..effects import AbstractEffect, library
 from ..effects.catalogue import effect_from_table, effect_to_table
+from ..parts import Parts
+
+PART_FILES = ("round-[0-9]*.json",)
 
 
 class Round(eqx.Module):
@@ -21,25 +25,28 @@ class Round(eqx.Module):
     rivals: tuple[tuple, ...] = eqx.field(static=True)
 
 
-def read_round(folder: pathlib.Path | None, number: int) -> Round | None:
+def read_round(parts: Parts | None, number: int) -> Round | None:
     """A finished round; `None` where there is none."""
-    path = None if folder is None else pathlib.Path(folder) / f"round-{number}.json"
-    if path is None or not path.exists():
-        return None
+    return None if parts is None else parts.read(_name(number), _read)
+
+
+def _name(number: int) -> str:
+    return f"round-{number}.json"
+
+
+def _read(path: pathlib.Path) -> Round:
     said = json.loads(path.read_text(encoding="utf-8"))
     effect = effect_from_table(said["effect"]) if said["effect"] else None
     rivals = tuple(tuple(row) for row in said["rivals"])
     return Round(effect, said["joint"], tuple(said["std"]), np.array(said["turns"], float), rivals)
 
 
-def keep_round(folder: pathlib.Path | None, number: int, found: Round) -> None:
+def keep_round(parts: Parts | None, number: int, found: Round) -> None:
     """Keep a round, whole or not at all; one that found an effect of the user's own is found again instead."""
-    if folder is None or (found.effect is not None and type(found.effect) is not library().get(found.effect.name)):
+    if parts is None or (found.effect is not None and type(found.effect) is not library().get(found.effect.name)):
         return
     table = None if found.effect is None else effect_to_table(found.effect, found.joint)
     said = {"effect": table, "joint": found.joint, "std": list(found.std), "rivals": found.rivals}
     said["turns"] = np.asarray(found.turns).tolist()
-    path = pathlib.Path(folder) / f"round-{number}.json"
-    draft = path.with_suffix(".part")
-    draft.write_text(json.dumps(said), encoding="utf-8")
-    draft.replace(path)
+    with replacing(parts.path(_name(number))) as draft:
+        draft.write_text(json.dumps(said), encoding="utf-8")

@@ -1,6 +1,5 @@
 """Which effects are missing: scored, refined, simulated, one after the other, until nothing more is found."""
 
-import pathlib
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -9,6 +8,7 @@ import scipy.stats
 from jaxtyping import Bool
 
 from ..effects import AbstractEffect
+from ..parts import Parts
 from ..robot import Robot
 from .candidates import candidates
 from .knobs import Knob, knobs, pinned, turned
@@ -136,11 +136,11 @@ def search(
     own: Sequence[type[AbstractEffect]] = (),
     say: Say | None = None,
     progress: Callable[[float], None] | None = None,
-    parts: pathlib.Path | None = None,
+    parts: Parts | None = None,
 ) -> Search:
     """Find what the robot lacks, on the opened positions.
 
-    `parts`: a folder in which finished rounds are kept, and looked for.
+    `parts`: where finished rounds are kept, and looked for.
     """
     say, done = say or (lambda text: None), progress or (lambda part: None)
     these, setting = knobs(robot), Setting(robot, record, np.asarray(opened))

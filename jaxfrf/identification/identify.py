@@ -1,16 +1,16 @@
 """The verb: robot and data to an `Identification`."""
 
 import dataclasses
-import shutil
 from collections.abc import Callable, Sequence
 
 import jax.random as jr
 import numpy as np
 
-from .._errors import InputError, input_error
+from .._errors import input_error
 from .._types import require_x64
 from ..experiment import Experiment
 from ..frf import FRF, AbstractMethod, Auto, describe_method, estimate
+from ..frf.from_record import spectra_of
 from ..graybox import (
     Fit,
     RobotModel,
@@ -26,13 +26,13 @@ from ..graybox.quality import model_quality, quality, response_quality
 from ..graybox.slow_motion import response_in_motion
 from ..graybox.through import default_method, measured_frf
 from ..io.fits import plain_data
-from ..pipeline import spectra_of
+from ..parts import Parts
 from ..robot import Robot
 from ..simulation import replay
 from ..spectra import with_output_quantity
 from .model import QUANTITY, check_data, robot_model, why_direct
 from .result import HeldOut, Identification
-from .rounds import fingerprint, kept_rounds
+from .rounds import kept_rounds
 
 Say = Callable[[str], None]
 
@@ -53,8 +53,7 @@ def identify(
     shared: Sequence[Sequence[str]] = (),
     heldout: Sequence[int] = (),
     band: tuple[float | None, float | None] | None = None,
-    output=None,
-    resume: bool = False,
+    parts: Parts | None = None,
     say: Say | None = None,
 ) -> Identification:
     """Fit the stiffnesses and dampings of a robot to records or FRFs.
@@ -75,8 +74,8 @@ def identify(
     - `shared`: groups of names that have one value.
     - `heldout`: numbers of positions, from 0, that are not fitted, and on which the result is judged.
     - `band`: (low, high), Hz; `None` at an end: open.
-    - `output`: with it, finished rounds are kept in `<output>.parts` until all are done; with `resume`, those of an
-      interrupted run of the same data and settings are not simulated again.
+    - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`), so that those of an interrupted run of the same data and
+      settings are not simulated again.
     - `say`: called with a line of progress.
 
     **Raises:** `jaxfrf.InputError`, before anything long begins, if robot, data and arguments do not fit together.
@@ -110,6 +109,7 @@ def identify(
         method = (Auto() if data.r is None else default_method()) if method is None else method
         settings["method"] = describe_method(method)
         frf_of = lambda record: _frf_of_record(record, method, band)
+    done, keep = ((), None) if parts is None else kept_rounds(parts, model, part, settings)
     if guess:
         model = _guessed(model, frf_of(part), say)
     key = jr.key(seed)
@@ -119,20 +119,12 @@ def identify(
         measured = frf_of(part)
         found = _direct(model, part, measured, weights, starts, key, say)
     else:
-        folder, done, keep = kept_rounds(output, fingerprint(model, part, settings), resume, say)
         options = {"weights": weights, "starts": starts, "key": key, "rounds": rounds}
-        try:
-            through = fit_through_experiment(model, part, method, **options, done=done, keep=keep, say=say)
-        except InputError:
-            if folder is not None and not any(folder.glob("*.json")):
-                shutil.rmtree(folder)
-            raise
+        through = fit_through_experiment(model, part, method, **options, done=done, keep=keep, say=say)
         measured, found = dataclasses.replace(through.measured, warnings=data.warnings), through.direct
     judged = None if rest is None else _judged(found, through, rest, frf_of(rest), held, method, weights)
     direct_quality = quality(found, measured, weights)
     own = direct_quality if through is None else quality(through.fit, measured, weights)
-    if through is not None and folder is not None:
-        shutil.rmtree(folder)
     return Identification(
         model, found, through, why, measured, positions, own, direct_quality, judged, plain_data(settings)
     )

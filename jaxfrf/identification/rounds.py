@@ -1,6 +1,5 @@
-"""Rounds of a fit through the experiment, kept until all are done."""
+"""Rounds of a fit through the experiment, kept until the result stands."""
 
-import hashlib
 import json
 import pathlib
 from collections.abc import Callable, Mapping
@@ -9,50 +8,62 @@ from typing import Any
 import jax
 import numpy as np
 
-from .. import __version__
+from .._files import replacing
 from ..experiment import Experiment
+from ..frf import FRF
 from ..graybox import Correction, RobotModel
-from ..io._container import replacing
 from ..io.fits import plain_data
-from ..pipeline import folder_of_parts
+from ..parts import Parts, files_text, numbers_text
 
-Say = Callable[[str], None]
+_PART_FILES = ("[0-9]" * 5 + ".json",)
+_ROUND_FIELDS = ("x", "answer", "gap_db", "gap_deg")
 
 
-def kept_rounds(output, key: str, resume: bool, say: Say | None):
-    """The folder of finished rounds, those that are there, and how to keep another."""
-    if output is None:
-        return None, (), None
-    folder = folder_of_parts(output, key, resume)
-    files = sorted(folder.glob("*.json"))
-    done = [_read_round(path) for path in files]
-    if done and say is not None:
-        say(f"{len(done)} round(s) of an interrupted run taken over")
+def kept_rounds(
+    parts: Parts, model: RobotModel, data: Experiment | FRF, settings: Mapping[str, Any]
+) -> tuple[list[Correction], Callable[[Correction], None]]:
+    """The rounds that an interrupted run finished, and how to keep another."""
+    parts.begin(_about(model, data, settings), _PART_FILES)
+    done = []
+    while (found := parts.read(_name(len(done)), _read_round)) is not None:
+        done.append(found)
     count = len(done)
 
     def keep(correction: Correction) -> None:
         nonlocal count
-        with replacing(folder / f"{count:05d}.json") as draft:
+        with replacing(parts.path(_name(count))) as draft:
             draft.write_text(json.dumps({n: np.asarray(getattr(correction, n)).tolist() for n in _ROUND_FIELDS}))
         count += 1
 
-    return folder, done, keep
+    return done, keep
 
 
-_ROUND_FIELDS = ("x", "answer", "gap_db", "gap_deg")
+def _name(number: int) -> str:
+    return f"{number:05d}.json"
 
 
 def _read_round(path: pathlib.Path) -> Correction:
-    found = json.loads(path.read_text())
+    found = json.loads(path.read_text(encoding="utf-8"))
     return Correction(np.array(found["x"]), np.array(found["answer"]), found["gap_db"], found["gap_deg"])
 
 
-def fingerprint(model: RobotModel, data: Experiment, settings: Mapping[str, Any]) -> str:
+def _about(model: RobotModel, data: Experiment | FRF, settings: Mapping[str, Any]) -> dict[str, Any]:
     """What a round depends on: not how many there may be."""
-    about = {n: v for n, v in plain_data(settings).items() if n != "rounds"}
-    digest = hashlib.sha256(repr((about, __version__, data.y_quantity, data.r_quantity, data.fs, data.period)).encode())
-    digest.update(repr((model.robot.joint_names, model.robot.driven, sorted(model.parameters))).encode())
-    for x in (*jax.tree.leaves(model), data.r, data.u, data.y, data.q, data.lines):
-        if x is not None:
-            digest.update(np.ascontiguousarray(x).tobytes())
-    return f"run-{digest.hexdigest()[:16]}"
+    robot = model.robot
+    chosen = {name: x for name, x in plain_data(settings).items() if name != "rounds"}
+    return chosen | {
+        "through the experiment": settings["rounds"] is not None,
+        "data": files_text(data.sources),
+        "output": data.y_quantity,
+        "joints": [*robot.joint_names, *(f"{e.name} of {getattr(e, 'joint', '')}" for e in robot.effects)],
+        "parameters": sorted(model.parameters),
+        "numbers of the robot": numbers_text(*jax.tree.leaves(model)),
+        "numbers of the data": numbers_text(*jax.tree.leaves(data)),
+        "kind of the data": _kind(data),
+    }
+
+
+def _kind(data: Experiment | FRF) -> str:
+    if isinstance(data, FRF):
+        return "FRF"
+    return f"records at {data.fs:g} Hz, period {data.period}, reference {data.r_quantity}"

@@ -3,17 +3,16 @@
 A format is a module with `load(path)` and `save(path, variables, attributes)`; `_FORMATS` lists them.
 """
 
-import contextlib
 import dataclasses
 import importlib
 import os
 import pathlib
-import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from .._errors import InputError, input_error
+from .._files import replacing
 
 _FORMATS = {".nc": "_netcdf", ".mat": "_matlab", ".npz": "_npz", ".csv": "_csv"}
 _SAVED = (".nc", ".mat", ".npz")
@@ -78,19 +77,6 @@ def save(path: str | os.PathLike, variables: Mapping[str, Variable], attributes:
     writer = _format(path, _SAVED, "written")
     with replacing(path) as temporary:
         writer.save(temporary, variables, attributes)
-
-
-@contextlib.contextmanager
-def replacing(path: pathlib.Path) -> Iterator[pathlib.Path]:
-    """A temporary file beside `path` that takes its place if the block succeeds, and vanishes otherwise."""
-    if not path.parent.is_dir():
-        raise input_error(str(path), f"no folder {path.parent}", "an existing folder", "Make it, or write elsewhere.")
-    temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def text(value) -> str:

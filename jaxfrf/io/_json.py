@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ._container import replacing
+from .._files import replacing
 
 
 def write_json(path: str | os.PathLike, contents: Mapping[str, Any]) -> None:

@@ -8,9 +8,9 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from .._errors import input_error
+from .._files import replacing
 from ..robot.drive import Friction, Spring
 from ..robot.robot import Robot
-from ._container import replacing
 
 
 def mjcf(robot: Robot, friction: bool = False, timestep: float = 1e-4) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import input_error
+from .._files import replacing
 from .._types import Array
-from ._container import replacing
 
 
 def write_positions(

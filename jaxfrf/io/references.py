@@ -26,8 +26,9 @@ import numpy as np
 
 from .. import __version__
 from .._errors import InputError, input_error
+from .._files import replacing
 from ..excitation import PHASES, Multisine, Reference, SlowSine
-from ._container import Variable, load, replacing, save
+from ._container import Variable, load, save
 
 _KINDS = (".nc", ".mat", ".csv")
 _ROWS = 4096  # of a table turned into text at a time

@@ -28,10 +28,11 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from .._errors import input_error
+from .._files import replacing
 from .._status import Status
 from ..experiment import QUANTITIES, UNITS, Source
 from ..frf import FRF
-from ._container import Unreadable, load, replacing
+from ._container import Unreadable, load
 from ._optional import require
 
 _AXES = {

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .._errors import input_error
+from .._files import replacing
 from ..effects import AbstractEffect
 from ..robot.robot import Robot
 from ..robot.schema import robot_from_table, table_from_robot
-from ._container import replacing
 
 
 def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()) -> Robot:

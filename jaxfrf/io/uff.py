@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from .._errors import input_error
+from .._files import replacing
 from ..experiment import UNITS
 from ..frf import FRF
-from ._container import replacing
 from ._optional import require
 from .responses import frf_from_arrays, source
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool
 
 from .._errors import input_error
+from .._files import replacing
 from .._types import Array, Frequency
-from ..io._container import replacing
 from ..io._optional import require
 
 # Okabe & Ito (2008): told apart by all common kinds of colour vision; the order keeps neighbours far apart.

@@ -12,7 +12,7 @@ import pathlib
 import re
 from collections.abc import Mapping, Sequence
 
-from ..io._container import replacing
+from .._files import replacing
 
 _STYLE = """
 :root { --ink: #1b1f24; --soft: #5c6670; --line: #d8dde2; --paper: #ffffff; --wash: #f5f7f9; --bad: #b3400a;
