@@ -74,11 +74,8 @@ def _floor(U, noise, frequency):
 
 def band_edges(frequency) -> Float[np.ndarray, "edge"]:
     """Of the bands in which a residual is looked at, Hz; those of each hold a line."""
-    edges = [0.0]
-    for edge in (*_BANDS[1:], np.inf):
-        if np.any((frequency >= edges[-1]) & (frequency < edge)):
-            edges.append(float(min(edge, frequency[-1])))
-    return np.array(edges)
+    first = np.unique(np.searchsorted(_BANDS, frequency, side="right") - 1)
+    return np.append(_BANDS[first], frequency[-1])
 
 
 def by_band(left, floor, frequency) -> Float[np.ndarray, "pos exp axis band"]:

@@ -1,0 +1,126 @@
+"""Records of another simulator in which nothing is hidden, or a delay: logs of angle, speed and acceleration.
+
+The machine is off from the model by 1 to 3 % in every number; nothing here is shared with the search but the robot.
+"""
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+
+import jaxfrf as jf
+from benchmarks._mujoco_records import mujoco_experiment
+from jaxfrf import effects as fx
+from jaxfrf.gap import diagnose
+from jaxfrf.gap.evidence import Evidence
+from jaxfrf.gap.measured import measured
+from jaxfrf.gap.verify import over_floor
+from jaxfrf.robot import parameters, with_parameters
+
+FS, PERIOD = 1000.0, 4000
+Q = np.array([[0.3, 0.9], [-0.5, 1.4], [1.5, -1.1], [0.9, 0.4], [2.2, -0.6]])
+KINDS = ("stiffness", "damping", "viscous_friction", "coulomb_friction", "mass", "com", "inertia", "motor_inertia")
+SENSOR = {"position": 0.0, "velocity": 0.02, "acceleration": 5.0}  # rms of what the log adds, rad, rad/s, rad/s^2
+LOGS = tuple(SENSOR)
+UPPER_ARM = {
+    "name": "shoulder",
+    "type": "driven",
+    "axis": [0.0, 0.0, 1.0],
+    "offset": [0.0, 0.0, 0.0],
+    "mass": 20.0,
+    "com": [0.25, 0.0, 0.05],
+    "inertia": [0.3, 1.0, 1.0, 0.0, 0.05, 0.0],
+    "gear_ratio": 100.0,
+    "motor_inertia": 1e-3,
+    "stiffness": 9e4,
+    "damping": 60.0,
+    "viscous_friction": 1e-3,
+    "coulomb_friction": 0.1,
+    "torque_limit": 12.0,
+    "velocity_gain": 0.2,
+}
+FOREARM = UPPER_ARM | {
+    "name": "elbow",
+    "offset": [0.5, 0.0, 0.1],
+    "mass": 10.0,
+    "com": [0.2, 0.05, 0.06],
+    "inertia": [0.1, 0.4, 0.4, 0.02, 0.03, 0.0],
+    "gear_ratio": 80.0,
+    "motor_inertia": 5e-4,
+    "stiffness": 3e4,
+    "damping": 20.0,
+    "viscous_friction": 8e-4,
+    "torque_limit": 8.0,
+    "velocity_gain": 0.1,
+}
+
+
+@functools.cache
+def model():
+    """A vertical arm of two axes."""
+    table = {"name": "arm", "gravity": [0.0, -9.81, 0.0], "sampling_frequency": FS, "joint": [UPPER_ARM, FOREARM]}
+    return jf.robot.robot_from_table(table | {"controller": {"position_gain": 10.0, "integral_time": 0.1}})
+
+
+def machine(seed: int):
+    """As built: every number is off by 1 to 3 %."""
+    rng, values = np.random.default_rng([seed, 77]), {}
+    for kind in KINDS:
+        for name, value in parameters(model(), [kind]).items():
+            values[name] = value * (1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.01, 0.03))
+    return with_parameters(model(), values)
+
+
+@functools.cache
+def played(seed: int, delay: float):
+    slow = jf.SlowSine([3, 5], [30.0, 30.0])
+    plan = jf.Multisine(FS, PERIOD, np.arange(17, 240, 2), rms=[2.0, 3.0], slow=slow, seed=seed)
+    robot = machine(seed)
+    robot = robot.with_effects(fx.TorqueDelay("shoulder", delay)) if delay else robot
+    return mujoco_experiment(robot, plan, Q, seed=seed, run_in=3.0, noise=2e-5, ripple=None, processes=2)
+
+
+def logged(data, quantity: str, seed: int):
+    """The record with its angles, or with their derivative and what such a sensor adds."""
+    if quantity == "position":
+        return data
+    y = np.asarray(data.y)
+    s = 2j * np.pi * np.fft.rfftfreq(y.shape[2], 1 / FS)[:, None]
+    order = LOGS.index(quantity)
+    y = np.fft.irfft(np.fft.rfft(y - y[:, :, :1], axis=2) * s**order, n=y.shape[2], axis=2)
+    y = y + SENSOR[quantity] * np.random.default_rng([seed, 5]).standard_normal(y.shape)
+    return dataclasses.replace(data, y=y, y_quantity=quantity)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "seed"),
+    [
+        pytest.param(quantity, seed, marks=() if (quantity, seed) == ("velocity", 0) else pytest.mark.slow)
+        for quantity in LOGS
+        for seed in (0, 1, 2)
+    ],
+)
+def test_nothing_hidden(quantity, seed):
+    found = diagnose(model(), logged(played(seed, 0.0), quantity, seed))
+    assert found.verdict in ("sufficient", "inconclusive"), found.says
+    assert found.effects == () and found.gap.after == found.gap.before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quantity", LOGS)
+def test_a_delay_is_still_found(quantity, tmp_path):
+    """And the gap that is reported is that of the robot that is written: read from its file and simulated again."""
+    data = logged(played(1, 8e-4), quantity, 1)
+    found = diagnose(model(), data)
+    (named,) = found.effects
+    assert "torque_delay" in (named.name, *named.equivalent) and named.joint == "shoulder", found.says
+    (late,) = named.parameters.values()
+    assert late.value == pytest.approx(8e-4, rel=0.1)
+    assert found.gap.after < found.gap.floor < found.gap.before and found.gap.shrink == 1.0
+    assert np.all(found.gap.torque_after < found.gap.torque_before)
+
+    jf.io.write_robot(found.extended, tmp_path / "extended.toml")
+    evidence = Evidence(jf.io.read_robot(tmp_path / "extended.toml"), measured(data))
+    axes = over_floor(evidence.residual, evidence.plain, np.array(found.sealed))
+    np.testing.assert_allclose(np.sqrt(np.mean(axes**2)), found.gap.after, rtol=0.02)
