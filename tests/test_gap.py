@@ -86,9 +86,9 @@ def small_robot(**elbow):
     )
 
 
-def record(robot, positions=Q, noise=1e-4, slow=30.0):
+def record(robot, positions=Q, noise=1e-4, slow=30.0, highest=240):
     slow = jf.SlowSine([3, 5], [slow, slow])
-    plan = jf.Multisine(FS, PERIOD, np.arange(17, 240, 2), rms=[2.0, 3.0], slow=slow, seed=4)
+    plan = jf.Multisine(FS, PERIOD, np.arange(17, highest, 2), rms=[2.0, 3.0], slow=slow, seed=4)
     return jf.simulate(robot, plan, positions, key=jr.key(1), run_in=3.0, noise=noise, steps=STEPS)
 
 
@@ -258,6 +258,15 @@ class TestSignatures:
     def test_numbers_of_the_robot(self, carrier, quiet, name, factor, more):
         other = with_parameters(carrier, {name: factor * parameters(carrier, [name.split(".")[1]])[name] + more})
         self.compare(lambda scene: scene.by_robot(other), other, quiet)
+
+    def test_lines_above_125_hz(self, carrier):
+        """Springs and links are sampled as their highest line needs."""
+        data = record(carrier, Q[:2], 0.0, slow=5.0, highest=840)
+        fast = data, Evidence(carrier, measured(data), steps=STEPS)
+        assert fast[1].scenes[0].lines > 200 * PERIOD / FS
+        for name, factor in (("elbow.mass", 1.01), ("shoulder.stiffness", 1.01)):
+            other = with_parameters(carrier, {name: factor * parameters(carrier, [name.split(".")[1]])[name]})
+            self.compare(lambda scene, other=other: scene.by_robot(other), other, fast)
 
     @pytest.mark.parametrize(
         ("kind", "values"),

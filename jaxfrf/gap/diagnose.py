@@ -47,7 +47,9 @@ def diagnose(
 
     Thresholds are those of `search`; they were set on simulated records. Wrong where several effects of a similar
     signature act at once, and where an effect that the library does not hold looks like one that it does: then the
-    remaining misfit tells, and nothing is named. Rigid robots of non-periodic records: `diagnose_torque`.
+    remaining misfit tells, and nothing is named. Nothing is looked for where all that is left is within its floor, and
+    no effect is named whose interval holds none of it, or whose robot, simulated as it would be written, does not make
+    the gap on the sealed positions smaller (`verify`). Rigid robots of non-periodic records: `diagnose_torque`.
 
     **Arguments:**
 

@@ -67,7 +67,8 @@ class Cell(eqx.Module):
 
 
 class Gap(eqx.Module):
-    """rms torque residual before and after, over its floor, on positions that nothing was fitted to.
+    """rms torque residual of the robots that are written, before and after, over its floor, on positions that nothing
+    was fitted to.
 
     `floor`: what noise and an honest model leave. `shrink` = 1 - (after - floor)/(before - floor). `torque_before`,
     `torque_after`: the same residual over the rms torque, per axis, (axis,).
@@ -103,8 +104,9 @@ class Diagnosis(eqx.Module):
     **Fields:** `verdict`: one of `VERDICTS`; `says`: the verdict in a sentence or two. `effects`: named ones, in the
     order in which they were found. `ranking`: of all candidates, the first few. `where`: the largest cells before.
     `gap`, `maps`. `parameters`: of the extended model, by name, with `changed` the relative change from the given robot
-    in the same order. `given`, `base`, `extended`: robots: as given, refitted, with the effects. `compared`: how
-    measurement and model were compared. `fitted`, `sealed`: positions. `frf`: measured, base and extended FRF on the
+    in the same order. `given`, `base`, `extended`: robots: as given, refitted, with the effects; the last two have the
+    ripple that their motors show, too, and gap and maps are theirs, simulated. `compared`: how measurement and model
+    were compared. `fitted`, `sealed`: positions. `frf`: measured, base and extended FRF on the
     sealed positions, estimated alike. `next_experiment`: what to do next. `sources`: of the data. `settings`.
     """
 

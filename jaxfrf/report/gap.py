@@ -10,7 +10,19 @@ import numpy as np
 from ..effects import library
 from ..io.gaps import equation
 from ..plot.gap import gap_bode, gap_dumbbells, gap_maps, torque_courses
-from .gap_words import axes_of, closed, estimate, gap_name, headline, joined, p_text, percent, plain, what
+from .gap_words import (
+    axes_of,
+    closed,
+    estimate,
+    gap_name,
+    headline,
+    joined,
+    p_text,
+    percent,
+    plain,
+    ripple_written,
+    what,
+)
 from .page import beside, choice, facts, figure, number, page, paragraph, section, table, write_page
 
 _DRAWN = 2  # axes whose FRFs the page holds
@@ -325,7 +337,8 @@ def _parameters(d) -> str:
     shown = table(headers, rows, flags=[len(headers) - 1])
     if len(rows) > _OPEN:
         shown = _folded(f"All {len(rows)} parameters", shown)
-    return section("Parameters of the extended model", paragraph(said), shown)
+    waves = ripple_written(d)
+    return section("Parameters of the extended model", paragraph(said), paragraph(waves) if waves else "", shown)
 
 
 def _finite(x: float | None) -> float:

@@ -116,3 +116,15 @@ def closed(gap) -> str:
     if gap.after == gap.before:
         return "nothing was added to the model"
     return f"{percent(gap.shrink)} of the reducible gap is gone"
+
+
+def ripple_written(diagnosis) -> str:
+    """Ripple of the motors that is written with the robot though nobody misses it, in a sentence; "" for none."""
+    given = len(diagnosis.given.effects)
+    orders: dict[str, list[int]] = {}
+    for effect in diagnosis.base.effects[given:]:
+        orders.setdefault(effect.joint, []).extend(effect.order)
+    if not orders:
+        return ""
+    told = "; ".join(f"{joint}: {', '.join(str(h) for h in sorted(set(found)))}" for joint, found in orders.items())
+    return f"The robot is written with the ripple that its motors show (orders of {told})."
