@@ -108,6 +108,7 @@ def test_nothing_hidden(quantity, seed):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("quantity", LOGS)
 def test_a_delay_is_still_found(quantity, tmp_path):
     """And the gap that is reported is that of the robot that is written: read from its file and simulated again."""

@@ -70,22 +70,28 @@ class TestSealedPositions:
         assert _against(search, base, extended) is None
         np.testing.assert_allclose(over_floor(base.residual, FLOOR, verify.judged_positions(search)), 3.0)
 
-    def test_the_last_effect_is_taken_back_first(self, monkeypatch):
-        """Two were found, the second one makes the sealed gap larger: the first stays."""
+    @pytest.mark.parametrize(
+        ("first", "both", "kept"),
+        [
+            ([1.5, 1.5], [1.0, 1.0], 2),
+            ([1.0, 1.0], [1.0, 1.0], 1),  # the second one is imaginary: smaller than the base's, no smaller than that
+            ([1.0, 1.0], [0.2, 4.0], 1),
+            ([3.5, 1.0], [1.0, 1.0], 2),  # the first one shows only beside the second
+            ([3.5, 1.0], [4.0, 1.0], 0),
+        ],
+    )
+    def test_every_effect_must_gain(self, monkeypatch, first, both, kept):
         key = lambda name: SimpleNamespace(option=SimpleNamespace(key=(name, "elbow")), effect=name, stage=name)
         steps = (key("torque_delay"), key("backlash"))
-        leaves = {0: leaving([9, 9], [3, 3]), 1: leaving([1, 1], [1, 1]), 2: leaving([0.5, 0.5], [4, 1])}
+        leaves = [leaving([9, 9], [3, 3]), leaving([1, 1], first), leaving([0.5, 0.5], both)]
         monkeypatch.setattr(verify, "written", lambda setting, stage, effects: leaves[len(effects)])
-        monkeypatch.setattr(verify, "Verified", lambda *fields: SimpleNamespace(fields=fields))
+        monkeypatch.setattr(verify, "Verified", lambda *fields: fields)
         search = made_search()
         search.setting, search.steps = None, steps
-        base, kept, extended, refused = verify.verified(search).fields
-        assert (base, kept, extended) == (leaves[0], steps[:1], leaves[1])
-        assert len(refused) == 1 and refused[0].startswith("backlash of elbow was taken back")
-        search.steps = (steps[1],)
-        leaves[1] = leaves[2]
-        base, kept, extended, refused = verify.verified(search).fields
-        assert kept == () and extended is base and len(refused) == 1
+        base, stands, extended, refused = verify.verified(search)
+        assert (base, stands, extended) == (leaves[0], steps[:kept], leaves[kept])
+        assert len(refused) == 2 - kept
+        assert all("was taken back" in text for text in refused)
 
 
 class TestIntervals:

@@ -78,10 +78,12 @@ def refine(stage: Stage, effect: AbstractEffect, visible: float, simulated: Abst
             best = Refined(effect, value, names, (0.0,) * len(names))
         elif round:
             break
-        if round == _ROUNDS or not names:
+        if not names:
             break
         change, std = _newton(weighed.gram, fit, start, len(names))
         best = Refined(best.effect, best.drop, names, tuple(float(x) for x in std))
+        if round == _ROUNDS:
+            break
         following = effect
         for name, delta in zip(names, change, strict=True):
             following = _limited(following, name, delta, visible)

@@ -26,6 +26,7 @@ from .stage import (
     look,
     look_again,
     look_closely,
+    look_for_ripple,
     retold,
     score,
     table,
@@ -168,6 +169,7 @@ def search(
             keep_round(parts, len(steps), _round(step, these))
         if step is None:
             break
+        step = dataclasses.replace(step, stage=look_for_ripple(step.stage, setting.opened))
         say(f"{step.effect.name} {step.option.key[1]}: misfit {step.before:.3g} -> {step.after:.3g}")
         steps.append(step)
         done(0.3 + 0.6 * len(steps) / MOST)

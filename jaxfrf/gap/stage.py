@@ -118,13 +118,25 @@ def look(robot: Robot, record: Measured, knobs, turns, opened) -> Stage:
     runs = np.repeat(opened, record.data.n_exp)
     weighed = weigh(evidence, knob_columns(robot, knobs))
     orders, weighed = ripple_orders(evidence, weighed, knobs, turns, opened, runs)
+    apart, keep = _set_apart(robot, weighed, knobs, turns, orders, runs)
+    return _fitted(robot, evidence, weighed, knobs, turns, orders, apart, keep, opened, runs, False)
+
+
+def _set_apart(robot: Robot, weighed: Weighed, knobs, turns, orders, runs):
+    """Orders that are too strong for a background beside all others, and the columns without them."""
     known = limits(robot, knobs, turns, orders, False)
     fit = fit_base(weighed.gram, range(len(known)), known, runs)
     waves = fit.x[len(knobs) :].reshape(-1, 2)
     loud = [i for i, order in enumerate(orders) if np.hypot(*waves[i]) > order.loud(robot)]
     keep = np.array([i for i in range(len(known)) if i < len(knobs) or (i - len(knobs)) // 2 not in loud])
-    apart = tuple(orders[i] for i in loud)
-    return _fitted(robot, evidence, weighed, knobs, turns, orders, apart, keep, opened, runs, False)
+    return tuple(orders[i] for i in loud), keep
+
+
+def look_for_ripple(stage: Stage, opened) -> Stage:
+    """The same, once more deciding which orders are loud: far from the truth a background looks louder than it is."""
+    parts = stage.robot, stage.evidence, stage.weighed, stage.knobs, stage.turns, stage.orders
+    apart, keep = _set_apart(stage.robot, stage.weighed, stage.knobs, stage.turns, stage.orders, stage.fit.runs)
+    return _fitted(*parts, apart, keep, opened, stage.fit.runs, stage.near)
 
 
 def look_again(stage: Stage, robot: Robot, record: Measured, turns, opened, knobs=None, near: bool = True) -> Stage:

@@ -85,18 +85,22 @@ class Verified(eqx.Module):
 
 
 def verified(search: Search) -> Verified:
-    """The longest beginning of the effects that were found whose written robot makes the gap on the sealed positions
-    smaller, and no axis' larger; on the fitted positions, where none are sealed."""
+    """The effects that were found, one after the other, as far as the written robot of each makes the gap on the sealed
+    positions smaller than that of the one before, and no axis' larger; on the fitted positions, where none are
+    sealed."""
     setting = search.setting
-    base, refused = written(setting, search.base, ()), []
-    for count in range(len(search.steps), 0, -1):
+    base = extended = written(setting, search.base, ())
+    kept, refused = 0, []
+    for count in range(1, len(search.steps) + 1):
         steps = search.steps[:count]
-        extended = written(setting, steps[-1].stage, [s.effect for s in steps])
-        against = _against(search, base, extended)
+        further = written(setting, steps[-1].stage, [s.effect for s in steps])
+        against = _against(search, extended, further)
         if against is None:
-            return Verified(base, steps, extended, tuple(refused))
-        refused.append(f"{_name(steps[-1])} was taken back: {against}")
-    return Verified(base, (), base, tuple(refused))
+            kept, extended = count, further
+        else:
+            refused.append((count, f"{_name(steps[-1])} was taken back: {against}"))
+    # What was refused alone stands with what was found beside it.
+    return Verified(base, search.steps[:kept], extended, tuple(text for count, text in refused if count > kept))
 
 
 def _name(step: Step) -> str:
