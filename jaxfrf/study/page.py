@@ -20,6 +20,7 @@ from ..report.page import (
 )
 from .claims import claims
 from .figures import diagonals, enlargement
+from .parameters import STACKED
 from .settings import PAPER, PUBLISHED_BIAS, PUBLISHED_PARAMETERS
 from .summary import hidden_lines, interval, plain, spread, true_parameter
 
@@ -56,12 +57,12 @@ def study_page(results: dict, curves: Mapping[str, np.ndarray], courses: Mapping
 def _headline(results: dict) -> str:
     said = []
     for count in results["settings"]["through"]:
-        entry = _entry(results, count, "through the experiment")
-        direct = _entry(results, count, "LRM, JIO")
+        entry, direct = _entry(results, count, "through the experiment"), _direct(results, count)
         published = PUBLISHED_PARAMETERS.get(count, {}).get("LRM, JIO")
         said.append(
             f"n_e = {count}: mean parameter bias {spread(entry['mean_bias'])} % through the experiment, "
-            f"{spread(direct['mean_bias'])} % by the paper's direct fit (published: {100 * published:.1f} %)"
+            f"{spread(direct['mean_bias'])} % by the direct fit to {direct['method']} "
+            f"(published, LRM, JIO: {100 * published:.1f} %)"
         )
     made = claims(results)
     said.append(
@@ -74,6 +75,12 @@ def _headline(results: dict) -> str:
 
 def _entry(results: dict, count: int, method: str) -> dict:
     return next(e for e in results["summary"] if (e["experiments"], e["method"]) == (count, method))
+
+
+def _direct(results: dict, count: int) -> dict:
+    """The direct fit beside which that through the experiment is shown: the paper's, or what it began with."""
+    names = {e["method"] for e in results["summary"] if e["experiments"] == count}
+    return _entry(results, count, "LRM, JIO" if "LRM, JIO" in names else STACKED)
 
 
 def _table_one(results: dict) -> list[str]:
@@ -168,7 +175,7 @@ def _table_two(results: dict) -> list[str]:
 
 def _parameters(results: dict) -> list[str]:
     counts = results["settings"]["through"]
-    methods = [(c, m) for c in counts for m in ("LRM, JIO", "through the experiment")]
+    methods = [(c, m) for c in counts for m in (_direct(results, c)["method"], "through the experiment")]
     rows = []
     for name, true in results["true"].items():
         cells = []
@@ -323,7 +330,8 @@ _SMALLER = {
     "through": "numbers of experiments fitted through the experiment",
     "starts": "starts of a fit",
     "single": "methods compared from one experiment",
-    "fitted": "estimators that are fitted directly",
+    "fitted": "estimators that are fitted directly, many experiments",
+    "fitted_single": "estimators that are fitted directly, one experiment",
     "at_rest": "fits as if the arm were at rest",
     "ablations": "disturbances taken away one at a time",
 }
@@ -340,7 +348,7 @@ def _of(here, paper) -> str:
     if isinstance(paper, bool):
         return "none"
     if isinstance(paper, list) and isinstance(paper[0], str):
-        return f"{'; '.join(here)} (without {'; '.join(x for x in paper if x not in here)})"
+        return f"{'; '.join(here) or 'none of their own'} (without {'; '.join(x for x in paper if x not in here)})"
     count = lambda x: len(x) if isinstance(x, list) else x
     return f"{count(here)} of {count(paper)}"
 

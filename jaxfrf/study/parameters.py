@@ -20,8 +20,9 @@ from ..graybox.through import default_method, measured_frf
 from ..robot import Robot, parameters, r3x, with_parameters
 from ..simulation import random_positions
 from .bias import first_experiments, measure, still
-from .settings import OWN_METHODS, PAPER_METHODS, SLOW_AMPLITUDE, Settings, design, methods, truth
+from .settings import OWN_METHODS, PAPER_METHODS, SLOW_AMPLITUDE, Settings, design, truth
 
+STACKED = "LRM, JIO stacked"  # what fits through the experiment begin with; with one experiment there is only one
 FRF_NOISE = 0.05  # relative, that the choice of positions assumes
 STIFFNESS_SPREAD, DAMPING_SPREAD = 0.25, 1.0
 
@@ -136,8 +137,9 @@ def direct_rows(settings: Settings, seed: int, data: Experiment, say=None) -> li
 
 def _fitted_methods(settings: Settings, count: int, extra: bool) -> dict[str, AbstractMethod]:
     """Estimators whose FRFs are fitted at this number of experiments; "auto" only as an extra."""
-    every = methods(count) if count > 1 else PAPER_METHODS["one"] | {"auto": OWN_METHODS["auto"]}
-    return {n: m for n, m in every.items() if n in settings.fitted and (extra or n != "auto")}
+    every = PAPER_METHODS["many" if count > 1 else "one"] | OWN_METHODS
+    wanted = settings.fitted if count > 1 else settings.fitted_single
+    return {n: m for n, m in every.items() if n in wanted and (extra or n != "auto")}
 
 
 def through_row(settings: Settings, seed: int, count: int, data: Experiment | None = None, say=None) -> dict:
@@ -154,7 +156,7 @@ def through_row(settings: Settings, seed: int, count: int, data: Experiment | No
         say=say,
     )
     return row(found.fit, count, "through the experiment", seed) | {
-        "direct": row(found.direct, count, "direct, " + "LRM, JIO stacked", seed),
+        "direct": row(found.direct, count, STACKED if count > 1 else "LRM, JIO", seed),
         "converged": found.converged,
         "gap_db": [c.gap_db for c in found.corrections],
     }

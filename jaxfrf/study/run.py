@@ -206,7 +206,10 @@ def collect(settings: Settings, parts: pathlib.Path) -> dict:
     groups = 1 if settings.at_once else settings.positions
     bias = [x for i in range(groups) for x in read(f"bias-{i:03d}.json")["positions"]]
     rows = [row for seed in settings.seeds for row in read(f"direct-{seed}.json")["rows"]]
-    rows += [read(f"through-{count}-{seed}.json") for seed in settings.seeds for count in settings.through]
+    through = [read(f"through-{count}-{seed}.json") for seed in settings.seeds for count in settings.through]
+    place = lambda row: (row["experiments"], row["method"], row["seed"])
+    made = {place(row) for row in rows}
+    rows += [row["direct"] for row in through if place(row["direct"]) not in made] + through
     plan = design(settings.blocks, settings.seeds[0])
     return {
         "settings": settings.as_dict(),

@@ -23,7 +23,8 @@ class Settings(eqx.Module):
     - `through`: numbers of experiments from which the fit through the experiment is made.
     - `starts`: of every fit. `position_seed`: of the random configurations. `rounds`: of a fit through the experiment.
     - `ablations`: whether disturbances are taken away one at a time.
-    - `single`: methods that are compared from a single experiment. `fitted`: estimators whose FRFs are fitted directly.
+    - `single`: methods that are compared from a single experiment. `fitted`, `fitted_single`: estimators whose FRFs
+      are fitted directly, of many experiments and of one, beside those that the fits through the experiment begin with.
       `at_rest`: whether that is repeated as if the arm were at rest.
     - `at_once`: all positions are simulated together and the record is kept, which is faster and takes more memory;
       the noise is another realisation. `together`: steps that are made at the same time.
@@ -41,6 +42,7 @@ class Settings(eqx.Module):
     ablations: bool = eqx.field(static=True, default=True)
     single: tuple[str, ...] = eqx.field(static=True, default=("LRM, MISO", "LRM, MIMO", "LRM, JIO", "auto"))
     fitted: tuple[str, ...] = eqx.field(static=True, default=("LOG", "LRM, JIO", "LRM, JIO stacked", "auto"))
+    fitted_single: tuple[str, ...] = eqx.field(static=True, default=("LRM, JIO", "auto"))
     at_rest: bool = eqx.field(static=True, default=True)
     at_once: bool = eqx.field(static=True, default=False)
     together: int = eqx.field(static=True, default=1)
@@ -70,7 +72,8 @@ DEMO = Settings(
     starts=5,
     ablations=False,
     single=("LRM, JIO", "auto"),
-    fitted=("LRM, JIO", "LRM, JIO stacked"),
+    fitted=(),
+    fitted_single=("LRM, JIO",),
     at_rest=False,
     at_once=True,
     together=2,
