@@ -5,8 +5,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..excitation import reference
 from ..io._json import plain_data
+from ..plot.excitation import multisine
 from ..plot.gap import torque_courses
+from ..report.gap_words import plain
 from ..report.page import (
     facts,
     figure,
@@ -21,8 +24,8 @@ from ..report.page import (
 from .claims import claims
 from .figures import diagonals, enlargement
 from .parameters import STACKED
-from .settings import PAPER, PUBLISHED_BIAS, PUBLISHED_PARAMETERS
-from .summary import hidden_lines, interval, plain, spread, true_parameter
+from .settings import PAPER, PUBLISHED_BIAS, PUBLISHED_PARAMETERS, design
+from .summary import hidden_lines, interval, spread, true_parameter
 
 _PAPER = "S. A. Zimmermann and S. Moberg, Experimental Evaluation of Methods for Estimating FRFs of a 6-axes Robot"
 
@@ -41,6 +44,7 @@ def study_page(results: dict, curves: Mapping[str, np.ndarray], courses: Mapping
         title,
         [
             _headline(results),
+            section("The excitation", *_excitation(results)),
             section("Table I: bias of the FRF amplitude", *_table_one(results)),
             section("Figures 3 and 4: estimates at one position", *_figures(results, curves)),
             section("Table II: bias of the parameters", *_table_two(results)),
@@ -69,7 +73,8 @@ def _headline(results: dict) -> str:
         f"{sum(c.confirmed for c in made)} of {len(made)} conclusions of the paper "
         "that this study can check hold on R3X, see below"
     )
-    said += hidden_lines(results["hidden"])[1:]
+    first, *rest = hidden_lines(results["hidden"])
+    said += [f"in a small robot ({results['hidden']['robot']}), {first}", *rest]
     return verdict("What came out", said, good=True)
 
 
@@ -81,6 +86,20 @@ def _direct(results: dict, count: int) -> dict:
     """The direct fit beside which that through the experiment is shown: the paper's, or what it began with."""
     names = {e["method"] for e in results["summary"] if e["experiments"] == count}
     return _entry(results, count, "LRM, JIO" if "LRM, JIO" in names else STACKED)
+
+
+def _excitation(results: dict) -> list[str]:
+    drawn = multisine(reference(design(1, results["settings"]["seeds"][0])))[0].figure
+    return [
+        figure(
+            drawn,
+            f"What every experiment plays: orthogonal random-phase multisines of {results['lines']} odd lines, all "
+            "six axes at once, on top of a slow sine that keeps every joint moving. Six experiments, of which this is the "
+            "first, differ in their phases only and are a block. The robot is simulated in closed loop, with friction, "
+            "nonlinear springs, ripple and noise.",
+            "png",
+        )
+    ]
 
 
 def _table_one(results: dict) -> list[str]:
@@ -357,7 +376,6 @@ def _settings(results: dict) -> list[str]:
     settings = results["settings"]
     smaller = _made_smaller(settings)
     return [
-        *([paragraph("Smaller than the paper's study:"), listing(smaller)] if smaller else []),
         facts(
             {
                 "robot": "R3X (jaxfrf/robot/r3x.toml) with r3x_ripple()",
@@ -370,6 +388,7 @@ def _settings(results: dict) -> list[str]:
                 "paper": _PAPER,
             }
         ),
+        *([paragraph("Smaller than the paper's study:"), listing(smaller)] if smaller else []),
     ]
 
 

@@ -1,5 +1,6 @@
 """The tables of a study as text, for the command line and the README."""
 
+from ..report.gap_words import plain
 from .claims import claims
 from .settings import PUBLISHED_BIAS, PUBLISHED_PARAMETERS
 
@@ -65,15 +66,6 @@ def interval(x: dict) -> str:
     if x["std"] is None:
         return f"{x['value']:.4g} {x['unit']}"
     return f"{x['value']:.4g} [{x['low']:.4g}, {x['high']:.4g}] {x['unit']}"
-
-
-def plain(name: str) -> str:
-    """The name of an effect in words."""
-    return name.replace("_", " ")
-
-
-def _word(confirmed: bool) -> str:
-    return "holds" if confirmed else "does not hold"
 
 
 def table_one(results: dict) -> list[str]:
