@@ -20,7 +20,6 @@ from ..simulation import simulate
 HIDDEN = CoulombFriction("shoulder", 0.06)
 OFF = {"stiffness": 1.02, "damping": 0.95, "mass": 1.006, "viscous_friction": 1.02}
 """The machine's numbers over those of its model: what a data sheet is off by."""
-RIPPLE = (TorqueRipple("shoulder", [0.01], [6], [0.3]), TorqueRipple("elbow", [0.006], [2], [0.3]))
 POSITIONS = np.array([[0.3, 0.9], [-0.5, 1.4], [1.5, -1.1]])  # rad; the last one unloads the shoulder
 NOISE = 1e-4  # rad
 _Z = 1.96  # of a 95 % interval
@@ -36,7 +35,8 @@ def machine() -> Robot:
     """The robot as built: other springs, dampers, links and friction than stated, ripple, and the hidden effect."""
     robot = model()
     own = {name: factor * value for kind, factor in OFF.items() for name, value in parameters(robot, [kind]).items()}
-    return with_parameters(robot, own).with_effects(*RIPPLE, HIDDEN)
+    ripple = TorqueRipple("shoulder", [0.01], [6], [0.3]), TorqueRipple("elbow", [0.006], [2], [0.3])
+    return with_parameters(robot, own).with_effects(*ripple, HIDDEN)
 
 
 def plan() -> Multisine:

@@ -94,9 +94,9 @@ def _excitation(results: dict) -> list[str]:
         figure(
             drawn,
             f"What every experiment plays: orthogonal random-phase multisines of {results['lines']} odd lines, all "
-            "six axes at once, on top of a slow sine that keeps every joint moving. Six experiments, of which this is the "
-            "first, differ in their phases only and are a block. The robot is simulated in closed loop, with friction, "
-            "nonlinear springs, ripple and noise.",
+            "six axes at once, on top of a slow sine that keeps every joint moving. Six experiments, which differ in "
+            "their phases only, are a block; this is the first of them. The robot is simulated in closed loop, with "
+            "friction, nonlinear springs, ripple and noise.",
             "png",
         )
     ]

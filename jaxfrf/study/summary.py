@@ -68,6 +68,10 @@ def interval(x: dict) -> str:
     return f"{x['value']:.4g} [{x['low']:.4g}, {x['high']:.4g}] {x['unit']}"
 
 
+def _word(confirmed: bool) -> str:
+    return "holds" if confirmed else "does not hold"
+
+
 def table_one(results: dict) -> list[str]:
     bias = results["bias"]["bias"]["in motion"]
     names = list(dict.fromkeys(name for by in bias.values() for name in by))
