@@ -117,14 +117,15 @@ def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]
     example = Task(
         parts / "example.json",
         "responses at the example position",
-        1.5 * runs + 20,
+        5.0 if settings.at_once else 1.5 * runs + 20,
         lambda: _example(settings, parts, made),
     )
     direct = [
         Task(
             parts / f"direct-{seed}.json",
             f"direct fits, seed {seed}",
-            settings.fit_positions * (0.6 * runs + 6) + 90,
+            9.0 * (1 + len(settings.fitted) * (len(settings.experiments) - 1) + len(settings.fitted_single))
+            + (0.0 if settings.at_once else settings.fit_positions * (0.6 * runs + 6)),
             lambda seed=seed: {"rows": direct_rows(settings, seed, made.fitted(seed, settings.blocks), say)},
         )
         for seed in seeds
