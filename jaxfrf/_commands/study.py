@@ -1,6 +1,8 @@
 """`jaxfrf study`."""
 
+import os
 import shlex
+import threading
 
 from .arguments import command, say
 
@@ -28,12 +30,15 @@ def add(commands) -> None:
 
 def run(given) -> dict:
     from ..study import SCALES, run_study
+    from ..study.run import BESIDE
     from ..study.summary import summary_lines
 
     try:
         results = run_study(SCALES[given.scale], given.output, say=None if given.json else say, resume=given.resume)
     except KeyboardInterrupt:
         again = f"jaxfrf study --scale {given.scale} -o {shlex.quote(given.output)} --resume"
-        say(f"finished steps are kept in {given.output}/parts; go on with: {again}")
+        say(f"interrupted; finished steps are kept in {given.output}/parts, go on with: {again}")
+        if any(thread.name == BESIDE for thread in threading.enumerate()):
+            os._exit(130)  # Python would abort in the middle of that thread's compiled code; files are whole anyway
         raise
     return {"text": [*summary_lines(results), f"wrote {given.output}/index.html and study.json"], "json": results}

@@ -65,7 +65,8 @@ def _check_may_go_on(folder: pathlib.Path, path: pathlib.Path, settings: Setting
             str(folder),
             f"a study made otherwise: {'; '.join(other)}",
             "the same settings and the same program",
-            "Its parts are kept. Choose another folder (-o), or give the settings that it was begun with.",
+            "Its parts are kept: go on with the settings and the program that it was begun with, or choose another "
+            "folder (-o).",
         )
 
 

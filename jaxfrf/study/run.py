@@ -25,6 +25,8 @@ from .parameters import candidates, direct_rows, fit_positions, records, through
 from .settings import Settings, design, truth
 from .why import VARIANTS, variant_row
 
+BESIDE = "study, a step beside"  # name of the threads that make steps beside the main one
+
 Say = Callable[[str], None]
 
 
@@ -186,8 +188,8 @@ def _work(tasks: list[Task], together: int, say: Say) -> None:
         except BaseException as error:
             failed.append(error)
 
-    # Of the main thread's own end nobody waits for these.
-    beside = [threading.Thread(target=aside, daemon=True) for _ in range(together - 1)]
+    # Where the main thread is interrupted nobody waits for these.
+    beside = [threading.Thread(target=aside, name=BESIDE, daemon=True) for _ in range(together - 1)]
     for thread in beside:
         thread.start()
     lane()
