@@ -66,6 +66,8 @@ def _jio(bias, most: int) -> Claim:
 
 
 def _jio_alone(bias, most: int) -> Claim:
+    if most == 6:
+        raise KeyError("more experiments than axes: with as many, JIO without a local model is LOG")
     published = PUBLISHED_BIAS[24]
     return Claim(
         "Without a local model JIO improves little on LOG",

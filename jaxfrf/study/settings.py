@@ -17,7 +17,8 @@ class Settings(eqx.Module):
 
     **Arguments:**
 
-    - `positions`: random arm configurations of Table I. `fit_positions`: chosen from them, D-optimally, for Table II.
+    - `positions`: random arm configurations of Table I. `fit_positions`: chosen from them, D-optimally, for
+      Table II; where there are as many, all of them.
     - `blocks`: blocks of six experiments at every position.
     - `seeds`: realisations of phases and noise; Table I uses the first, Table II all of them.
     - `through`: numbers of experiments from which the fit through the experiment is made.
