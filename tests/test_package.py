@@ -181,7 +181,7 @@ MAY_IMPORT = {
     "pipeline": IO,
     "identification": IO | {"pipeline", "identification"},
     "report": IO | {"plot", "pipeline", "identification", "report"},
-    "study": IO | {"plot", "pipeline", "identification", "report", "study"},
+    "study": IO | {"plot", "pipeline", "identification", "report", "gap", "study"},
     "commands": IO | {"examples", "plot", "pipeline", "identification", "report", "study", "gap", "commands"},
 }
 """Which rooms a room may import from. Data flow from excitation over experiment and spectra to the FRF, which know no

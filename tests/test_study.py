@@ -6,12 +6,30 @@ import numpy as np
 import pytest
 
 import jaxfrf as jf
-from jaxfrf.study import DEMO, PAPER, Settings, claims as claims_module, run as run_module
+from jaxfrf.__main__ import main
+from jaxfrf.study import DEMO, MEDIUM, PAPER, claims as claims_module, folder as folder_module, run as run_module
 from jaxfrf.study.bias import amplitude_bias, level_error, weights
 from jaxfrf.study.claims import claims
+from jaxfrf.study.hidden import HIDDEN, OFF, machine, model
+from jaxfrf.study.page import _made_smaller
 from jaxfrf.study.run import Task, mean_bias, summarise, write_json
 from jaxfrf.study.settings import PUBLISHED_BIAS, PUBLISHED_PARAMETERS, design, methods
-from jaxfrf.study.summary import summary_lines
+from jaxfrf.study.summary import hidden_lines, summary_lines
+
+
+def hidden_example():
+    """A hidden effect and what a diagnosis might say of it."""
+    x = {"value": 0.0602, "unit": "N m", "std": 0.0008, "low": 0.0586, "high": 0.0618}
+    effect = {"name": "coulomb_friction", "joint": "shoulder", "parameters": {"level": x}, "equivalent": []}
+    return {
+        "robot": "two axes",
+        "verdict": "named",
+        "says": "Missing: coulomb friction on shoulder.",
+        "effects": [effect],
+        "true": {"name": "coulomb_friction", "joint": "shoulder", "parameters": {"level": 0.06}},
+        "gap": {"before": 8.0, "after": 0.2, "floor": 1.0, "shrink": 1.0, "on": "sealed positions"},
+        "torque": {"shoulder": {"before": 0.12, "after": 0.005}},
+    }
 
 
 def random_response(seed, n=4, lines=7):
@@ -79,6 +97,7 @@ def published():
         "minutes": 1.0,
         "bias": {"bias": {"in motion": bias}},
         "summary": summary,
+        "hidden": hidden_example(),
     }
 
 
@@ -97,9 +116,45 @@ def test_claims_can_fail():
     assert claims_module.PUBLISHED_BIAS[1]["LRM, JIO"] == 147.27
 
 
-def test_summary_has_both_tables():
+def test_a_study_without_the_data_makes_no_claim():
+    results = published()
+    del results["bias"]["bias"]["in motion"]["1"]
+    results["summary"] = [row for row in results["summary"] if row["method"] != "LOG"]
+    assert len(claims(results)) == 9 - 2 - 2  # without one experiment; without parameters from LOG
+    del results["bias"]["bias"]["in motion"]["24"]
+    left = claims(results)
+    assert all("n_e = 24" not in c.found for c in left)
+    assert not any(c.says.startswith("Without a local model") for c in left)  # from six experiments it is LOG
+
+
+def test_summary_has_both_tables_and_the_hidden_effect():
     text = "\n".join(summary_lines(published()))
     assert "125.2 (125.2)" in text and "4.80 (4.8)" in text and "9 of 9 claims" in text
+    assert "level 0.0602 [0.0586, 0.0618] N m; true 0.06 N m" in text and "8.0 before, 0.20 after" in text
+
+
+def test_a_wrong_effect_is_not_compared_with_the_hidden_ones_value():
+    hidden = hidden_example()
+    hidden["effects"][0]["joint"] = "elbow"
+    assert not any("true 0.06" in line for line in hidden_lines(hidden))
+
+
+def test_the_page_says_what_is_smaller_than_the_papers_study():
+    said = "\n".join(_made_smaller(DEMO.as_dict()))
+    assert "positions of Table I: 2 of 49" in said and "realisations of phases and noise: 1 of 5" in said
+    assert _made_smaller(PAPER.as_dict()) == []
+    assert MEDIUM.positions == 6 and MEDIUM.experiments == (12, 6, 1) and MEDIUM.through == (6, 1)
+
+
+def test_the_search_is_given_the_model_without_what_is_hidden():
+    """Machine and model differ by the hidden effect, ripple, and what a data sheet is off by."""
+    assert model().effects == () and [e.name for e in machine().effects] == ["torque_ripple"] * 2
+    kinds = ("stiffness", "mass", "coulomb_friction")
+    own, stated = (jf.robot.parameters(robot, kinds) for robot in (machine(), model()))
+    hidden = {f"{HIDDEN.joint}.coulomb_friction": HIDDEN.level}
+    for name, value in stated.items():
+        expected = OFF.get(name.rpartition(".")[2], 1.0) * float(value) + hidden.get(name, 0.0)
+        assert float(own[name]) == pytest.approx(expected), name
 
 
 def test_means_and_spreads():
@@ -140,24 +195,76 @@ def test_an_interrupted_study_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(run_module, "collect", lambda settings, parts: {"ok": np.float64(np.nan)})
     monkeypatch.setattr(run_module, "read_curves", lambda path: {})
     monkeypatch.setattr(run_module, "draw_figures", lambda curves, folder: {})
-    monkeypatch.setattr(run_module, "write_study_page", lambda path, results, curves: path.write_text("page"))
-    said = []
+    monkeypatch.setattr(run_module, "write_study_page", lambda path, *results: path.write_text("page"))
+    said, place = [], tmp_path / "study"
     with pytest.raises(KeyboardInterrupt):
-        run_module.run_study(DEMO, tmp_path / "study", said.append)
+        run_module.run_study(MEDIUM, place, said.append)
     assert done == [0, 1, "interrupted"]
-    run_module.run_study(DEMO, tmp_path / "study", said.append)
+    with pytest.raises(jf.InputError, match=r"unfinished study.*add --resume"):
+        run_module.run_study(MEDIUM, place)
+    run_module.run_study(MEDIUM, place, said.append, resume=True)
     assert done == [0, 1, "interrupted", 2, 3]
-    assert "2 of 4 steps are done already" in said and "left" in said[-1]
-    assert json.loads((tmp_path / "study" / "study.json").read_text())["ok"] is None
-    with pytest.raises(jf.InputError, match="another study"):
-        run_module.run_study(PAPER, tmp_path / "study")
+    assert "2 of 4 steps are done already" in said and "step 3" in said[-1]
+    assert json.loads((place / "study.json").read_text())["ok"] is None
+    kept = sorted(p.name for p in (place / "parts").iterdir())
+    with pytest.raises(jf.InputError, match=r"a finished study.*--resume"):
+        run_module.run_study(MEDIUM, place)
+    with pytest.raises(jf.InputError, match="name medium there, paper here; positions 6 there, 49 here"):
+        run_module.run_study(PAPER, place, resume=True)
+    monkeypatch.setattr(folder_module, "program", lambda: "another")
+    with pytest.raises(jf.InputError, match="the program's files have changed since"):
+        run_module.run_study(MEDIUM, place, resume=True)
+    assert sorted(p.name for p in (place / "parts").iterdir()) == kept
+
+
+@pytest.mark.parametrize("together", [1, 2])
+def test_a_step_that_fails_ends_the_study(tmp_path, together):
+    """Whichever thread makes it; what is finished stays."""
+
+    def fails():
+        raise jf.InputError("no such step")
+
+    work = [lambda: {"i": 0}, lambda: {"i": 1}, fails, fails]
+    tasks = [Task(tmp_path / f"step-{i}.json", f"step {i}", 1.0, w) for i, w in enumerate(work)]
+    with pytest.raises(jf.InputError, match="no such step"):
+        run_module._work(tasks, together, lambda text: None)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["step-0.json", "step-1.json"]
+
+
+def test_the_program_is_known_by_its_files(tmp_path, monkeypatch):
+    (tmp_path / "a.py").write_text("x = 1")
+    monkeypatch.setattr(folder_module, "_PACKAGE", tmp_path)
+    first = folder_module.program()
+    (tmp_path / "notes.txt").write_text("nothing that is run")
+    assert folder_module.program() == first
+    (tmp_path / "robot.toml").write_text("mass = 1.0")
+    assert folder_module.program() != first
 
 
 def test_a_folder_of_someone_else_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
-    with pytest.raises(jf.InputError, match="other files"):
-        run_module.run_study(DEMO, tmp_path)
+    for resume in (False, True):
+        with pytest.raises(jf.InputError, match="other files"):
+            run_module.run_study(DEMO, tmp_path, resume=resume)
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_module, "study_tasks", lambda *given: pytest.fail("begun"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(jf.InputError, match="cannot be written"):
+        run_module.run_study(DEMO, tmp_path / "file" / "study")
+    with pytest.raises(jf.InputError, match=r"a file.*expected a folder"):
+        run_module.run_study(DEMO, tmp_path / "file")
+
+
+def test_an_interrupted_command_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    def interrupted(tasks, together, say):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run_module, "_work", interrupted)
+    assert main(["study", "--scale", "medium", "-o", str(tmp_path / "a study")]) == 130
+    assert f"jaxfrf study --scale medium -o '{tmp_path / 'a study'}' --resume" in capsys.readouterr().err
 
 
 def test_json_is_valid(tmp_path):
@@ -166,18 +273,26 @@ def test_json_is_valid(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1500)
-def test_a_small_study_from_end_to_end(tmp_path):
-    """Two positions, one block: everything is written, and the fit through the experiment is near the truth."""
-    small = Settings(
-        "small", positions=2, fit_positions=2, blocks=1, seeds=(0,), through=(6,), starts=3, ablations=False
-    )
-    results = run_module.run_study(small, tmp_path / "study")
+@pytest.mark.timeout(1800)
+def test_the_demo_finds_what_is_true(tmp_path):
+    """The README's first command, whole: order of the methods, parameters, and the hidden effect."""
+    results = run_module.run_study(DEMO, tmp_path / "study")
     assert {"index.html", "study.json", "figure3.png", "figure4.png"} <= {
         p.name for p in (tmp_path / "study").iterdir()
     }
+    six = {method: x["mean"] for method, x in results["bias"]["bias"]["in motion"]["6"].items()}
+    assert six["LRM, JIO"] < 0.8 * min(six["LOG"], six["LRM, MISO"], six["LRM, MIMO"])
+    assert max(six["LRM, JIO stacked"], six["auto"]) < six["LRM, JIO"]
     by = {(row["experiments"], row["method"]): row for row in results["parameters"]}
-    assert by[6, "through the experiment"]["stiffness_bias"] < 0.01
-    assert by[6, "through the experiment"]["mean_bias"] < by[6, "LRM, JIO"]["mean_bias"]
+    direct, through = by[6, "LRM, JIO stacked"], by[6, "through the experiment"]
+    assert direct["mean_bias"] < 0.04 and through["mean_bias"] < 0.01
+    assert through["stiffness_bias"] < 0.002 and through["mean_bias"] < 0.5 * direct["mean_bias"]
+    hidden = results["hidden"]
+    (named,) = hidden["effects"]
+    assert hidden["verdict"] == "named" and (named["name"], named["joint"]) == (HIDDEN.name, HIDDEN.joint)
+    level = named["parameters"]["level"]
+    assert level["low"] < HIDDEN.level < level["high"] < 1.2 * HIDDEN.level
+    assert hidden["sealed"] == [2] and hidden["gap"]["after"] < 0.5 * hidden["gap"]["before"]
+    assert hidden["torque"]["shoulder"]["after"] < 0.5 * hidden["torque"]["shoulder"]["before"]
     text = (tmp_path / "study" / "index.html").read_text()
-    assert "Table I" in text and "Table II" in text and "http://" not in text
+    assert all(heading in text for heading in ("Table I", "Table II", "A hidden effect")) and "http://" not in text

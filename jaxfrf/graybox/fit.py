@@ -23,7 +23,7 @@ from .uncertainty import Uncertainty, uncertainty, without_sensitivity
 _COARSE = 28  # lines that the search for the valley needs at least
 _PLACES = 200  # and lines of all positions together
 _NEAR = 1e-3  # where it ends, in x
-_LARGE = 20000  # numbers to fit: below, all lines cost less than compiling the search apart
+_LARGE = 25000  # numbers to fit: below, all lines cost less than compiling the search apart
 _SAME = 0.02  # two ends nearer than this, in x, are the same minimum
 _CLOSE = 1.01  # times the best cost
 _AGREE = 3  # starts that should come that close

@@ -9,7 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .._types import Array
-from ..effects import AbstractActuator, AbstractFriction, AbstractGearError, AbstractGearTorque
+from ..effects import (
+    AbstractActuator,
+    AbstractFriction,
+    AbstractGearError,
+    AbstractGearTorque,
+    AbstractMotorTorque,
+    AbstractSensor,
+)
 from ..effects.acting import Group, groups
 from .chain import gravity_forces
 from .drive import ViscousFriction, effective_friction
@@ -28,6 +35,11 @@ from .robot import (
 _NEWTON_STEPS = 50
 _TOLERANCE = 1e-13  # of a Newton step, rad; a deflection is 1e-5 to 1e-2 rad
 _CONVERGED = 1e-9  # rad
+_NOT_AT_REST = (
+    AbstractFriction,
+    AbstractMotorTorque,
+    AbstractSensor,
+)  # effects that neither equilibrium nor slopes know
 
 
 class OperatingPoint(eqx.Module):
@@ -73,7 +85,6 @@ class LinearRobot(eqx.Module):
     losses: tuple[GearLoss, ...] = ()
 
 
-@eqx.filter_jit
 def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> OperatingPoint:
     """The equilibrium with the driven joints at these angles (arm side): spring torque = gravity torque.
 
@@ -86,6 +97,17 @@ def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> Op
     arm_angles = jnp.asarray(arm_angles)
     if arm_angles.shape[-1:] != (robot.n_axes,):
         raise ValueError(f"arm_angles have shape {arm_angles.shape}; expected (*batch, {robot.n_axes}).")
+    return _operating_point(_at_rest(robot), arm_angles)
+
+
+def _at_rest(robot: Robot) -> Robot:
+    """The robot with the effects that matter here, numbers as arrays: many robots then share what is compiled."""
+    kept = tuple(effect for effect in robot.effects if not isinstance(effect, _NOT_AT_REST))
+    return jax.tree.map(jnp.asarray, dataclasses.replace(robot, effects=kept))
+
+
+@eqx.filter_jit
+def _operating_point(robot: Robot, arm_angles) -> OperatingPoint:
     n_gears, flexible = robot.n_motors, np.array(robot.flexible_axes, int)
     held = arm_torques(robot, arm_angles, jnp.zeros_like(arm_angles)) if robot.effects else None
     coupling, relaxed = gear_coupling(robot), _relaxed(robot)
@@ -185,7 +207,6 @@ def _solve_tangent(linear, y):
     return jnp.linalg.solve(_jacobian(linear, jnp.zeros_like(y)), y[..., None])[..., 0]
 
 
-@eqx.filter_jit
 def linearise(
     robot: Robot,
     point: OperatingPoint,
@@ -206,12 +227,14 @@ def linearise(
       spring), rad: an experiment that moves far over a nonlinear spring sees its mean stiffness. `None`: the
       stiffness at rest.
     """
-    viscous = ViscousFriction(robot.drives.friction.viscous if friction is None else jnp.asarray(friction))
-    smooth = dataclasses.replace(
-        robot,
-        drives=dataclasses.replace(robot.drives, friction=viscous),
-        effects=tuple(e for e in robot.effects if not isinstance(e, AbstractFriction)),
-    )
+    friction = robot.drives.friction.viscous if friction is None else friction
+    swing = None if swing is None else jnp.asarray(swing)
+    return _linearised(_at_rest(robot), point, jnp.asarray(friction), swing)
+
+
+@eqx.filter_jit
+def _linearised(robot: Robot, point: OperatingPoint, friction, swing) -> LinearRobot:
+    smooth = dataclasses.replace(robot, drives=dataclasses.replace(robot.drives, friction=ViscousFriction(friction)))
     z, rest, motors = _without_errors(robot, point), jnp.zeros_like(point.z), robot.n_motors
     stiffness = -_jacobian(lambda x: drive_forces(smooth, x, rest, point.torque), z)
     damping = -_jacobian(lambda x: drive_forces(smooth, z, x, point.torque), rest)

@@ -1,11 +1,14 @@
 """Table I: how far estimated amplitudes are from the truth."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.random as jr
 import numpy as np
 from jaxtyping import Float
 
 from .._types import Array
+from ..effects import ResolverRipple, TorqueRipple
 from ..experiment import Experiment
 from ..frf import FRF, estimate
 from ..graybox import Coordinates, RobotModel, RobotPoint, robot_points
@@ -13,7 +16,7 @@ from ..graybox.slow_motion import response_at
 from ..robot import Robot, describing_friction
 from ..simulation import simulate
 from ..spectra import dft, with_output_quantity
-from .settings import SLOW_AMPLITUDE, design, methods
+from .settings import SLOW_AMPLITUDE, Settings, design, methods
 
 OFF_DIAGONAL = 0.2  # weight beside 1 on the diagonal
 
@@ -47,18 +50,20 @@ def level_error(G: Float[Array, "freq out in"], truth: Float[Array, "freq out in
 def true_response(robot: Robot, points: RobotPoint, frequency) -> Float[np.ndarray, "pos freq out in"]:
     """The linearised robot at its true parameters, with the describing gain of its friction.
 
-    Springs as stiff as they are over the motion in `points`; with no samples there, as at rest."""
-    friction = np.asarray(describing_friction(robot, np.array(SLOW_AMPLITUDE)))
-    model = RobotModel(robot)
+    Springs as stiff as they are over the motion in `points`."""
+    amplitude = np.array(SLOW_AMPLITUDE)
+    friction = np.asarray(describing_friction(robot, amplitude))
+    # Ripple has no linear response; without it the compiled response of the fits serves here, too.
+    plain = tuple(e for e in robot.effects if not isinstance(e, TorqueRipple | ResolverRipple))
+    model = RobotModel(dataclasses.replace(robot, effects=plain), slow_amplitude=amplitude)
     values = Coordinates(model.parameters).values(Coordinates(model.parameters).start())
     values |= {f"{axis}.effective_friction": f for axis, f in zip(robot.axis_names, friction, strict=True)}
     return response_at(model, values, frequency, points)
 
 
-def at_rest(q) -> RobotPoint:
-    """Operating points without motion: one sample at rest."""
-    q = np.asarray(q)
-    return RobotPoint(q, np.zeros((*q.shape[:-1], 1, 1)))
+def still(points: RobotPoint) -> RobotPoint:
+    """The same operating points without motion, in the same shape, so that nothing is compiled anew."""
+    return RobotPoint(points.q, np.zeros_like(points.swing))
 
 
 def measure(robot: Robot, q: Float[np.ndarray, "axis"], number: int, blocks: int, seed: int) -> Experiment:
@@ -69,36 +74,46 @@ def measure(robot: Robot, q: Float[np.ndarray, "axis"], number: int, blocks: int
     return simulate(robot, design(blocks, seed), np.asarray(q)[None], key=key, chunk=3 * blocks)
 
 
+def measure_all(robot: Robot, q: Float[np.ndarray, "pos axis"], blocks: int, seed: int) -> Experiment:
+    """The record at all positions, simulated together."""
+    return simulate(robot, design(blocks, seed), q, key=jr.key(1000 + seed), chunk=6 * blocks)
+
+
 def first_experiments(data: Experiment, count: int) -> Experiment:
     """The record with its first experiments only."""
     cut = lambda x: x[:, :count]
     return eqx.tree_at(lambda d: (d.u, d.y, d.r), data, (cut(data.u), cut(data.y), cut(data.r)))
 
 
-def estimates(data: Experiment, counts: tuple[int, ...]) -> dict[int, dict[str, FRF]]:
+def estimates(data: Experiment, settings: Settings) -> dict[int, dict[str, FRF]]:
     """FRFs to acceleration by every method at every number of experiments."""
     found: dict[int, dict[str, FRF]] = {}
-    for count in counts:
+    for count in settings.experiments:
         spectra = with_output_quantity(dft(first_experiments(data, count)), "acceleration")
-        found[count] = {name: estimate(spectra, method) for name, method in methods(count).items()}
+        found[count] = {name: estimate(spectra, method) for name, method in methods(count, settings).items()}
     return found
 
 
-def bias_at(robot: Robot, data: Experiment, counts: tuple[int, ...]) -> dict:
-    """Table I at one position, against the robot at rest and over its motion, as plain numbers."""
-    found = estimates(data, counts)
-    frequency = next(iter(found[counts[0]].values())).frequency
+def bias_at(robot: Robot, data: Experiment, settings: Settings) -> list[dict]:
+    """Table I at every position of a record, against the robot at rest and over its motion, as plain numbers."""
+    found = estimates(data, settings)
+    frequency = next(iter(found[settings.experiments[0]].values())).frequency
+    points = robot_points(robot, data)
     truths = {
-        "at rest": true_response(robot, at_rest(data.q), frequency)[0],
-        "in motion": true_response(robot, robot_points(robot, data), frequency)[0],
+        "at rest": true_response(robot, still(points), frequency),
+        "in motion": true_response(robot, points, frequency),
     }
     measures = {"bias": amplitude_bias, "level_db": level_error}
-    return {
-        measure: {
-            name: {
-                str(count): {method: function(frf.G[0], G) for method, frf in by.items()} for count, by in found.items()
+    return [
+        {
+            measure: {
+                name: {
+                    str(count): {method: function(frf.G[pos], G[pos]) for method, frf in by.items()}
+                    for count, by in found.items()
+                }
+                for name, G in truths.items()
             }
-            for name, G in truths.items()
+            for measure, function in measures.items()
         }
-        for measure, function in measures.items()
-    }
+        for pos in range(data.n_pos)
+    ]

@@ -10,6 +10,7 @@ from ..graybox import robot_points
 from ..io._optional import require
 from ..robot import Robot
 from .bias import estimates, true_response
+from .settings import Settings
 
 SHOWN = {
     "LOG": ("#222222", "-", 1.3),
@@ -21,14 +22,15 @@ _TICKS = (5, 10, 15, 20, 30, 40, 50, 80)
 _ONE = ("#3a9a4a", "-", 0.9)
 
 
-def example_responses(robot: Robot, data: Experiment, counts: tuple[int, ...]) -> dict[str, np.ndarray]:
-    """Diagonal elements of the truth and of every estimate in the figures: name -> (freq, axis)."""
-    found = estimates(data, counts)
-    frequency = next(iter(found[counts[0]].values())).frequency
+def example_responses(robot: Robot, data: Experiment, settings: Settings) -> dict[str, np.ndarray]:
+    """Diagonal elements of the truth and of every estimate in the figures, at the first position of a record:
+    name -> (freq, axis)."""
+    found = estimates(data, settings)
+    frequency = next(iter(found[6].values())).frequency
     diagonal = lambda G: np.diagonal(np.asarray(G)[0], axis1=-2, axis2=-1)
     arrays = {"frequency": np.asarray(frequency)}
     arrays["true"] = diagonal(true_response(robot, robot_points(robot, data), frequency))
-    most = counts[0]
+    most = settings.experiments[0]
     arrays[f"LOG_{most}"] = diagonal(found[most]["LOG"].G)
     for name in SHOWN:
         arrays[f"{name}_6"] = diagonal(found[6][name].G)

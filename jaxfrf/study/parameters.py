@@ -9,7 +9,6 @@ from ..frf import AbstractMethod
 from ..graybox import (
     Fit,
     RobotModel,
-    RobotPoint,
     d_optimal,
     fit_through_experiment,
     position_information,
@@ -20,20 +19,18 @@ from ..graybox.in_motion import fit_in_motion
 from ..graybox.through import default_method, measured_frf
 from ..robot import Robot, parameters, r3x, with_parameters
 from ..simulation import random_positions
-from .bias import first_experiments, measure
+from .bias import first_experiments, measure, still
 from .settings import OWN_METHODS, PAPER_METHODS, SLOW_AMPLITUDE, Settings, design, truth
 
+STACKED = "LRM, JIO stacked"  # what fits through the experiment begin with; with one experiment there is only one
 FRF_NOISE = 0.05  # relative, that the choice of positions assumes
 STIFFNESS_SPREAD, DAMPING_SPREAD = 0.25, 1.0
 
 
-def _without_swing(robot: Robot, data: Experiment) -> RobotPoint:
-    """Operating points at rest, in the shape of those with swing, so that nothing is compiled anew."""
-    points = robot_points(robot, data)
-    return RobotPoint(points.q, np.zeros_like(points.swing))
-
-
-AT_REST = {"arm as at rest": robot_points, "arm and springs as at rest": _without_swing}
+AT_REST = {
+    "arm as at rest": robot_points,
+    "arm and springs as at rest": lambda robot, data: still(robot_points(robot, data)),
+}
 """What the direct fit would be without its account of the motion of the experiment."""
 
 
@@ -79,6 +76,8 @@ def candidates(settings: Settings) -> np.ndarray:
 
 def fit_positions(settings: Settings) -> tuple[int, ...]:
     """Numbers of the D-optimal positions, from the model at its true parameters."""
+    if settings.fit_positions >= settings.positions:
+        return tuple(range(settings.positions))
     plan = design(1, 0)
     frequency = np.asarray(plan.lines) * plan.fs / plan.period
     information = position_information(RobotModel(r3x()), frequency, candidates(settings), FRF_NOISE)
@@ -116,29 +115,31 @@ def row(fitted: Fit, experiments: int, method: str, seed: int) -> dict:
     return about.as_dict()
 
 
-def direct_rows(settings: Settings, seed: int, say=None) -> list[dict]:
+def direct_rows(settings: Settings, seed: int, data: Experiment, say=None) -> list[dict]:
     """Fits of the linear model to every FRF, at one seed; with the first seed also what is only for comparison."""
-    data, model, rows = records(settings, truth(), settings.blocks, seed), start_model(seed), []
+    model, rows, first = start_model(seed), [], seed == settings.seeds[0]
     for count in settings.experiments:
         part = first_experiments(data, count)
-        for name, method in _fitted_methods(count, extra=seed == settings.seeds[0]).items():
+        for name, method in _fitted_methods(settings, count, extra=first).items():
             frf = measured_frf(part, method, model.quantity)
             fitted = fit_in_motion(model, part, frf, starts=settings.starts, key=jr.key(seed))
             rows.append(row(fitted, count, name, seed))
             if say is not None:
                 say(f"{count} experiments, {name}: mean bias {100 * rows[-1]['mean_bias']:.1f} %")
-            if name == "LRM, JIO" and seed == settings.seeds[0]:
+            if name == "LRM, JIO" and first and settings.at_rest:
                 for label, points in AT_REST.items():
-                    still = fit(model, frf, starts=settings.starts, key=jr.key(seed), points=points(model.robot, part))
-                    rows.append(row(still, count, f"LRM, JIO, {label}", seed))
+                    at_rest = fit(
+                        model, frf, starts=settings.starts, key=jr.key(seed), points=points(model.robot, part)
+                    )
+                    rows.append(row(at_rest, count, f"LRM, JIO, {label}", seed))
     return rows
 
 
-def _fitted_methods(count: int, extra: bool) -> dict[str, AbstractMethod]:
-    """Estimators whose FRFs are fitted at this number of experiments."""
-    paper = {n: m for n, m in PAPER_METHODS["many" if count > 1 else "one"].items() if n in ("LOG", "LRM, JIO")}
-    own = {n: m for n, m in OWN_METHODS.items() if count > 1 or n == "auto"}
-    return paper | {n: m for n, m in own.items() if extra or n != "auto"}
+def _fitted_methods(settings: Settings, count: int, extra: bool) -> dict[str, AbstractMethod]:
+    """Estimators whose FRFs are fitted at this number of experiments; "auto" only as an extra."""
+    every = PAPER_METHODS["many" if count > 1 else "one"] | OWN_METHODS
+    wanted = settings.fitted if count > 1 else settings.fitted_single
+    return {n: m for n, m in every.items() if n in wanted and (extra or n != "auto")}
 
 
 def through_row(settings: Settings, seed: int, count: int, data: Experiment | None = None, say=None) -> dict:
@@ -155,7 +156,7 @@ def through_row(settings: Settings, seed: int, count: int, data: Experiment | No
         say=say,
     )
     return row(found.fit, count, "through the experiment", seed) | {
-        "direct": row(found.direct, count, "direct, " + "LRM, JIO stacked", seed),
+        "direct": row(found.direct, count, STACKED if count > 1 else "LRM, JIO", seed),
         "converged": found.converged,
         "gap_db": [c.gap_db for c in found.corrections],
     }

@@ -1,8 +1,8 @@
 """The steps of a study, one file each, so that an interrupted one goes on where it stopped."""
 
-import hashlib
 import json
 import pathlib
+import threading
 import time
 from collections.abc import Callable
 
@@ -10,17 +10,22 @@ import equinox as eqx
 import numpy as np
 
 from .. import __version__
-from .._errors import input_error
 from .._types import require_x64
+from ..experiment import Experiment
 from ..io._container import replacing
-from ..io._json import plain_data, write_json
+from ..io._json import write_json
+from ..io._optional import require
 from ..robot import parameters
-from .bias import bias_at, measure
+from .bias import bias_at, first_experiments, measure, measure_all
 from .figures import draw_figures, example_responses, read_curves
+from .folder import prepared
+from .hidden import hidden_record, hidden_row
 from .page import write_study_page
-from .parameters import candidates, direct_rows, fit_positions, through_row
+from .parameters import candidates, direct_rows, fit_positions, records, through_row
 from .settings import Settings, design, truth
 from .why import VARIANTS, variant_row
+
+BESIDE = "study, a step beside"  # name of the threads that make steps beside the main one
 
 Say = Callable[[str], None]
 
@@ -34,97 +39,164 @@ class Task(eqx.Module):
     work: Callable[[], dict] = eqx.field(static=True)
 
 
-def run_study(settings: Settings, output: str | pathlib.Path, say: Say | None = None) -> dict:
+def run_study(settings: Settings, output: str | pathlib.Path, say: Say | None = None, *, resume: bool = False) -> dict:
     """Make the whole study and write it to a folder: `index.html`, `study.json`, both figures.
 
-    Every finished step is kept in `parts`; a folder that holds an interrupted study of the same settings is continued.
+    Every finished step is kept in `parts`. `resume`: go on in a folder that holds an interrupted study of the same
+    settings, made by the same program.
 
-    **Raises:** `jaxfrf.InputError` if the folder holds something else.
+    **Raises:** `jaxfrf.InputError` if the folder holds something else, and where it cannot be written; `ImportError`
+    without matplotlib.
     """
     require_x64("A study")
+    require("matplotlib.figure", "plot")
     folder = pathlib.Path(output)
-    parts = _folder(folder, settings)
+    parts = prepared(folder, settings, resume)
     say = say or (lambda text: None)
     began = time.monotonic()
-    tasks = study_tasks(settings, parts, say)
-    _work(tasks, say)
+    _work(study_tasks(settings, parts, say), settings.together, say)
     results = collect(settings, parts)
-    results["minutes"] = _minutes(parts, time.monotonic() - began)
+    results["minutes"] = _minutes(parts, time.monotonic() - began, settings.together)
     # Only now, so that plain numbers never wait for pictures.
-    curves = read_curves(parts / "example.npz")
+    curves, courses = read_curves(parts / "example.npz"), read_curves(parts / "hidden.npz")
     results["figures"] = draw_figures(curves, folder)
     write_json(folder / "study.json", results)
-    write_study_page(folder / "index.html", results, curves)
+    write_study_page(folder / "index.html", results, curves, courses)
     return results
 
 
+class _Records:
+    """Records of the study's robot. Where a study simulates all of its positions at once they are one record, which is
+    kept: every step asks for it."""
+
+    def __init__(self, settings: Settings):
+        self._settings, self._kept, self._lock = settings, {}, threading.Lock()
+
+    def at(self, number: int) -> Experiment:
+        """Of Table I, at the position of this number; at all positions where they are simulated at once."""
+        settings = self._settings
+        if settings.at_once:
+            return self.fitted(settings.seeds[0], settings.blocks)
+        return measure(truth(), candidates(settings)[number], number, settings.blocks, settings.seeds[0])
+
+    def fitted(self, seed: int, blocks: int) -> Experiment:
+        """At the fit positions."""
+        settings = self._settings
+        if not settings.at_once:
+            return records(settings, truth(), blocks, seed)
+        with self._lock:
+            if seed not in self._kept:
+                self._kept = {seed: measure_all(truth(), candidates(settings), settings.blocks, seed)}
+            return first_experiments(self._kept[seed], 6 * blocks)
+
+
 def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]:
-    """All steps in the order in which they are done."""
-    robot, q = truth(), candidates(settings)
-    runs = 6 * settings.blocks
-
-    def bias(i):
-        return lambda: bias_at(robot, measure(robot, q[i], i, settings.blocks, settings.seeds[0]), settings.experiments)
-
-    tasks = [
-        Task(parts / "example.json", "responses at the example position", 1.5 * runs + 20, _example(settings, parts)),
-        *(
-            Task(parts / f"bias-{i:03d}.json", f"FRFs at position {i + 1} of {len(q)}", 0.6 * runs + 6, bias(i))
-            for i in range(len(q))
-        ),
-    ]
-    for seed in settings.seeds:
-        tasks.append(
-            Task(
-                parts / f"direct-{seed}.json",
-                f"direct fits, seed {seed}",
-                settings.fit_positions * (0.6 * runs + 6) + 90,
-                lambda seed=seed: {"rows": direct_rows(settings, seed, say)},
-            )
+    """All steps in the order in which they are begun: long ones first, since a study may make two at a time."""
+    robot, made, runs = truth(), _Records(settings), 6 * settings.blocks
+    seeds = settings.seeds
+    places = range(1 if settings.at_once else settings.positions)
+    count = settings.positions if settings.at_once else 1
+    through = [
+        Task(
+            parts / f"through-{n}-{seed}.json",
+            f"fit through the experiment, n_e = {n}, seed {seed}",
+            settings.fit_positions * (4 + 1.5 * n) + 30,
+            lambda seed=seed, n=n: through_row(settings, seed, n, first_experiments(made.fitted(seed, 1), n), say),
         )
-        for count in settings.through:
-            tasks.append(
-                Task(
-                    parts / f"through-{count}-{seed}.json",
-                    f"fit through the experiment, n_e = {count}, seed {seed}",
-                    settings.fit_positions * (4 + 1.5 * count) + 30,
-                    lambda seed=seed, count=count: through_row(settings, seed, count, say=say),
-                )
-            )
-    if settings.ablations:
-        for name in VARIANTS:
-            tasks.append(
-                Task(parts / f"why-{name}.json", f"why: {name}", 60.0, lambda name=name: variant_row(settings, name))
-            )
-    return tasks
+        for seed in seeds
+        for n in settings.through
+    ]
+    hidden = Task(parts / "hidden.json", "a hidden effect", 40.0, lambda: _hidden(settings, parts, say))
+    bias = [
+        Task(
+            parts / f"bias-{i:03d}.json",
+            f"FRFs at {count} positions" if settings.at_once else f"FRFs at position {i + 1} of {len(places)}",
+            count * (0.6 * runs + 6),
+            lambda i=i: {"positions": bias_at(robot, made.at(i), settings)},
+        )
+        for i in places
+    ]
+    example = Task(
+        parts / "example.json",
+        "responses at the example position",
+        5.0 if settings.at_once else 1.5 * runs + 20,
+        lambda: _example(settings, parts, made),
+    )
+    direct = [
+        Task(
+            parts / f"direct-{seed}.json",
+            f"direct fits, seed {seed}",
+            9.0 * (1 + len(settings.fitted) * (len(settings.experiments) - 1) + len(settings.fitted_single))
+            + (0.0 if settings.at_once else settings.fit_positions * (0.6 * runs + 6)),
+            lambda seed=seed: {"rows": direct_rows(settings, seed, made.fitted(seed, settings.blocks), say)},
+        )
+        for seed in seeds
+    ]
+    why = [
+        Task(parts / f"why-{name}.json", f"why: {name}", 60.0, lambda name=name: variant_row(settings, name))
+        for name in (VARIANTS if settings.ablations else ())
+    ]
+    return [*through, hidden, *bias, example, *direct, *why]
 
 
-def _example(settings: Settings, parts: pathlib.Path):
+def _example(settings: Settings, parts: pathlib.Path, made: _Records) -> dict:
     """FRFs of the position that the figures show."""
-
-    def work():
-        number = fit_positions(settings)[0]
-        data = measure(truth(), candidates(settings)[number], number, settings.blocks, settings.seeds[0])
-        arrays = example_responses(truth(), data, settings.experiments)
-        with replacing(parts / "example.npz") as draft:
-            np.savez(draft, **arrays)
-        return {"position": number, "q": candidates(settings)[number].tolist()}
-
-    return work
+    number = fit_positions(settings)[0]
+    arrays = example_responses(truth(), made.at(number), settings)
+    _save(parts / "example.npz", arrays)
+    return {"position": number, "q": candidates(settings)[number].tolist()}
 
 
-def _work(tasks: list[Task], say: Say) -> None:
+def _hidden(settings: Settings, parts: pathlib.Path, say: Say) -> dict:
+    """The diagnosis of a machine that hides an effect."""
+    numbers, courses = hidden_row(hidden_record(settings.seeds[0]), say)
+    _save(parts / "hidden.npz", courses)
+    return numbers
+
+
+def _save(path: pathlib.Path, arrays: dict[str, np.ndarray]) -> None:
+    with replacing(path) as draft:
+        np.savez(draft, **arrays)
+
+
+def _work(tasks: list[Task], together: int, say: Say) -> None:
+    """Make what is not there yet, so many steps at a time: while one simulates, another one's programs are compiled."""
     waiting = [t for t in tasks if not t.path.exists()]
     if len(waiting) < len(tasks):
         say(f"{len(tasks) - len(waiting)} of {len(tasks)} steps are done already")
-    began, done, total = time.monotonic(), 0.0, sum(t.weight for t in waiting)
-    for i, task in enumerate(waiting):
-        start = time.monotonic()
-        result = task.work()
-        write_json(task.path, {"seconds": time.monotonic() - start, "result": result})
-        done += task.weight
-        left = (time.monotonic() - began) * (total / done - 1)
-        say(f"[{i + 1}/{len(waiting)}] {task.label}; {_clock(left)} left")
+    total, began = len(waiting), time.monotonic()
+    done, failed, lock = [], [], threading.Lock()
+
+    def lane() -> None:
+        while True:
+            with lock:
+                if failed or not waiting:
+                    return
+                task = waiting.pop(0)
+            start = time.monotonic()
+            result = task.work()
+            write_json(task.path, {"seconds": time.monotonic() - start, "result": result})
+            with lock:
+                done.append(task.weight)
+                rest = sum(t.weight for t in tasks if not t.path.exists())
+                left = (time.monotonic() - began) * rest / sum(done)
+                say(f"[{len(done)}/{total}] {task.label}" + (f"; {_clock(left)} left" if rest else ""))
+
+    def aside() -> None:
+        try:
+            lane()
+        except BaseException as error:
+            failed.append(error)
+
+    # Where the main thread is interrupted nobody waits for these.
+    beside = [threading.Thread(target=aside, name=BESIDE, daemon=True) for _ in range(together - 1)]
+    for thread in beside:
+        thread.start()
+    lane()
+    for thread in beside:
+        thread.join()
+    if failed:
+        raise failed[0]
 
 
 def _clock(seconds: float) -> str:
@@ -134,9 +206,13 @@ def _clock(seconds: float) -> str:
 def collect(settings: Settings, parts: pathlib.Path) -> dict:
     """Everything that was found, as plain data."""
     read = lambda name: json.loads((parts / name).read_text())["result"]
-    bias = [read(f"bias-{i:03d}.json") for i in range(settings.positions)]
+    groups = 1 if settings.at_once else settings.positions
+    bias = [x for i in range(groups) for x in read(f"bias-{i:03d}.json")["positions"]]
     rows = [row for seed in settings.seeds for row in read(f"direct-{seed}.json")["rows"]]
-    rows += [read(f"through-{count}-{seed}.json") for seed in settings.seeds for count in settings.through]
+    through = [read(f"through-{count}-{seed}.json") for seed in settings.seeds for count in settings.through]
+    place = lambda row: (row["experiments"], row["method"], row["seed"])
+    made = {place(row) for row in rows}
+    rows += [row["direct"] for row in through if place(row["direct"]) not in made] + through
     plan = design(settings.blocks, settings.seeds[0])
     return {
         "settings": settings.as_dict(),
@@ -149,6 +225,7 @@ def collect(settings: Settings, parts: pathlib.Path) -> dict:
         "bias": mean_bias(bias),
         "parameters": rows,
         "summary": summarise(rows),
+        "hidden": read("hidden.json"),
         "why": {name: read(f"why-{name}.json") for name in VARIANTS} if settings.ablations else {},
     }
 
@@ -189,29 +266,7 @@ def summarise(rows: list[dict]) -> list[dict]:
     return found
 
 
-def _folder(folder: pathlib.Path, settings: Settings) -> pathlib.Path:
-    """The folder of finished steps; refuses one that holds another study."""
-    parts = folder / "parts"
-    stamp = parts / "settings.json"
-    about = {"settings": settings.as_dict(), "version": __version__}
-    text = json.dumps(plain_data(about), sort_keys=True)
-    digest = hashlib.sha256(text.encode()).hexdigest()[:16]
-    if folder.exists() and not folder.is_dir():
-        raise input_error(str(folder), "a file", "a folder, or nothing", "Choose another name (-o).")
-    if parts.exists():
-        known = json.loads(stamp.read_text())["digest"] if stamp.exists() else None
-        if known != digest:
-            raise input_error(
-                str(folder), "another study", "nothing, or the same study interrupted", "Choose another folder (-o)."
-            )
-        return parts
-    if folder.exists() and any(folder.iterdir()):
-        raise input_error(str(folder), "a folder with other files", "an empty one", "Choose another folder (-o).")
-    parts.mkdir(parents=True)
-    write_json(stamp, about | {"digest": digest})
-    return parts
-
-
-def _minutes(parts: pathlib.Path, now: float) -> float:
+def _minutes(parts: pathlib.Path, now: float, together: int) -> float:
+    """Of all steps; of an interrupted study about what they took together."""
     spent = [json.loads(p.read_text()).get("seconds", 0.0) for p in parts.glob("*.json")]
-    return max(sum(spent), now) / 60
+    return max(sum(spent) / together, now) / 60

@@ -1,4 +1,4 @@
-"""What a study consists of: the paper's, and a small one that shows the same in minutes."""
+"""What a study consists of: the paper's, and smaller ones that show the same sooner."""
 
 import dataclasses
 
@@ -17,11 +17,18 @@ class Settings(eqx.Module):
 
     **Arguments:**
 
-    - `positions`: random arm configurations of Table I. `fit_positions`: chosen from them, D-optimally, for Table II.
+    - `positions`: random arm configurations of Table I. `fit_positions`: chosen from them, D-optimally, for
+      Table II; where there are as many, all of them.
     - `blocks`: blocks of six experiments at every position.
     - `seeds`: realisations of phases and noise; Table I uses the first, Table II all of them.
-    - `position_seed`: of the random configurations. `starts`: of every fit.
     - `through`: numbers of experiments from which the fit through the experiment is made.
+    - `starts`: of every fit. `position_seed`: of the random configurations. `rounds`: of a fit through the experiment.
+    - `ablations`: whether disturbances are taken away one at a time.
+    - `single`: methods that are compared from a single experiment. `fitted`, `fitted_single`: estimators whose FRFs
+      are fitted directly, of many experiments and of one, beside those that the fits through the experiment begin with.
+      `at_rest`: whether that is repeated as if the arm were at rest.
+    - `at_once`: all positions are simulated together and the record is kept, which is faster and takes more memory;
+      the noise is another realisation. `together`: steps that are made at the same time.
     """
 
     name: str = eqx.field(static=True)
@@ -34,6 +41,12 @@ class Settings(eqx.Module):
     position_seed: int = eqx.field(static=True, default=0)
     rounds: int = eqx.field(static=True, default=8)
     ablations: bool = eqx.field(static=True, default=True)
+    single: tuple[str, ...] = eqx.field(static=True, default=("LRM, MISO", "LRM, MIMO", "LRM, JIO", "auto"))
+    fitted: tuple[str, ...] = eqx.field(static=True, default=("LOG", "LRM, JIO", "LRM, JIO stacked", "auto"))
+    fitted_single: tuple[str, ...] = eqx.field(static=True, default=("LRM, JIO", "auto"))
+    at_rest: bool = eqx.field(static=True, default=True)
+    at_once: bool = eqx.field(static=True, default=False)
+    together: int = eqx.field(static=True, default=1)
 
     @property
     def experiments(self) -> tuple[int, ...]:
@@ -47,10 +60,28 @@ class Settings(eqx.Module):
 PAPER = Settings("paper", positions=49, fit_positions=7, blocks=4, seeds=(0, 1, 2, 3, 4), through=(6, 1))
 """The paper's study: 49 positions, 24 experiments of 28 s at each, 336 lines; parameters from 7 positions."""
 
-DEMO = Settings("demo", positions=6, fit_positions=3, blocks=2, seeds=(0,), through=(6, 1), ablations=False)
+MEDIUM = Settings("medium", positions=6, fit_positions=3, blocks=2, seeds=(0,), through=(6, 1), ablations=False)
 """The same steps with fewer positions and experiments."""
 
-SCALES = {"demo": DEMO, "paper": PAPER}
+DEMO = Settings(
+    "demo",
+    positions=2,
+    fit_positions=2,
+    blocks=1,
+    seeds=(0,),
+    through=(6,),
+    starts=5,
+    ablations=False,
+    single=("LRM, JIO", "auto"),
+    fitted=(),
+    fitted_single=("LRM, JIO",),
+    at_rest=False,
+    at_once=True,
+    together=2,
+)
+"""The shortest run that shows every part."""
+
+SCALES = {"demo": DEMO, "medium": MEDIUM, "paper": PAPER}
 
 
 def design(blocks: int, seed: int, slow: bool = True) -> Multisine:
@@ -95,11 +126,12 @@ OWN_METHODS: dict[str, AbstractMethod] = {
 """What jaxfrf adds."""
 
 
-def methods(experiments: int) -> dict[str, AbstractMethod]:
+def methods(experiments: int, settings: Settings = PAPER) -> dict[str, AbstractMethod]:
     """The methods that are compared at this number of experiments."""
     if experiments > 1:
         return PAPER_METHODS["many"] | OWN_METHODS
-    return PAPER_METHODS["one"] | {"auto": OWN_METHODS["auto"]}
+    every = PAPER_METHODS["one"] | OWN_METHODS
+    return {name: every[name] for name in settings.single}
 
 
 PUBLISHED_BIAS = {

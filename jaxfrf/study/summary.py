@@ -1,5 +1,6 @@
 """The tables of a study as text, for the command line and the README."""
 
+from ..report.gap_words import plain
 from .claims import claims
 from .settings import PUBLISHED_BIAS, PUBLISHED_PARAMETERS
 
@@ -10,9 +11,9 @@ def summary_lines(results: dict) -> list[str]:
     head = (
         f"study {settings['name']}: {settings['positions']} positions, {6 * settings['blocks']} experiments of "
         f"{results['period_s']:g} s at each, {results['lines']} lines; seeds {_list(settings['seeds'])}; "
-        f"{results['minutes']:.0f} min"
+        f"{results['minutes']:.1f} min"
     )
-    checked = [c for c in claims(results) if c.confirmed is not None]
+    checked = claims(results)
     return [
         head,
         "",
@@ -24,7 +25,47 @@ def summary_lines(results: dict) -> list[str]:
         "",
         f"{sum(c.confirmed for c in checked)} of {len(checked)} claims of the paper hold on R3X:",
         *(f"  {_word(c.confirmed)}: {c.says} (paper {c.paper}; here {c.found})" for c in checked),
+        "",
+        f"An effect hidden in a small robot ({results['hidden']['robot']}):",
+        *(f"  {line}" for line in hidden_lines(results["hidden"])),
     ]
+
+
+def hidden_lines(hidden: dict) -> list[str]:
+    """What was hidden, what the diagnosis says, and the gap before and after."""
+    true, gap = hidden["true"], hidden["gap"]
+    numbers = ", ".join(f"{name} {value:.3g}" for name, value in true["parameters"].items())
+    lines = [
+        f"hidden: {plain(true['name'])} on {true['joint']}, {numbers}",
+        f"verdict: {hidden['verdict']}. {hidden['says']}",
+    ]
+    for effect in hidden["effects"]:
+        for name, x in effect["parameters"].items():
+            true_value = true_parameter(hidden, effect, name)
+            beside = "" if true_value is None else f"; true {true_value:.4g} {x['unit']}"
+            lines.append(f"found: {plain(effect['name'])} on {effect['joint']}: {name} {interval(x)}{beside}")
+    lines.append(
+        f"gap on {gap['on']}: {gap['before']:.1f} before, {gap['after']:.2f} after, times the floor"
+        + "".join(
+            f"; torque of {name} off by {100 * x['before']:.1f} %, then {100 * x['after']:.1f} %"
+            for name, x in hidden["torque"].items()
+        )
+    )
+    return lines
+
+
+def true_parameter(hidden: dict, effect: dict, name: str) -> float | None:
+    """The true value of a parameter of an effect that was found, where that is the hidden one."""
+    true = hidden["true"]
+    same = (effect["name"], effect["joint"]) == (true["name"], true["joint"])
+    return true["parameters"].get(name) if same else None
+
+
+def interval(x: dict) -> str:
+    """A value with its 95 % interval, where one is known."""
+    if x["std"] is None:
+        return f"{x['value']:.4g} {x['unit']}"
+    return f"{x['value']:.4g} [{x['low']:.4g}, {x['high']:.4g}] {x['unit']}"
 
 
 def _word(confirmed: bool) -> str:

@@ -62,7 +62,8 @@ def variant_row(settings: Settings, name: str) -> dict:
         key = jr.fold_in(jr.key(1000 + seed), number)
         q = candidates(settings)[number][None]
         records.append(simulate(robot, plan, q, key=key, noise=variant.noise, chunk=3))
-    found = [bias_at(robot, data, (6, 1)) for data in records[:POSITIONS]]
+    one_block = dataclasses.replace(settings, blocks=1)
+    found = [bias for data in records[:POSITIONS] for bias in bias_at(robot, data, one_block)]
     mean = lambda measure, count, method: float(
         np.mean([np.mean(p[measure]["in motion"][count][method]) for p in found])
     )
