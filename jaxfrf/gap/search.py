@@ -1,5 +1,6 @@
 """Which effects are missing: scored, refined, simulated, one after the other, until nothing more is found."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
