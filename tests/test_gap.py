@@ -535,6 +535,7 @@ def first(diagnosis):
     assert diagnosis.verdict in ("named", "ambiguous"), diagnosis.says
     assert (diagnosis.fitted, diagnosis.sealed) == ((0, 1), (2,))
     assert diagnosis.gap.shrink > 0.7
+    assert all(x.std > 0 for x in diagnosis.effects[0].parameters.values())
     return diagnosis.effects[0]
 
 
