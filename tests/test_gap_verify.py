@@ -44,30 +44,34 @@ def leaving(opened, sealed):
 
 class TestSealedPositions:
     @pytest.mark.parametrize(
-        ("sealed", "says"),
+        ("joint", "sealed", "says"),
         [
-            ([1.0, 1.1], None),  # both axes gain
-            ([1.0, 2.0], None),  # one does, the other stays
-            ([3.0, 2.0], "the gap is 2.55 times the floor, 2.55 without"),  # nothing gained
-            ([1.0, 2.5], "elbow rises from 2 to 2.5"),  # one pays for the other
-            ([4.0, 2.0], "the gap is 3.16"),
+            ("shoulder", [1.0, 1.1], None),  # both axes gain
+            ("shoulder", [1.0, 2.0], None),  # one does, the other stays
+            ("shoulder", [1.0, 2.1], None),  # or loses little beside that
+            ("", [1.0, 1.9], None),
+            ("shoulder", [3.0, 2.0], "the gap is 2.55 times the floor, 2.55 without"),  # nothing gained
+            ("shoulder", [1.0, 2.5], "elbow rises from 2 to 2.5"),  # one pays for the other
+            ("shoulder", [4.0, 2.0], "the gap is 3.16"),
+            ("elbow", [1.0, 2.1], "the torque of elbow itself"),  # its own joint loses
         ],
     )
-    def test_gap_of_every_axis(self, sealed, says):
+    def test_gap_of_every_axis(self, joint, sealed, says):
         """Whatever the fitted positions say."""
         base, extended = leaving([9.0, 9.0], [3.0, 2.0]), leaving([0.1, 0.1], sealed)
-        against = _against(made_search(), base, extended)
+        against = _against(made_search(), base, extended, joint)
         assert (against is None) if says is None else (says in against)
 
     def test_an_axis_within_its_floor_may_move(self):
-        base = leaving([9.0, 9.0], [3.0, 0.3])
-        assert _against(made_search(), base, leaving([0.1, 0.1], [1.0, 0.32])) is None
-        assert "torque of elbow" in _against(made_search(), base, leaving([0.1, 0.1], [1.0, 0.6]))
+        """But not that of the effect itself."""
+        base, extended = leaving([9.0, 9.0], [3.0, 0.3]), leaving([0.1, 0.1], [1.0, 0.6])
+        assert _against(made_search(), base, extended, "shoulder") is None
+        assert "torque of elbow itself" in _against(made_search(), base, extended, "elbow")
 
     def test_none_are_sealed(self):
         search = made_search((False, False, False))
         base, extended = leaving([3.0, 3.0], [3.0, 3.0]), leaving([1.0, 1.0], [1.0, 1.0])
-        assert _against(search, base, extended) is None
+        assert _against(search, base, extended, "elbow") is None
         np.testing.assert_allclose(over_floor(base.residual, FLOOR, verify.judged_positions(search)), 3.0)
 
     @pytest.mark.parametrize(

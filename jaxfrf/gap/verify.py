@@ -19,8 +19,9 @@ from .trial import Setting, together
 
 _CHANCE = 1e-3  # of an order of ripple that is written without being there
 _SAME = 1e-3  # relative: numbers that move less are as they were simulated
-_RISE = 1.1  # of an axis that is beyond its floor, that another axis' gain does not pay for
 _GAIN = 0.98  # of what was there: more left is no gain
+_PRICE = 0.1  # of the squares that some axes gain, which others may lose beyond their floor
+_RISE = 1.1  # of the torque that the effect's own joint is missed by
 
 
 class Written(eqx.Module):
@@ -86,15 +87,15 @@ class Verified(eqx.Module):
 
 def verified(search: Search) -> Verified:
     """The effects that were found, one after the other, as far as the written robot of each makes the gap on the sealed
-    positions smaller than that of the one before, and no axis' larger; on the fitted positions, where none are
-    sealed."""
+    positions smaller than that of the one before: in all, on its own joint, and on no other axis at the price of the
+    gain; on the fitted positions, where none are sealed."""
     setting = search.setting
     base = extended = written(setting, search.base, ())
     kept, refused = 0, []
     for count in range(1, len(search.steps) + 1):
         steps = search.steps[:count]
         further = written(setting, steps[-1].stage, [s.effect for s in steps])
-        against = _against(search, extended, further)
+        against = _against(search, extended, further, steps[-1].option.key[1])
         if against is None:
             kept, extended = count, further
         else:
@@ -118,18 +119,23 @@ def over_floor(left, floor, positions) -> Float[np.ndarray, "axis"]:
     return np.sqrt(0.5 * np.mean(np.abs(left[positions] / floor) ** 2, axis=(0, 1, 2)))
 
 
-def _against(search: Search, base: Written, extended: Written) -> str | None:
-    """What the sealed positions say against the extended robot."""
-    where, floor = judged_positions(search), search.base.evidence.plain
-    before, after = (over_floor(x.residual, floor, where) for x in (base, extended))
-    torque = tuple(relative_torque(search, x.residual, where) for x in (base, extended))
-    if np.sqrt(np.mean(after**2)) > _GAIN * np.sqrt(np.mean(before**2)):
-        return f"with it the gap is {_rms(after):.3g} times the floor, {_rms(before):.3g} without"
-    for axis, name in enumerate(search.given.axis_names):
-        if after[axis] > max(_RISE * before[axis], 1.0):
-            return f"with it the gap of {name} rises from {before[axis]:.3g} to {after[axis]:.3g} times the floor"
-        if torque[1][axis] > _RISE * torque[0][axis] and after[axis] > before[axis]:
-            return f"with it the torque of {name} is missed by {torque[1][axis]:.2%}, by {torque[0][axis]:.2%} without"
+def _against(search: Search, before: Written, after: Written, joint: str) -> str | None:
+    """What the sealed positions say against an effect on this joint, "" for all of them, from the robots without and
+    with it."""
+    where, floor, names = judged_positions(search), search.base.evidence.plain, search.given.axis_names
+    old, new = (over_floor(x.residual, floor, where) for x in (before, after))
+    if _rms(new) > _GAIN * _rms(old):
+        return f"with it the gap is {_rms(new):.3g} times the floor, {_rms(old):.3g} without"
+    rise, gain = np.maximum(new**2 - np.maximum(old**2, 1.0), 0.0), np.maximum(old**2 - new**2, 0.0)
+    worst = int(np.argmax(rise))
+    if np.sum(rise) > _PRICE * np.sum(gain):
+        return f"with it the gap of {names[worst]} rises from {old[worst]:.3g} to {new[worst]:.3g} times the floor"
+    if joint not in names:
+        return None
+    own = names.index(joint)
+    missed = tuple(relative_torque(search, x.residual, where)[own] for x in (before, after))
+    if new[own] > max(old[own], 1.0) or missed[1] > _RISE * missed[0]:
+        return f"with it the torque of {joint} itself is missed by {missed[1]:.2%}, by {missed[0]:.2%} without"
     return None
 
 
