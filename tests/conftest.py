@@ -23,7 +23,8 @@ MAPS = 40_000  # of the 65 530 that the system allows a process
 def pytest_cmdline_main(config):
     """The whole suite is shared between processes, where pytest-xdist is there; files that are named are not."""
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    if not whole or config.option.usepdb or not config.pluginmanager.hasplugin("xdist"):
+    started_by_another = hasattr(config, "workerinput")  # a worker runs this hook, too, and must not start its own
+    if not whole or started_by_another or config.option.usepdb or not config.pluginmanager.hasplugin("xdist"):
         return
     if config.option.numprocesses is None and config.option.dist == "no":
         config.option.numprocesses, config.option.dist = WORKERS, "worksteal"

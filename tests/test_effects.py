@@ -152,6 +152,7 @@ class TestInTheSimulation:
 
 
 class TestInTheLinearisation:
+    @pytest.mark.slow
     def test_everything_that_is_linear(self):
         """LOG estimate of a small motion against the linearised robot, all exact effects together."""
         robot = one_joint(viscous_friction=0.0, coulomb_friction=0.0).with_effects(

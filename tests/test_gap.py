@@ -545,6 +545,7 @@ class TestDiagnosis:
         assert named.parameters["level"].value == pytest.approx(0.15, rel=0.15)
         assert named.p_value < 1e-3 and named.visible > 1 and named.explains > 0.9
 
+    @pytest.mark.slow
     def test_torque_delay(self, machine):
         found = diagnose(small_robot(), record(machine.with_effects(fx.TorqueDelay("elbow", 6e-4))))
         named = first(found)
@@ -554,6 +555,7 @@ class TestDiagnosis:
         assert late.value == pytest.approx(6e-4, rel=0.15)
         assert [f.G.shape[-2:] for f in found.frf] == [(2, 2)] * 3
 
+    @pytest.mark.slow
     def test_spring(self, machine):
         hidden = fx.Counterbalance("shoulder", 60.0, 0.2)
         named = first(diagnose(small_robot(), record(machine.with_effects(hidden))))
@@ -572,6 +574,7 @@ class TestDiagnosis:
         assert again.effects[0].equivalent == found.effects[0].equivalent
         assert again.gap.after == pytest.approx(found.gap.after, rel=0.01)
 
+    @pytest.mark.slow
     def test_an_effect_of_your_own(self, machine):
         found = diagnose(small_robot(), record(machine.with_effects(Drag("elbow", 1e-4))), own=(Drag,))
         named = first(found)
@@ -579,6 +582,7 @@ class TestDiagnosis:
         assert named.joint == "elbow"
         assert named.parameters["coefficient"].value == pytest.approx(1e-4, rel=0.15)
 
+    @pytest.mark.slow
     def test_a_rigid_transmission(self):
         robot = small_robot(stiffness=np.inf)
         found = diagnose(robot, record(robot.with_effects(fx.CoulombFriction("elbow", 0.1))))
@@ -587,6 +591,7 @@ class TestDiagnosis:
         assert named.parameters["level"].value == pytest.approx(0.1, rel=0.15)
         assert "elbow.stiffness" not in found.parameters
 
+    @pytest.mark.slow
     def test_without_controller(self, machine):
         """The motors follow the measured motion then."""
         data = record(machine.with_effects(fx.CoulombFriction("shoulder", 0.15)))

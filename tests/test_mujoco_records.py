@@ -62,6 +62,7 @@ def test_linear_springs(smooth):
     assert same(found) == same(ours)
 
 
+@pytest.mark.slow
 def test_effects(smooth):
     """Nonlinear springs, ripple and the effects of motors and gears, by laws written a second time."""
     torque, resolver = R3X_RIPPLE.torque, R3X_RIPPLE.resolver

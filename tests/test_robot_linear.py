@@ -419,6 +419,7 @@ class TestStateSpace:
 
 
 class TestJacobian:
+    @pytest.mark.slow
     @pytest.mark.parametrize("hold", [None, jr.ZeroOrderHold(2000.0)])
     def test_jacfwd(self, friction, hold):
         """The outer products against forward differentiation through equilibrium, linearisation and solve."""

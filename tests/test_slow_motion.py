@@ -157,6 +157,7 @@ class TestResponse:
 
 
 class TestFit:
+    @pytest.mark.slow
     def test_bias_of_a_moving_arm(self, robot, moving):
         """Damping of a robot that is exactly the model: what the motion smears, the direct fit takes out."""
         start = with_parameters(robot, {"shoulder.stiffness": 2.3e4, "elbow.stiffness": 7e3, "elbow.damping": 5.0})
