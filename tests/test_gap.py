@@ -132,7 +132,13 @@ class TestFrozen:
         frequency = np.array([0.0, 3.0, 11.0, 19.0, 42.0])
         return frozen(robot, motion, q[None], frequency)[0], motion
 
-    @pytest.mark.parametrize("rigid", [False, True], ids=["flexible", "rigid elbow and an elastic joint"])
+    @pytest.mark.parametrize(
+        "rigid",
+        [
+            pytest.param(False, id="flexible", marks=pytest.mark.slow),
+            pytest.param(True, id="rigid elbow and an elastic joint"),
+        ],
+    )
     def test_against_the_frf_and_one_solve(self, rigid):
         robot = small_robot()
         if rigid:
@@ -261,14 +267,14 @@ class TestSignatures:
         ("kind", "values"),
         [
             (Drag, {"coefficient": 1e-6}),
-            (fx.Counterbalance, {"stiffness": 2.0}),
+            pytest.param(fx.Counterbalance, {"stiffness": 2.0}, marks=pytest.mark.slow),
             (fx.TorqueRipple, {"amplitude": [1e-3]}),
-            (fx.CurrentLoopLag, {"time_constant": 2e-5}),
-            (fx.TorqueConstant, {"error": 2e-3}),
+            pytest.param(fx.CurrentLoopLag, {"time_constant": 2e-5}, marks=pytest.mark.slow),
+            pytest.param(fx.TorqueConstant, {"error": 2e-3}, marks=pytest.mark.slow),
             (fx.ResolverRipple, {"amplitude": [2e-5]}),
             (fx.TransmissionError, {"amplitude": [1e-6]}),
-            (fx.WristCoupling, {"ratio": 1e-3}),
-            (fx.GearHysteresis, {"torque": 0.2}),
+            pytest.param(fx.WristCoupling, {"ratio": 1e-3}, marks=pytest.mark.slow),
+            pytest.param(fx.GearHysteresis, {"torque": 0.2}, marks=pytest.mark.slow),
         ],
     )
     def test_effects(self, carrier, quiet, kind, values):
@@ -538,9 +544,17 @@ class TestDiagnosis:
         for name, change in found.changed.items():
             assert change == pytest.approx(0.02 if "stiffness" in name else -0.05, abs=0.01), name
 
-    def test_coulomb_friction(self, machine):
-        hidden = fx.CoulombFriction("shoulder", 0.15)
-        named = first(diagnose(small_robot(), record(machine.with_effects(hidden))))
+    @pytest.fixture(scope="class")
+    def rubbing(self, machine, tmp_path_factory):
+        """A record of more friction, its diagnosis, and the parts that this kept."""
+        data, parts = (
+            record(machine.with_effects(fx.CoulombFriction("shoulder", 0.15))),
+            tmp_path_factory.mktemp("parts"),
+        )
+        return data, diagnose(small_robot(), data, parts=parts), parts
+
+    def test_coulomb_friction(self, rubbing):
+        named = first(rubbing[1])
         assert (named.name, named.joint) == ("coulomb_friction", "shoulder")
         assert named.parameters["level"].value == pytest.approx(0.15, rel=0.15)
         assert named.p_value < 1e-3 and named.visible > 1 and named.explains > 0.9
@@ -563,11 +577,10 @@ class TestDiagnosis:
         assert "dress_pack" in named.equivalent
         assert named.parameters["stiffness"].value == pytest.approx(60.0, rel=0.15)
 
-    def test_interrupted_after_the_last_round(self, machine, tmp_path):
+    def test_interrupted_after_the_last_round(self, rubbing):
         """Nothing is tried again, and it ends alike."""
-        data = record(machine.with_effects(fx.CoulombFriction("shoulder", 0.15)))
-        found, told = diagnose(small_robot(), data, parts=tmp_path), []
-        again = diagnose(small_robot(), data, parts=tmp_path, say=told.append)
+        (data, found, parts), told = rubbing, []
+        again = diagnose(small_robot(), data, parts=parts, say=told.append)
         assert not any("simulated" in text for text in told)
         assert (again.verdict, again.says) == (found.verdict, found.says)
         assert again.effects[0].parameters == found.effects[0].parameters

@@ -91,6 +91,7 @@ def test_effects(smooth):
     np.testing.assert_allclose(again.u, found.u, atol=1e-8)  # the same ripple, not as effects
 
 
+@pytest.mark.slow
 def test_friction():
     """Two laws of Coulomb friction, each of which tends to c sgn(v): their difference does with both widths."""
     robot = changed(jf.robot.r3x(), 1.0, "stiffness_ratio")
