@@ -1,4 +1,5 @@
-"""Set before jax is imported: 64 bit, a compilation cache that survives runs, and threads that cannot deadlock."""
+"""Set before jax is imported: 64 bit, a compilation cache that survives runs, threads that cannot deadlock, and how
+much XLA optimises; and how many processes share the tests."""
 
 import gc
 import os
@@ -9,10 +10,30 @@ os.environ.setdefault("NPROC", "4")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(pathlib.Path(__file__).parents[1] / ".jax_cache"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 os.environ.setdefault("MPLBACKEND", "agg")
 
 import pytest
+
+WORKERS = min(4, os.cpu_count() or 1)  # each needs some 3 GB
+MAPS = 40_000  # of the 65 530 that the system allows a process
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config):
+    """The whole suite is shared between processes, where pytest-xdist is there; files that are named are not."""
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    started_by_another = hasattr(config, "workerinput")  # a worker runs this hook, too, and must not start its own
+    if not whole or started_by_another or config.option.usepdb or not config.pluginmanager.hasplugin("xdist"):
+        return
+    if config.option.numprocesses is None and config.option.dist == "no":
+        config.option.numprocesses, config.option.dist = WORKERS, "worksteal"
+
+
+def pytest_configure(config):
+    """The quick tests mostly compile: XLA optimises little for them. The slow ones run what users run."""
+    if "not slow" in config.option.markexpr:
+        os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
 
 
 @pytest.fixture(scope="session")
@@ -28,10 +49,12 @@ def measured() -> pathlib.Path:
 
 @pytest.fixture(autouse=True, scope="module")
 def _forget_compiled_programs():
-    """Every program that XLA compiled for the CPU keeps memory maps; the system allows a process some 65 thousand, and
-    XLA ends in a segmentation fault beyond them. So each module of tests starts without those of the last."""
+    """Every program that XLA compiled for the CPU keeps memory maps, and XLA ends in a segmentation fault where the
+    system allows no more of them."""
     yield
-    import jax
+    maps = pathlib.Path("/proc/self/maps")
+    if not maps.exists() or maps.read_bytes().count(b"\n") > MAPS:
+        import jax
 
-    jax.clear_caches()
-    gc.collect()
+        jax.clear_caches()
+        gc.collect()

@@ -139,6 +139,7 @@ def test_what_is_written(tmp_path, monkeypatch):
     assert (place / "data.nc").stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_two_simulators_agree():
     """Effects inside gears, a drifting gain and a bumper, by laws written twice; each is seen on its own motor."""
     smooth, plan, q = jf.robot.r3x(), short_design(600), jf.random_positions(1, KEY)

@@ -152,6 +152,7 @@ class TestInTheSimulation:
 
 
 class TestInTheLinearisation:
+    @pytest.mark.slow
     def test_everything_that_is_linear(self):
         """LOG estimate of a small motion against the linearised robot, all exact effects together."""
         robot = one_joint(viscous_friction=0.0, coulomb_friction=0.0).with_effects(
@@ -220,11 +221,12 @@ def test_harmonics():
 
 def test_gradients():
     """Through the linearised robot, in the parameters of effects of every kind, against differences."""
-    frequency = jnp.array([5.0, 20.0, 60.0])
+    frequency, bare = jnp.array([5.0, 20.0, 60.0]), one_joint()
 
+    @jax.jit
     def size(x):
         delay, error, viscous, ratio, mass = x
-        robot = one_joint().with_effects(
+        robot = bare.with_effects(
             ef.TorqueDelay(0, delay),
             ef.TorqueConstant(0, error),
             ef.ArmViscousFriction(0, viscous),

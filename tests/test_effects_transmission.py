@@ -121,6 +121,7 @@ class TestInTheSimulation:
         bare = integrate(change_with(0.0), np.zeros(8), u, 1000, 10)[:, :2]
         assert np.abs(y[:1000] - bare).max() > 0.05
 
+    @pytest.mark.slow
     def test_at_rest_under_gravity(self):
         """Everything at once, some axes rigid, an elastic joint: nothing moves until the controller says so."""
         robot = robot_of(
@@ -233,6 +234,7 @@ class TestInTheLinearisation:
         expected = s[:, None, None] * np.linalg.inv(S)[:, :2, :2]
         np.testing.assert_allclose(jf.robot.frf(model, frequency)[0], expected, rtol=1e-9)
 
+    @pytest.mark.slow
     def test_against_the_simulation(self):
         """LOG estimate of a small motion under gravity."""
         robot = linear_robot()

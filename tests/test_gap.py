@@ -134,7 +134,13 @@ class TestFrozen:
         frequency = np.array([0.0, 3.0, 11.0, 19.0, 42.0])
         return frozen(robot, motion, q[None], frequency)[0], motion
 
-    @pytest.mark.parametrize("rigid", [False, True], ids=["flexible", "rigid elbow and an elastic joint"])
+    @pytest.mark.parametrize(
+        "rigid",
+        [
+            pytest.param(False, id="flexible", marks=pytest.mark.slow),
+            pytest.param(True, id="rigid elbow and an elastic joint"),
+        ],
+    )
     def test_against_the_frf_and_one_solve(self, rigid):
         robot = small_robot()
         if rigid:
@@ -272,14 +278,14 @@ class TestSignatures:
         ("kind", "values"),
         [
             (Drag, {"coefficient": 1e-6}),
-            (fx.Counterbalance, {"stiffness": 2.0}),
+            pytest.param(fx.Counterbalance, {"stiffness": 2.0}, marks=pytest.mark.slow),
             (fx.TorqueRipple, {"amplitude": [1e-3]}),
-            (fx.CurrentLoopLag, {"time_constant": 2e-5}),
-            (fx.TorqueConstant, {"error": 2e-3}),
+            pytest.param(fx.CurrentLoopLag, {"time_constant": 2e-5}, marks=pytest.mark.slow),
+            pytest.param(fx.TorqueConstant, {"error": 2e-3}, marks=pytest.mark.slow),
             (fx.ResolverRipple, {"amplitude": [2e-5]}),
             (fx.TransmissionError, {"amplitude": [1e-6]}),
-            (fx.WristCoupling, {"ratio": 1e-3}),
-            (fx.GearHysteresis, {"torque": 0.2}),
+            pytest.param(fx.WristCoupling, {"ratio": 1e-3}, marks=pytest.mark.slow),
+            pytest.param(fx.GearHysteresis, {"torque": 0.2}, marks=pytest.mark.slow),
         ],
     )
     def test_effects(self, carrier, quiet, kind, values):
@@ -539,6 +545,15 @@ def first(diagnosis):
     return diagnosis.effects[0]
 
 
+@pytest.fixture(scope="module")
+def rubbing(machine, tmp_path_factory):
+    """A record of more friction, its diagnosis, and the parts that this keeps."""
+    data = record(machine.with_effects(fx.CoulombFriction("shoulder", 0.15)))
+    with Parts(tmp_path_factory.mktemp("parts") / "gap.json", "diagnose") as parts:
+        parts.begin({}, PART_FILES)
+        yield data, diagnose(small_robot(), data, parts=parts), parts
+
+
 class TestDiagnosis:
     def test_nothing_hidden(self, machine):
         told, parts = [], []
@@ -550,13 +565,13 @@ class TestDiagnosis:
         for name, change in found.changed.items():
             assert change == pytest.approx(0.02 if "stiffness" in name else -0.05, abs=0.01), name
 
-    def test_coulomb_friction(self, machine):
-        hidden = fx.CoulombFriction("shoulder", 0.15)
-        named = first(diagnose(small_robot(), record(machine.with_effects(hidden))))
+    def test_coulomb_friction(self, rubbing):
+        named = first(rubbing[1])
         assert (named.name, named.joint) == ("coulomb_friction", "shoulder")
         assert named.parameters["level"].value == pytest.approx(0.15, rel=0.15)
         assert named.p_value < 1e-3 and named.visible > 1 and named.explains > 0.9
 
+    @pytest.mark.slow
     def test_torque_delay(self, machine):
         found = diagnose(small_robot(), record(machine.with_effects(fx.TorqueDelay("elbow", 6e-4))))
         named = first(found)
@@ -566,6 +581,7 @@ class TestDiagnosis:
         assert late.value == pytest.approx(6e-4, rel=0.15)
         assert [f.G.shape[-2:] for f in found.frf] == [(2, 2)] * 3
 
+    @pytest.mark.slow
     def test_spring(self, machine):
         hidden = fx.Counterbalance("shoulder", 60.0, 0.2)
         named = first(diagnose(small_robot(), record(machine.with_effects(hidden))))
@@ -573,20 +589,17 @@ class TestDiagnosis:
         assert "dress_pack" in named.equivalent
         assert named.parameters["stiffness"].value == pytest.approx(60.0, rel=0.15)
 
-    def test_interrupted_after_the_last_round(self, machine, tmp_path):
+    def test_interrupted_after_the_last_round(self, rubbing):
         """Nothing is tried again, and it ends alike."""
-        data = record(machine.with_effects(fx.CoulombFriction("shoulder", 0.15)))
-        told = []
-        with Parts(tmp_path / "gap.json", "diagnose") as parts:
-            parts.begin({}, PART_FILES)
-            found = diagnose(small_robot(), data, parts=parts)
-            again = diagnose(small_robot(), data, parts=parts, say=told.append)
+        (data, found, parts), told = rubbing, []
+        again = diagnose(small_robot(), data, parts=parts, say=told.append)
         assert not any("simulated" in text for text in told)
         assert (again.verdict, again.says) == (found.verdict, found.says)
         assert again.effects[0].parameters == found.effects[0].parameters
         assert again.effects[0].equivalent == found.effects[0].equivalent
         assert again.gap.after == pytest.approx(found.gap.after, rel=0.01)
 
+    @pytest.mark.slow
     def test_an_effect_of_your_own(self, machine):
         found = diagnose(small_robot(), record(machine.with_effects(Drag("elbow", 1e-4))), own=(Drag,))
         named = first(found)
@@ -594,6 +607,7 @@ class TestDiagnosis:
         assert named.joint == "elbow"
         assert named.parameters["coefficient"].value == pytest.approx(1e-4, rel=0.15)
 
+    @pytest.mark.slow
     def test_a_rigid_transmission(self):
         robot = small_robot(stiffness=np.inf)
         found = diagnose(robot, record(robot.with_effects(fx.CoulombFriction("elbow", 0.1))))
@@ -602,6 +616,7 @@ class TestDiagnosis:
         assert named.parameters["level"].value == pytest.approx(0.1, rel=0.15)
         assert "elbow.stiffness" not in found.parameters
 
+    @pytest.mark.slow
     def test_without_controller(self, machine):
         """The motors follow the measured motion then."""
         data = record(machine.with_effects(fx.CoulombFriction("shoulder", 0.15)))

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import tomllib
 
 import graybox_reference as reference
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import numpy as np
 import plants
 import pytest
 import scipy.optimize
+from two_axes import ROBOT
 
 import jaxfrf as jf
 from jaxfrf.graybox import Coordinates, focus_band, share
@@ -289,16 +291,19 @@ class TestCost:
         ):
             np.testing.assert_allclose(sum(gram(model, coordinates, p, X) for p in parts), whole, rtol=1e-9, atol=1e-9)
 
+    @pytest.mark.parametrize("axes", [2, pytest.param(6, marks=pytest.mark.slow)])
     @pytest.mark.parametrize("kind", ["gains", "correlated", "springs alone"])
-    def test_robot(self, kind):
-        """R3X against its linearised FRF, differenced: stiffness, damping, friction, gain and delay.
+    def test_robot(self, kind, axes):
+        """A robot against its linearised FRF, differenced: stiffness, damping, friction, gain and delay.
 
         Without gain and delay an element and its mirror image share their slopes, not their weights."""
-        robot, q = linear_r3x(), positions(2)
+        robot = linear_r3x() if axes == 6 else jf.robot.robot_from_table(tomllib.loads(ROBOT))
+        q, late = positions(2)[:, :axes], axes - 2
+        gain, delay = f"{robot.axis_names[1]}.torque_gain", f"{robot.axis_names[late]}.delay"
         frequency = np.geomspace(8.0, 60.0, 5)
         model = jf.RobotModel(robot)
         if kind != "springs alone":
-            model = jf.graybox.free(model, ["joint2.torque_gain", "joint5.delay"])
+            model = jf.graybox.free(model, [gain, delay])
         coordinates = Coordinates(model.parameters)
         assert model.reciprocal(coordinates.names) == (kind == "springs alone")
         rng = np.random.default_rng(1)
@@ -312,17 +317,20 @@ class TestCost:
             changed = model.at(v)
             friction = [v[f"{a}.effective_friction"] for a in robot.axis_names]
             G = np.array(robot_frf(changed, q, frequency, friction))
-            G[..., 1] *= float(v["joint2.torque_gain"])
-            G[..., 4] *= np.exp(-2j * np.pi * frequency * float(v["joint5.delay"]))[:, None]
+            G[..., 1] *= float(v[gain])
+            G[..., late] *= np.exp(-2j * np.pi * frequency * float(v[delay]))[:, None]
             return G
 
         options = {"correlated": kind == "correlated", "floor": 0.05}
         if kind == "springs alone":
             variance = np.real(np.einsum("pfvv->pfv", reference.relative_covariance(np.asarray(frf.G), cov)))
-            options |= {"elements": rng.random((6, 6)) * (rng.random((6, 6)) > 0.2), "reject": np.median(variance)}
+            options |= {
+                "elements": rng.random((axes, axes)) * (rng.random((axes, axes)) > 0.2),
+                "reject": np.median(variance),
+            }
         weights, rule = jf.Weights(focus=1, **options), reference.Rule(**options)
         tg, _ = assert_same_equations(model, frf, weights, rule, x, response, atol=1e-5)
-        square = np.asarray(tg.used).reshape(2, 5, 6, 6)
+        square = np.asarray(tg.used).reshape(2, 5, axes, axes)
         assert (square != square.swapaxes(-1, -2)).any() == (kind == "springs alone")
 
 

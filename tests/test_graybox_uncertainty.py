@@ -202,6 +202,7 @@ METHODS = {
 class TestThroughRecords:
     """Rms errors are measured against the bound of the same FRFs: with windows that overlap it is approximate."""
 
+    @pytest.mark.slow
     def test_few_degrees_of_freedom(self):
         """5: weights from such covariances scatter, which costs accuracy, and the covariance counts that."""
         method, n_exp, noise = METHODS["h1, 6 experiments"]

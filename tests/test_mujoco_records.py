@@ -62,6 +62,7 @@ def test_linear_springs(smooth):
     assert same(found) == same(ours)
 
 
+@pytest.mark.slow
 def test_effects(smooth):
     """Nonlinear springs, ripple and the effects of motors and gears, by laws written a second time."""
     torque, resolver = R3X_RIPPLE.torque, R3X_RIPPLE.resolver
@@ -90,6 +91,7 @@ def test_effects(smooth):
     np.testing.assert_allclose(again.u, found.u, atol=1e-8)  # the same ripple, not as effects
 
 
+@pytest.mark.slow
 def test_friction():
     """Two laws of Coulomb friction, each of which tends to c sgn(v): their difference does with both widths."""
     robot = changed(jf.robot.r3x(), 1.0, "stiffness_ratio")

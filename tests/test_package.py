@@ -20,8 +20,9 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
 def run(code, **environment):
-    """Output of a fresh interpreter without the settings of this one; `None` takes a variable out."""
-    unset = {name: None for name in os.environ if name.startswith(("JAX_", "XLA_")) or name == "NPROC"}
+    """Output of a fresh interpreter without the settings of this one, but how much XLA optimises; `None` takes a
+    variable out."""
+    unset = {name: None for name in os.environ if name.startswith("JAX_") or name == "NPROC"}
     cache = {"JAX_COMPILATION_CACHE_DIR": os.environ["JAX_COMPILATION_CACHE_DIR"]}
     both = os.environ | unset | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": str(ROOT)} | cache | environment
     done = subprocess.run(

@@ -104,6 +104,7 @@ class TestMotion:
             theirs = reference.data.qacc[reference.order]
             np.testing.assert_allclose(ours[i], theirs, rtol=1e-7, atol=1e-8 * np.abs(theirs).max())
 
+    @pytest.mark.slow
     def test_mujoco_trajectory(self, frictionless):
         """A second of coupled motion, both by Runge-Kutta at .1 ms: motor speeds to 1e-6."""
         state, point = moving_state(frictionless)

@@ -85,8 +85,8 @@ class TestWhereTheArmWas:
         np.testing.assert_allclose(two.q, three.q, atol=1e-9)
         np.testing.assert_allclose(two.torque, three.torque, atol=1e-6 * np.abs(three.torque).max())
 
-    def test_an_arm_at_rest(self, robot):
-        assert slow_motion(robot, played(robot, False, np.array([[0.3, 0.9]]), 1), 1.5) is None
+    def test_an_arm_at_rest(self, robot, moving):
+        assert slow_motion(robot, played(robot, False, moving.q), 1.5) is None
 
 
 class TestController:
@@ -157,6 +157,7 @@ class TestResponse:
 
 
 class TestFit:
+    @pytest.mark.slow
     def test_bias_of_a_moving_arm(self, robot, moving):
         """Damping of a robot that is exactly the model: what the motion smears, the direct fit takes out."""
         start = with_parameters(robot, {"shoulder.stiffness": 2.3e4, "elbow.stiffness": 7e3, "elbow.damping": 5.0})
