@@ -533,6 +533,14 @@ def first(diagnosis):
     return diagnosis.effects[0]
 
 
+@pytest.fixture(scope="module")
+def rubbing(machine, tmp_path_factory):
+    """A record of more friction, its diagnosis, and the parts that this kept."""
+    data = record(machine.with_effects(fx.CoulombFriction("shoulder", 0.15)))
+    parts = tmp_path_factory.mktemp("parts")
+    return data, diagnose(small_robot(), data, parts=parts), parts
+
+
 class TestDiagnosis:
     def test_nothing_hidden(self, machine):
         told, parts = [], []
@@ -543,15 +551,6 @@ class TestDiagnosis:
         assert told and parts == sorted(parts) and 0 <= parts[0] <= parts[-1] <= 1
         for name, change in found.changed.items():
             assert change == pytest.approx(0.02 if "stiffness" in name else -0.05, abs=0.01), name
-
-    @pytest.fixture(scope="class")
-    def rubbing(self, machine, tmp_path_factory):
-        """A record of more friction, its diagnosis, and the parts that this kept."""
-        data, parts = (
-            record(machine.with_effects(fx.CoulombFriction("shoulder", 0.15))),
-            tmp_path_factory.mktemp("parts"),
-        )
-        return data, diagnose(small_robot(), data, parts=parts), parts
 
     def test_coulomb_friction(self, rubbing):
         named = first(rubbing[1])
