@@ -15,6 +15,7 @@ os.environ.setdefault("MPLBACKEND", "agg")
 
 import pytest
 
+gc.set_threshold(50_000, 20, 10)  # what tracing allocates stays: looking for garbage at every turn costs a tenth
 WORKERS = min(4, os.cpu_count() or 1)  # each needs some 3 GB
 MAPS = 40_000  # of the 65 530 that the system allows a process
 

@@ -9,6 +9,7 @@ import pytest
 
 import jaxfrf as jf
 
+SIX = pytest.param(6, 2, marks=pytest.mark.slow)  # axes, realisations
 FREQUENCY_GRIDS = {
     "linear": np.arange(81, 81 + 2 * 40, 2),
     "log": plants.log_odd_lines(41, 401, 40),
@@ -95,7 +96,7 @@ def test_the_loops_agree_where_the_equations_do(n):
 # --- classical estimators ---
 
 
-@pytest.mark.parametrize("n, n_real", [(1, 3), (2, 2), (3, 4), (6, 2)])
+@pytest.mark.parametrize("n, n_real", [(1, 3), (2, 2), (3, 4), SIX])
 def test_h1(n, n_real):
     data = closed_loop(n, n_real)
     expected = [ref.h1(U, Y) for U, Y in zip(data.U, data.Y, strict=True)]
@@ -129,7 +130,7 @@ def test_hv_is_total_least_squares(n, n_real):
     assert relative(jf.estimate(data.spectra(), jf.Hv()).G, expected).max() < 1e-8
 
 
-@pytest.mark.parametrize("n, n_real", [(1, 3), (2, 2), (3, 4), (6, 2)])
+@pytest.mark.parametrize("n, n_real", [(1, 3), (2, 2), (3, 4), SIX])
 def test_jio(n, n_real):
     data = closed_loop(n, n_real)
     expected = [ref.jio(*X) for X in zip(data.U, data.Y, data.R, strict=True)]
@@ -137,14 +138,14 @@ def test_jio(n, n_real):
     assert_same(jf.estimate(data.spectra(), jf.JointInputOutput()), expected)
 
 
-@pytest.mark.parametrize("n, n_real", [(1, 3), (2, 2), (3, 4), (6, 2)])
+@pytest.mark.parametrize("n, n_real", [(1, 3), (2, 2), (3, 4), SIX])
 def test_arithmetic_mean(n, n_real):
     data = closed_loop(n, n_real)
     expected = [ref.arithmetic_mean(ref.block_responses(U, Y)) for U, Y in zip(data.U, data.Y, strict=True)]
     assert_same(jf.estimate(data.spectra(), jf.ArithmeticMean()), expected)
 
 
-@pytest.mark.parametrize("n, n_real", [(1, 3), (2, 2), (3, 4), (6, 2)])
+@pytest.mark.parametrize("n, n_real", [(1, 3), (2, 2), (3, 4), SIX])
 def test_log_mean(n, n_real):
     """The paper's estimate; its covariance without the factor (M - 1)/M that the paper's is too small by."""
     data = closed_loop(n, n_real)

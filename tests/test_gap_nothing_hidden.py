@@ -93,14 +93,9 @@ def logged(data, quantity: str, seed: int):
     return dataclasses.replace(data, y=y, y_quantity=quantity)
 
 
-@pytest.mark.parametrize(
-    ("quantity", "seed"),
-    [
-        pytest.param(quantity, seed, marks=() if (quantity, seed) == ("velocity", 0) else pytest.mark.slow)
-        for quantity in LOGS
-        for seed in (0, 1, 2)
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("quantity", LOGS)
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_nothing_hidden(quantity, seed):
     found = diagnose(model(), logged(played(seed, 0.0), quantity, seed))
     assert found.verdict in ("sufficient", "inconclusive"), found.says

@@ -21,7 +21,7 @@ def noisy(n, n_real, n_pos=2, seed=3):
     )
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 6])
+@pytest.mark.parametrize("n", [1, 3, pytest.param(6, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "method",
     [

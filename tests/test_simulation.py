@@ -84,7 +84,7 @@ def test_step_halving():
     """With friction and hardening springs: half the fine step, an error that falls with its fourth power."""
     q = jf.random_positions(1, KEY)
     runs = {
-        n: np.diff(jf.simulate(jf.robot.r3x(), design(), q, key=KEY, noise=0.0, run_in=1.0, steps=n).y, axis=2)
+        n: np.diff(jf.simulate(jf.robot.r3x(), design(1000), q, key=KEY, noise=0.0, run_in=0.5, steps=n).y, axis=2)
         for n in (4, 8, 16)
     }
     rms = lambda x: np.sqrt(np.mean(x**2, axis=(0, 1, 2)))
