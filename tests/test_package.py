@@ -271,12 +271,13 @@ def test_works_without_the_extras():
     assert "pip install 'jaxfrf[plot]'" in says and "pip install 'jaxfrf[io]'" in says
 
 
-# --- the README
+# --- the README and the pages beside it
 
 
 def readme_commands():
-    """Everything after `jaxfrf` in the README's code: indented and fenced blocks, and code within the text."""
-    text = (ROOT / "README.md").read_text().replace("\\\n", " ")
+    """Everything after `jaxfrf` in the pages' code: indented and fenced blocks, and code within the text."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "notebooks").glob("*.md"))]
+    text = "\n".join(page.read_text() for page in pages).replace("\\\n", " ")
     code = re.findall(r"(?m:^ {4}.*$)|(?ms:^```.*?^```$)|`[^`\n]+`", text)
     return [call for block in code for call in re.findall(r"(?<!import )\bjaxfrf ([a-z][^\n`|&;#]*)", block)]
 
