@@ -353,6 +353,17 @@ class TestLeastSquares:
         again = np.linalg.lstsq(X[:, [0, 1, 2, 3, 4, 5]], r)[1][0]
         np.testing.assert_allclose(drop(gram, fit, [5], [0.0], [9.0]).drop, fit.squares - again, rtol=1e-5)
 
+    def test_a_column_that_is_held(self):
+        """It takes nothing of another that says the same."""
+        X = np.concatenate([self.X[..., :5], self.X[..., 4:5]], axis=-1)
+        gram, width = products(X, self.r), np.array([np.inf] * 4 + [1e-9])
+        fit = fit_base(gram, range(5), Limits.between(-width, width), self.runs)
+        assert fit.inside.tolist() == [True] * 4 + [False]
+        flat, r = self.flat
+        both = np.linalg.lstsq(flat[:, :5], r)[1][0]
+        found = drop(gram, fit, [5], [-9.0], [9.0])
+        np.testing.assert_allclose(found.drop, fit.squares - both, rtol=1e-5)
+
     def test_variance(self):
         """Noise of few numbers as textbooks have it; many lines are worth four hundred numbers."""
         gram, free = products(self.X, self.r), np.full(5, np.inf)

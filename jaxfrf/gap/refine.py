@@ -159,7 +159,8 @@ def _newton(gram, fit, row, count: int):
     left = p[1:] - a[1:, 0]
     inner = a[1:, 1:] + 1e-9 * np.diag(np.diag(a[1:, 1:])) + 1e-300 * np.eye(count)
     inverse = np.linalg.pinv(inner)
-    return inverse @ left, np.sqrt(np.maximum(np.diag(inverse) * variance(gram, fit), 0.0))
+    known = np.diag(inverse) > 0  # else nothing of the column is its own beside the base
+    return inverse @ left, np.sqrt(np.where(known, np.diag(inverse) * variance(gram, fit), np.inf))
 
 
 def beside(stage: Stage, effect: AbstractEffect, simulated: AbstractEffect | None = None):

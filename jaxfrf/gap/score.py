@@ -13,6 +13,7 @@ from .evidence import Gram
 
 _NULL_MODE, _NULL_SCALE = 0.004, 0.002  # of the largest part where nothing is missing
 _HONEST = 400  # independent numbers that a record is worth: what limits an estimate is the model, set on simulated ones
+_HELD = 1e-8  # between bounds: such a column is held where it is, whatever a solver says of its bounds
 _OWN = 1e-4  # of a column's square must be its own, beside the base
 _RIDGE = 1e-7  # of a column's square: products are made in single precision
 
@@ -100,7 +101,7 @@ def _bounded(A, b, low, high):
     found = scipy.optimize.lsq_linear(
         root, (vectors.T @ b) / np.sqrt(values), (low * scale, high * scale), method="bvls"
     )
-    return np.clip(found.x / scale, low, high), found.active_mask == 0
+    return np.clip(found.x / scale, low, high), (found.active_mask == 0) & (high - low > _HELD)
 
 
 def variance(gram: Gram, fit: BaseFit) -> float:
