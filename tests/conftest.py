@@ -17,7 +17,7 @@ import pytest
 
 gc.set_threshold(50_000, 20, 10)  # what tracing allocates stays: looking for garbage at every turn costs a tenth
 WORKERS = min(4, os.cpu_count() or 1)  # each needs some 3 GB
-MAPS = 40_000  # of the 65 530 that the system allows a process
+MAPS = 15_000  # of the 65 530 that the system allows a process; some 2 GB of programs
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -28,7 +28,7 @@ def pytest_cmdline_main(config):
     if not whole or started_by_another or config.option.usepdb or not config.pluginmanager.hasplugin("xdist"):
         return
     if config.option.numprocesses is None and config.option.dist == "no":
-        config.option.numprocesses, config.option.dist = WORKERS, "worksteal"
+        config.option.numprocesses, config.option.dist = WORKERS, "loadfile"
 
 
 def pytest_configure(config):
