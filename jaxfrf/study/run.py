@@ -192,7 +192,10 @@ def _work(tasks: list[Task], together: int, say: Say) -> None:
     beside = [threading.Thread(target=aside, name=BESIDE, daemon=True) for _ in range(together - 1)]
     for thread in beside:
         thread.start()
-    lane()
+    try:
+        lane()
+    except Exception as error:  # the steps that are under way beside it are still finished and kept
+        failed.append(error)
     for thread in beside:
         thread.join()
     if failed:
