@@ -260,7 +260,7 @@ class TestCommand:
         assert data.y_quantity == "position" and data.u.shape == (1, 6, 2000, 6)
 
     BAD: ClassVar = {
-        "suffix": (["-o", "data.txt"], r"suffix '.txt'; expected .nc"),
+        "suffix": (["-o", "data.txt"], r"suffix '.txt'; expected one of .nc"),
         "folder": (["-o", "no/data.nc"], "no folder"),
         "count": (["-o", "data.nc", "--positions", "0"], "--positions: found 0"),
         "angles": (["-o", "data.nc", "--configurations", "bad.csv"], r"bad.csv: found numbers of shape \(1, 2\)"),
