@@ -8,6 +8,7 @@ import functools
 
 import numpy as np
 import pytest
+from test_gap import small_robot
 
 import jaxfrf as jf
 from benchmarks._mujoco_records import mujoco_experiment
@@ -23,53 +24,15 @@ Q = np.array([[0.3, 0.9], [-0.5, 1.4], [1.5, -1.1], [0.9, 0.4], [2.2, -0.6]])
 KINDS = ("stiffness", "damping", "viscous_friction", "coulomb_friction", "mass", "com", "inertia", "motor_inertia")
 SENSOR = {"position": 0.0, "velocity": 0.02, "acceleration": 5.0}  # rms of what the log adds, rad, rad/s, rad/s^2
 LOGS = tuple(SENSOR)
-UPPER_ARM = {
-    "name": "shoulder",
-    "type": "driven",
-    "axis": [0.0, 0.0, 1.0],
-    "offset": [0.0, 0.0, 0.0],
-    "mass": 20.0,
-    "com": [0.25, 0.0, 0.05],
-    "inertia": [0.3, 1.0, 1.0, 0.0, 0.05, 0.0],
-    "gear_ratio": 100.0,
-    "motor_inertia": 1e-3,
-    "stiffness": 9e4,
-    "damping": 60.0,
-    "viscous_friction": 1e-3,
-    "coulomb_friction": 0.1,
-    "torque_limit": 12.0,
-    "velocity_gain": 0.2,
-}
-FOREARM = UPPER_ARM | {
-    "name": "elbow",
-    "offset": [0.5, 0.0, 0.1],
-    "mass": 10.0,
-    "com": [0.2, 0.05, 0.06],
-    "inertia": [0.1, 0.4, 0.4, 0.02, 0.03, 0.0],
-    "gear_ratio": 80.0,
-    "motor_inertia": 5e-4,
-    "stiffness": 3e4,
-    "damping": 20.0,
-    "viscous_friction": 8e-4,
-    "torque_limit": 8.0,
-    "velocity_gain": 0.1,
-}
-
-
-@functools.cache
-def model():
-    """A vertical arm of two axes."""
-    table = {"name": "arm", "gravity": [0.0, -9.81, 0.0], "sampling_frequency": FS, "joint": [UPPER_ARM, FOREARM]}
-    return jf.robot.robot_from_table(table | {"controller": {"position_gain": 10.0, "integral_time": 0.1}})
 
 
 def machine(seed: int):
     """As built: every number is off by 1 to 3 %."""
     rng, values = np.random.default_rng([seed, 77]), {}
     for kind in KINDS:
-        for name, value in parameters(model(), [kind]).items():
+        for name, value in parameters(small_robot(), [kind]).items():
             values[name] = value * (1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.01, 0.03))
-    return with_parameters(model(), values)
+    return with_parameters(small_robot(), values)
 
 
 @functools.cache
@@ -97,7 +60,7 @@ def logged(data, quantity: str, seed: int):
 @pytest.mark.parametrize("quantity", LOGS)
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_nothing_hidden(quantity, seed):
-    found = diagnose(model(), logged(played(seed, 0.0), quantity, seed))
+    found = diagnose(small_robot(), logged(played(seed, 0.0), quantity, seed))
     assert found.verdict in ("sufficient", "inconclusive"), found.says
     assert found.effects == () and found.gap.after == found.gap.before
 
@@ -108,7 +71,7 @@ def test_nothing_hidden(quantity, seed):
 def test_a_delay_is_still_found(quantity, tmp_path):
     """And the gap that is reported is that of the robot that is written: read from its file and simulated again."""
     data = logged(played(1, 8e-4), quantity, 1)
-    found = diagnose(model(), data)
+    found = diagnose(small_robot(), data)
     (named,) = found.effects
     assert "torque_delay" in (named.name, *named.equivalent) and named.joint == "shoulder", found.says
     (late,) = named.parameters.values()
