@@ -126,10 +126,6 @@ class Search(eqx.Module):
     def base(self) -> Stage:
         return self.views[0]
 
-    @property
-    def last(self) -> Stage:
-        return self.steps[-1].stage if self.steps else self.base
-
 
 def search(
     robot: Robot,
