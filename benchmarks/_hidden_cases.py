@@ -36,7 +36,7 @@ from jaxfrf.effects.catalogue import effect_to_table, library
 from jaxfrf.io._json import write_json
 from jaxfrf.io.records import write
 from jaxfrf.io.robots import write_robot
-from jaxfrf.robot import Robot, operating_point, parameters, r3x, with_parameters
+from jaxfrf.robot import Robot, operating_point, parameters, r3x, tolerances_from, with_parameters
 from jaxfrf.simulation.steps import fine_steps
 
 FS, PERIOD, RUN_IN, NOISE, POSITIONS = 2000.0, 16000, 5.0, 5e-5, 6
@@ -53,6 +53,8 @@ _SPREAD = {
     "inertia": 0.01,
     "motor_inertia": 0.005,
 }
+KNOWN = tolerances_from({"links": 0.02, "rotors": 0.01, "friction": 0.05}, ())
+"""What the nominal robot's file says of its numbers: more than they are off."""
 _SLOW_LINES, _SLOW_AMPLITUDE = np.array([5, 7, 9, 11, 13, 15]), np.array([30.0, 30.0, 30.0, 40.0, 40.0, 40.0])
 _TRIES, _WEAKER = 6, 0.7  # of a level at which the closed loop fails
 _CLIPPED = 1e-3  # part of the samples at the controller's torque limit from which on a run counts as failed
@@ -185,7 +187,7 @@ def _with(what: list) -> list:
 def nominal_robot(case: Case) -> Robot:
     """R3X with a payload of the case's own, which is known."""
     rng = _random(case, 0)
-    robot = r3x()
+    robot = r3x().with_tolerances(KNOWN)
     mass = rng.uniform(4.0, 13.0)
     values = {
         "joint6.mass": mass,

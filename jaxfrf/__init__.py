@@ -85,18 +85,34 @@ _PUBLIC = {
     "initial_guess": "graybox",
     "guessed": "graybox",
     "plan_positions": "graybox",
+    "calibrate": "calibration",
+    "Calibration": "calibration",
     "identify": "identification",
     "Identification": "identification",
     "position_information": "graybox",
     "d_optimal": "graybox",
     "expected_accuracy": "graybox",
 }
-_NAMESPACES = ("effects", "excitation", "frf", "gap", "graybox", "io", "plot", "report", "robot", "simulation", "study")
+_NAMESPACES = (
+    "calibration",
+    "effects",
+    "excitation",
+    "frf",
+    "gap",
+    "graybox",
+    "io",
+    "plot",
+    "report",
+    "robot",
+    "simulation",
+    "study",
+)
 
 __all__ = ["__version__", *_PUBLIC, *_NAMESPACES]
 
 if TYPE_CHECKING:
     from . import (
+        calibration as calibration,
         effects as effects,
         excitation as excitation,
         frf as frf,
@@ -115,6 +131,7 @@ if TYPE_CHECKING:
     from ._status import (
         Status as Status,
     )
+    from .calibration import Calibration as Calibration, calibrate as calibrate
     from .examples import (
         example as example,
         example_response as example_response,

@@ -22,20 +22,20 @@ import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
 from jaxfrf.gap.diagnose import joined, opened_positions
-from jaxfrf.gap.evidence import Evidence, Gram, inflated
-from jaxfrf.gap.frozen import frozen, other_impedance
 from jaxfrf.gap.knobs import knobs
-from jaxfrf.gap.measured import fewer, measured
 from jaxfrf.gap.quantised import resolution
-from jaxfrf.gap.ripple import Order
 from jaxfrf.gap.rounds import PART_FILES
-from jaxfrf.gap.scene import Scene
 from jaxfrf.gap.score import Limits, drop, family_wise, fit_base, variance
-from jaxfrf.gap.signature import signature
 from jaxfrf.gap.stage import limits
 from jaxfrf.parts import Parts
 from jaxfrf.robot import linearise, motor_directions, operating_point, parameters, with_parameters
 from jaxfrf.simulation import Motion, replay_motion
+from jaxfrf.trajectory.evidence import Evidence, Gram, inflated
+from jaxfrf.trajectory.frozen import frozen, other_impedance
+from jaxfrf.trajectory.measured import fewer, measured
+from jaxfrf.trajectory.ripple import Order
+from jaxfrf.trajectory.scene import Scene
+from jaxfrf.trajectory.signature import signature
 
 FS, PERIOD, STEPS = 1000.0, 4000, 4
 Q = np.array([[0.3, 0.9], [-0.5, 1.4], [1.5, -1.1]])  # the last one unloads the shoulder
@@ -82,6 +82,7 @@ def small_robot(**elbow):
             "sampling_frequency": FS,
             "joint": [SHOULDER, ELBOW | elbow],
             "controller": {"position_gain": 10.0, "integral_time": 0.1},
+            "tolerance": {"links": 0.01, "rotors": 0.005, "friction": 0.03, "smoothing": 0.3, "damping": 1.0},
         }
     )
 

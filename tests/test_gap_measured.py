@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import jaxfrf as jf
-from jaxfrf.gap.measured import measured
 from jaxfrf.robot.quantity import derivatives
+from jaxfrf.trajectory.measured import measured
 
 FS, PERIOD, LEVEL = 1000.0, 4000, 3e-3
 TIME = np.arange(PERIOD) / FS

@@ -14,10 +14,10 @@ import jaxfrf as jf
 from benchmarks._mujoco_records import mujoco_experiment
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
-from jaxfrf.gap.evidence import Evidence
-from jaxfrf.gap.measured import measured
 from jaxfrf.gap.verify import over_floor
 from jaxfrf.robot import parameters, with_parameters
+from jaxfrf.trajectory.evidence import Evidence
+from jaxfrf.trajectory.measured import measured
 
 FS, PERIOD = 1000.0, 4000
 Q = np.array([[0.3, 0.9], [-0.5, 1.4], [1.5, -1.1], [0.9, 0.4], [2.2, -0.6]])

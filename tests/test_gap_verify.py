@@ -11,11 +11,11 @@ from two_axes import ROBOT
 import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.gap import verify
-from jaxfrf.gap.evidence import band_edges, by_band
 from jaxfrf.gap.present import _close_rivals
 from jaxfrf.gap.refine import absent
 from jaxfrf.gap.search import _Trial
 from jaxfrf.gap.verify import _against, motors_ripple, over_floor
+from jaxfrf.trajectory.evidence import band_edges, by_band
 
 FLOOR = np.full((41, 2), 0.1)
 
@@ -155,8 +155,8 @@ def test_bands_against_a_loop():
 
 def test_ripple_that_is_written_is_what_was_fitted(robot):
     """A cos, b sin of the columns as amplitude and phase of the effect; what is unsure is left out."""
-    from jaxfrf.gap.ripple import Order
     from jaxfrf.gap.score import BaseFit, Gram, Limits
+    from jaxfrf.trajectory.ripple import Order
 
     orders = (Order("torque", 1, 6.0), Order("resolver", 0, 2.0), Order("torque", 1, 9.0))
     c = np.array([3.0, 4.0, -5.0, 12.0, 1e-3, 0.0])

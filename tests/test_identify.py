@@ -47,7 +47,9 @@ def folder(tmp_path_factory):
 
 
 def run(folder, *arguments, out="fit.json"):
-    return main(["identify", *(str(x) for x in arguments), "--robot", str(folder / "start.toml"), "-o", str(out)])
+    return main(
+        ["identify", "--springs", *(str(x) for x in arguments), "--robot", str(folder / "start.toml"), "-o", str(out)]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -255,7 +257,7 @@ class TestBadInput:
         assert list(tmp_path.iterdir()) == []
 
     def refused(self, capsys, message, folder, *arguments, robot="start.toml"):
-        code = main(["identify", "-o", "fit.json", "--robot", str(folder / robot), *arguments])
+        code = main(["identify", "--springs", "-o", "fit.json", "--robot", str(folder / robot), *arguments])
         out, error = capsys.readouterr()
         assert code == 2 and out == "" and error.count("\n") == 1, error
         assert re.search(message, error), error

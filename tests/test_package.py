@@ -160,8 +160,10 @@ SPECTRA = EXPERIMENT | {"spectra"}
 FRF = SPECTRA | {"frf"}
 ROBOT = BASE | {"effects", "robot"}
 SIMULATION = EXPERIMENT | ROBOT | {"simulation"}
+TRAJECTORY = SIMULATION | {"trajectory"}
 GRAYBOX = FRF | SIMULATION | {"graybox"}
 IO = GRAYBOX | {"screening", "parts", "io"}
+WHOLE = IO | {"trajectory", "calibration", "pipeline"}
 
 MAY_IMPORT = {
     **{name: {"errors"} for name in BASE},
@@ -176,14 +178,16 @@ MAY_IMPORT = {
     "robot": ROBOT,
     "simulation": SIMULATION,
     "graybox": GRAYBOX,
-    "gap": GRAYBOX | {"parts", "gap"},
+    "trajectory": TRAJECTORY,
+    "calibration": TRAJECTORY | {"parts", "calibration"},
+    "gap": GRAYBOX | {"parts", "trajectory", "gap"},
     "io": IO,
-    "plot": IO | {"plot"},
+    "plot": IO | {"trajectory", "calibration", "plot"},
     "pipeline": IO,
-    "identification": IO | {"pipeline", "identification"},
-    "report": IO | {"plot", "pipeline", "identification", "report"},
-    "study": IO | {"plot", "pipeline", "identification", "report", "gap", "study"},
-    "commands": IO | {"examples", "plot", "pipeline", "identification", "report", "study", "gap", "commands"},
+    "identification": WHOLE | {"identification"},
+    "report": WHOLE | {"plot", "identification", "report"},
+    "study": WHOLE | {"plot", "identification", "report", "gap", "study"},
+    "commands": WHOLE | {"examples", "plot", "identification", "report", "study", "gap", "commands"},
 }
 """Which rooms a room may import from. Data flow from excitation over experiment and spectra to the FRF, which know no
 robot; the robot knows no FRF. Files and pictures stand above all containers, the command line above everything, and

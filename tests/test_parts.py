@@ -436,7 +436,7 @@ class TestWriting:
         robot = ("--robot", str(tmp_path / "robot.toml"))
         return {
             "estimate": (["estimate", data(), "--method", "h1", "-o", str(tmp_path / "out.npz")], None),
-            "identify": (["identify", data(), *robot, "-o", str(tmp_path / "out.json")], identifying),
+            "identify": (["identify", data(), "--springs", *robot, "-o", str(tmp_path / "out.json")], identifying),
             "diagnose": (["diagnose", data(), *robot, "-o", str(tmp_path / "out.json")], diagnosing),
         }
 

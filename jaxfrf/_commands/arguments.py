@@ -133,6 +133,33 @@ def range_of(option: str, text: str | None, kind) -> tuple | None:
         raise input_error(option, repr(text), "FROM:TO", "Write e.g. --periods 0:1 or --band 4:80.") from None
 
 
+def add_tolerance_option(parser) -> None:
+    parser.add_argument(
+        "--tolerance",
+        metavar="KEY=VALUE,...",
+        help="how well numbers are known, before what the robot's file says: links=0.02,friction=0.3, "
+        'joint6.mass=unknown, "joint6.mass=0.1 kg", all=0',
+    )
+
+
+def with_tolerances(robot, text: str | None):
+    """The robot with what --tolerance says of it."""
+    if text is None:
+        return robot
+    from ..robot.tolerances import tolerances_from
+
+    table = {}
+    for pair in text.split(","):
+        key, equals, value = (part.strip() for part in pair.partition("="))
+        if not equals or not key or not value:
+            raise InputError(f"--tolerance: found {pair!r}; expected KEY=VALUE. Write e.g. --tolerance links=0.02.")
+        try:
+            table[key] = float(value)
+        except ValueError:
+            table[key] = value
+    return robot.with_tolerances(tolerances_from(table, robot.joint_names, "--tolerance"))
+
+
 class Percent:
     """Prints the part that is done, in steps of ten per cent."""
 

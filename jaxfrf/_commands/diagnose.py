@@ -7,6 +7,7 @@ from . import own_effects
 from .arguments import (
     Percent,
     add_resume_option,
+    add_tolerance_option,
     check_result,
     check_target,
     check_x64,
@@ -14,6 +15,7 @@ from .arguments import (
     naming,
     read_records,
     say,
+    with_tolerances,
 )
 
 
@@ -25,6 +27,7 @@ def add(commands) -> None:
     parser.add_argument("--report", metavar="FILE", help="page about the diagnosis to write: .html")
     parser.add_argument("--robot-out", metavar="FILE", help="robot with what was missing to write: .toml")
     own_effects.add_effects_option(parser)
+    add_tolerance_option(parser)
     parser.add_argument(
         "--positions-sealed", type=int, metavar="N", help="positions that are kept to judge the result on"
     )
@@ -42,7 +45,7 @@ def run(given) -> dict:
     check_x64("jaxfrf diagnose")
     _check_outputs(given)
     own = own_effects.own_effects(given.effects) if given.effects else ()
-    robot = read_robot(given.robot, own)
+    robot = with_tolerances(read_robot(given.robot, own), given.tolerance)
     with Parts(given.output, "diagnose", resume=given.resume, about=own_effects.about(given), say=say) as parts:
         data = [read_records(given, [path]) for path in given.data]
         for text in dict.fromkeys(w for x in data for w in x.warnings):

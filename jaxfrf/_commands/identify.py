@@ -9,6 +9,7 @@ from . import own_effects
 from .arguments import (
     add_record_options,
     add_resume_option,
+    add_tolerance_option,
     check_picture,
     check_result,
     check_target,
@@ -19,24 +20,35 @@ from .arguments import (
     range_of,
     read_records,
     say,
+    with_tolerances,
 )
 
 _RECORDS_ONLY = ("method", "option", "map", "set", "scale", "periods")
+_SPRINGS_ONLY = (
+    "starts", "seed", "guess", "direct", "fix", "free", "share", "weights", "method", "option", "band", "plot"
+)  # fmt: skip
 
 
 def add(commands) -> None:
-    parser = command(commands, "identify", run, "Find a robot's stiffnesses and dampings from records or FRFs.")
+    parser = command(commands, "identify", run, "Calibrate a robot from records, or its springs from FRFs.")
     parser.add_argument(
         "data", nargs="+", metavar="DATA", help="records (.nc .mat .npz .csv) or FRFs (of `jaxfrf estimate`)"
     )
     parser.add_argument("--robot", required=True, metavar="ROBOT.toml", help="the robot; its values are the start")
     parser.add_argument("-o", "--output", required=True, help="fit to write: .json")
     parser.add_argument("--report", metavar="FILE", help="page about the fit to write: .html")
+    parser.add_argument(
+        "--springs",
+        action="store_true",
+        help="stiffness and damping alone, from the FRF, everything else taken as exact (what FRF files, and records "
+        "without reference or controller, always give); all options from --plot to --weights belong to it",
+    )
+    add_tolerance_option(parser)
     parser.add_argument("--plot", metavar="FILE", help="Bode picture of measurement and models: .png, .pdf, .svg")
     own_effects.add_effects_option(parser)
     parser.add_argument("--robot-out", metavar="FILE", help="robot with the result to write: .toml")
-    parser.add_argument("--starts", type=int, default=20, help="of the direct fit (default 20)")
-    parser.add_argument("--seed", type=int, default=0, help="of the starts (default 0)")
+    parser.add_argument("--starts", type=int, help="of the direct fit (default 20)")
+    parser.add_argument("--seed", type=int, help="of the starts (default 0)")
     parser.add_argument(
         "--guess", action="store_true", help="start from the FRF's antiresonances, not from the robot's values"
     )
@@ -55,7 +67,6 @@ def add(commands) -> None:
 
 
 def run(given) -> dict:
-    from ..identification import identify
     from ..io.fits import write_fit
     from ..parts import Parts
 
@@ -65,30 +76,85 @@ def run(given) -> dict:
     with Parts(given.output, "identify", resume=given.resume, about=about, say=say) as parts:
         robot, data, method = _read(given)
         with naming(given.data):
-            found = identify(
-                robot,
-                data,
-                method=method,
-                weights=_weights(given.weights),
-                starts=given.starts,
-                seed=given.seed,
-                rounds=given.rounds,
-                direct=given.direct,
-                guess=given.guess,
-                fixed=_names(given.fix),
-                freed=_names(given.free),
-                shared=[_group(text) for text in given.share],
-                heldout=_numbers(given.heldout),
-                band=range_of("--band", given.band, float),
-                parts=parts,
-                say=None if given.json else say,
-            )
+            whole = _is_whole(given, robot, data)
+            found = _calibrated(given, robot, data, parts) if whole else _springs(given, robot, data, method, parts)
         contents = found.as_dict()
         write_fit(given.output, contents)
-        written = [given.output, *_write_more(given, found)]
-    for warning in found.measured.warnings:
+        written = [given.output, *(_write_calibration(given, found) if whole else _write_more(given, found))]
+    warnings = data.warnings if whole else found.measured.warnings
+    for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    return {"text": [*found.lines(), f"wrote {', '.join(written)}"], "json": _brief(contents) | {"output": written}}
+    text = [*found.lines(), f"wrote {', '.join(written)}"]
+    return {"text": text, "json": (contents if whole else _brief(contents)) | {"output": written}}
+
+
+def _is_whole(given, robot, data) -> bool:
+    """Whether all of the robot can be fitted; says why, where not."""
+    from ..frf import FRF
+    from ..identification import check_data, why_springs
+
+    if given.springs:
+        return False
+    check_data(robot, data)
+    why = why_springs(robot, data)
+    if why:
+        if not isinstance(data, FRF):
+            say(f"springs and dampers alone: {why}")
+        return False
+    asked = next((name for name in _SPRINGS_ONLY if getattr(given, name) not in (None, False, [])), None)
+    if asked is not None:
+        raise input_error(
+            f"--{asked}",
+            "the whole robot to be fitted",
+            "--springs beside it: it belongs to the fit of springs and dampers",
+            "Add --springs, or leave it out (what is known of a number: --tolerance).",
+        )
+    return True
+
+
+def _calibrated(given, robot, data, parts):
+    from ..calibration import calibrate
+
+    heldout = _numbers(given.heldout)
+    return calibrate(robot, data, heldout=heldout, rounds=given.rounds, parts=parts, say=None if given.json else say)
+
+
+def _springs(given, robot, data, method, parts):
+    from ..identification import identify
+
+    return identify(
+        robot,
+        data,
+        method=method,
+        weights=_weights(given.weights),
+        starts=20 if given.starts is None else given.starts,
+        seed=given.seed or 0,
+        rounds=given.rounds,
+        direct=given.direct,
+        guess=given.guess,
+        fixed=_names(given.fix),
+        freed=_names(given.free),
+        shared=[_group(text) for text in given.share],
+        heldout=_numbers(given.heldout),
+        band=range_of("--band", given.band, float),
+        parts=parts,
+        say=None if given.json else say,
+    )
+
+
+def _write_calibration(given, found) -> list[str]:
+    written = []
+    if given.robot_out:
+        from ..io.robots import write_robot
+
+        write_robot(found.robot, given.robot_out)
+        written.append(given.robot_out)
+    if given.report:
+        from ..report.calibration import write_calibration
+
+        write_calibration(given.report, found)
+        written.append(given.report)
+    return written
 
 
 def _brief(contents: dict) -> dict:
@@ -140,7 +206,7 @@ def _read(given):
     from ..frf.catalogue import method
     from ..io.frf_or_record import holds_frf, read_frfs
 
-    robot = own_effects.robot_of(given)
+    robot = with_tolerances(own_effects.robot_of(given), given.tolerance)
     frfs = [holds_frf(path) for path in given.data]
     if any(frfs) and not all(frfs):
         raise input_error(

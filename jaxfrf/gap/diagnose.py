@@ -14,7 +14,7 @@ from ..experiment import Experiment
 from ..parts import Parts
 from ..robot import Controller, Robot
 from ..robot.quantity import derivatives
-from .measured import fewer, measured
+from ..trajectory.measured import fewer, measured
 from .present import present
 from .result import Diagnosis
 from .search import Say, Search, search

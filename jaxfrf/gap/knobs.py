@@ -8,9 +8,9 @@ import numpy as np
 
 from ..robot import Robot
 from ..robot.drive import Friction, Spring
+from ..robot.tolerances import Tolerance
 
-STIFFNESS, DAMPING = 0.3, 1.0
-LINKS, MOTORS, FRICTION, CORNER = 0.01, 0.005, 0.03, 0.3
+_UNKNOWN = 2.0  # relative: what is not known at all may be three times as large
 
 
 class Knob(eqx.Module):
@@ -49,27 +49,38 @@ _PLACES = {
 
 
 def knobs(robot: Robot) -> tuple[Knob, ...]:
-    """Stiffness and damping of every spring, which are free; friction, motors and links to their tolerances."""
+    """Stiffness and damping of every spring, which are free; friction, motors and links to the robot's tolerances."""
     found = []
 
-    def add(kind, names, tolerance, free=False, needed=None):
+    def add(kind, names, free=False):
         values = np.asarray(_PLACES[kind](robot))
         for row, name in enumerate(names):
-            if np.any(values[row] != 0.0) and np.all(np.isfinite(values[row])):
+            tolerance = _relative(robot.tolerances.of(f"{name}.{kind}"), values[row])
+            if tolerance > 0 and np.any(values[row] != 0.0) and np.all(np.isfinite(values[row])):
                 found.append(Knob(f"{name}.{kind}", tolerance, free, kind, row))
 
     if isinstance(robot.springs, Spring):
-        add("stiffness", robot.spring_names, STIFFNESS, True)
-        add("damping", robot.spring_names, DAMPING, True)
-    add("motor_inertia", robot.axis_names, MOTORS)
+        add("stiffness", robot.spring_names, True)
+        add("damping", robot.spring_names, True)
+    add("motor_inertia", robot.axis_names)
     if isinstance(robot.drives.friction, Friction):
-        add("viscous_friction", robot.axis_names, FRICTION)
-        add("coulomb_friction", robot.axis_names, FRICTION)
-        if np.any(np.asarray(robot.drives.friction.coulomb) != 0.0):
-            found.append(Knob("friction.smoothing", CORNER, False, "smoothing", -1))
+        add("viscous_friction", robot.axis_names)
+        add("coulomb_friction", robot.axis_names)
+        corner = robot.tolerances.of("friction.smoothing")
+        if np.any(np.asarray(robot.drives.friction.coulomb) != 0.0) and not corner.exact:
+            tolerance = _relative(corner, np.asarray(robot.drives.friction.smoothing))
+            found.append(Knob("friction.smoothing", tolerance, False, "smoothing", -1))
     for kind in ("mass", "com", "inertia"):
-        add(kind, robot.joint_names, LINKS)
+        add(kind, robot.joint_names)
     return tuple(found)
+
+
+def _relative(tolerance: Tolerance, value) -> float:
+    """Standard deviation of the relative change of a number, or of all elements of a vector together."""
+    if tolerance.unknown:
+        return _UNKNOWN
+    size = float(np.linalg.norm(value))
+    return tolerance.std if tolerance.relative else (tolerance.std / size if size > 0 else 0.0)
 
 
 def pinned(knobs: tuple[Knob, ...], effect) -> tuple[Knob, ...]:

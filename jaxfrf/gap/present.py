@@ -10,12 +10,12 @@ from ..effects import library
 from ..experiment import Experiment
 from ..graybox.through import default_method, measured_frf
 from ..robot import Robot, parameters
-from .evidence import band_edges, by_band, weigh
+from ..trajectory.evidence import band_edges, by_band, weigh
+from ..trajectory.signature import signature
 from .refine import refine
 from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
 from .score import deviations, family_wise, fit_beside
 from .search import CLASSES, FLOOR, Search, Step, passes
-from .signature import signature
 from .stage import Stage, mean_square, remainder
 from .trial import Fitted, corrected, usual_misfit, with_effect
 from .verify import Verified, Written, judged_positions, relative_torque, verified, written

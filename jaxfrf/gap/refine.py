@@ -6,9 +6,9 @@ import numpy as np
 from ..effects import AbstractEffect, StiffnessHardening
 from ..effects._place import spring_of
 from ..robot import Robot
-from .evidence import weigh
+from ..trajectory.evidence import weigh
+from ..trajectory.signature import signature
 from .score import fit_beside, projected, sums, variance
-from .signature import signature
 from .stage import Stage
 
 _STEP = 0.02  # of a parameter, for its derivative

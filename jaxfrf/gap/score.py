@@ -9,7 +9,7 @@ import scipy.optimize
 import scipy.stats
 from jaxtyping import Bool, Float, Int
 
-from .evidence import Gram
+from ..trajectory.evidence import Gram
 
 _NULL_MODE, _NULL_SCALE = 0.004, 0.002  # of the largest part where nothing is missing
 _HONEST = 400  # independent numbers that a record is worth: what limits an estimate is the model, set on simulated ones

@@ -11,9 +11,9 @@ from jaxtyping import Bool
 from ..effects import AbstractEffect
 from ..parts import Parts
 from ..robot import Robot
+from ..trajectory.measured import Measured
 from .candidates import candidates
 from .knobs import Knob, knobs, pinned, turned
-from .measured import Measured
 from .refine import Refined, absent, names_of, refine
 from .rounds import Round, keep_round, read_round
 from .score import family_wise, variance

@@ -7,13 +7,13 @@ import numpy as np
 
 from ..effects import AbstractEffect, ResolverRipple, TorqueRipple, TransmissionError
 from ..robot import Robot
+from ..trajectory.evidence import Column, Evidence, Weighed, by_band, inflated, rebased, refloored, renewed, weigh
+from ..trajectory.measured import Measured
+from ..trajectory.ripple import Order, find_orders, gear_orders
+from ..trajectory.signature import signature
 from .candidates import Candidate
-from .evidence import Column, Evidence, Weighed, by_band, inflated, rebased, refloored, renewed, weigh
 from .knobs import Knob
-from .measured import Measured
-from .ripple import Order, find_orders, gear_orders
 from .score import BaseFit, Drop, Limits, drop, fit_base
-from .signature import signature
 
 _BOX = 2.5  # tolerances
 _KNOWN = 1e-3  # of the floor's squares: the cost of one tolerance, as if the record held a thousand honest numbers

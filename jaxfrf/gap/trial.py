@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float
 from .._errors import InputError
 from ..effects import AbstractEffect
 from ..robot import Robot
+from ..trajectory.measured import Measured
 from .knobs import pinned, turned
-from .measured import Measured
 from .refine import Refined, beside, refine
 from .stage import Stage, look_again, look_closely, mean_square, remainder
 

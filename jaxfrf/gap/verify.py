@@ -10,7 +10,7 @@ from jaxtyping import Bool, Complex, Float
 from .._errors import InputError
 from ..effects import AbstractEffect, ResolverRipple, TorqueRipple
 from ..robot import Robot
-from .evidence import Evidence
+from ..trajectory.evidence import Evidence
 from .knobs import turned
 from .score import deviations
 from .search import Search, Step

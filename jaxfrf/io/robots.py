@@ -44,13 +44,17 @@ def toml_text(table: Mapping[str, Any]) -> str:
     lines, tables = [], []
     for key, value in table.items():
         if isinstance(value, Mapping):
-            tables += ["", f"[{key}]", *(f"{k} = {_value(v)}" for k, v in value.items())]
+            tables += ["", f"[{key}]", *(f"{_key(k)} = {_value(v)}" for k, v in value.items())]
         elif isinstance(value, list) and value and isinstance(value[0], Mapping):
             for row in value:
                 tables += ["", f"[[{key}]]", *(f"{k} = {_value(v)}" for k, v in row.items())]
         else:
             lines.append(f"{key} = {_value(value)}")
     return "\n".join([*lines, *tables, ""])
+
+
+def _key(key: str) -> str:
+    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else json.dumps(key)
 
 
 def _value(value: Any) -> str:

@@ -2,6 +2,7 @@
 
 from ._style import save as save
 from .bode import bode as bode
+from .calibration import numbers_found as numbers_found
 from .coherence import coherence as coherence
 from .excitation import multisine as multisine
 from .fit import (

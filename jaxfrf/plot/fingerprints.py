@@ -35,7 +35,7 @@ _WRAP = 40  # characters of a line of text
 
 
 class Along(Protocol):
-    """One position's motion, such as `jaxfrf.gap.scene.Scene`: signals are (exp, time, axis), motor side."""
+    """One position's motion, such as `jaxfrf.trajectory.scene.Scene`: signals are (exp, time, axis), motor side."""
 
     period: int
     fs: float
@@ -86,7 +86,7 @@ def fingerprint(effect: AbstractEffect, torque: Complex[np.ndarray, "exp line ax
     """The fingerprint of an effect in the first experiment of a scene, on the motor of its joint, or on that whose
     torque it changes most where it has none.
 
-    **Arguments:** `torque`: what `jaxfrf.gap.signature.signature` gives for the effect in this scene.
+    **Arguments:** `torque`: what `jaxfrf.trajectory.signature.signature` gives for the effect in this scene.
     """
     command = np.asarray(scene.command)[0]
     lines = np.asarray(torque).shape[1]

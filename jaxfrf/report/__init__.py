@@ -1,5 +1,6 @@
 """Pages for people: one HTML file each, with everything in it."""
 
+from .calibration import calibration_page as calibration_page, write_calibration as write_calibration
 from .gap import gap_page as gap_page, write_gap_report as write_gap_report
 from .identification import identification_page as identification_page, write_identification as write_identification
 from .page import (

@@ -83,3 +83,9 @@ from .state_space import (
     state_space_frf as state_space_frf,
     to_control as to_control,
 )
+from .tolerances import (
+    DEFAULTS as DEFAULTS,
+    Tolerance as Tolerance,
+    Tolerances as Tolerances,
+    tolerances_from as tolerances_from,
+)

@@ -37,9 +37,9 @@ def parameters(robot: Robot, kinds: Iterable[str] = ("stiffness", "damping")) ->
     **Raises:** `jaxfrf.InputError` for an unknown kind.
     """
     return {
-        f"{joint}.{kind}": _field(robot, kind)[0](robot)[i]
+        f"{joint}.{kind}": parameter_field(robot, kind)[0](robot)[i]
         for kind in kinds
-        for i, joint in enumerate(_field(robot, kind)[1])
+        for i, joint in enumerate(parameter_field(robot, kind)[1])
     }
 
 
@@ -51,11 +51,11 @@ def with_parameters(robot: Robot, values: Mapping[str, jax.Array | float]) -> Ro
     by_kind: dict[str, dict[str, jax.Array | float]] = {}
     for name, value in values.items():
         joint, _, kind = name.rpartition(".")
-        if kind not in PARAMETER_UNITS or joint not in _field(robot, kind)[1]:
+        if kind not in PARAMETER_UNITS or joint not in parameter_field(robot, kind)[1]:
             raise _unknown(name, robot)
         by_kind.setdefault(kind, {})[joint] = value
     for kind, changes in by_kind.items():
-        where, joints = _field(robot, kind)
+        where, joints = parameter_field(robot, kind)
         array = jnp.asarray(where(robot))
         index = jnp.array([joints.index(joint) for joint in changes])
         array = array.at[index].set(jnp.stack([jnp.asarray(x, array.dtype) for x in changes.values()]))
@@ -63,8 +63,11 @@ def with_parameters(robot: Robot, values: Mapping[str, jax.Array | float]) -> Ro
     return robot
 
 
-def _field(robot: Robot, kind: str) -> tuple[Callable[[Robot], jax.Array], tuple[str, ...]]:
-    """The array that holds this kind of parameter, and the joints that its rows belong to."""
+def parameter_field(robot: Robot, kind: str) -> tuple[Callable[[Robot], jax.Array], tuple[str, ...]]:
+    """Where a robot holds this kind of parameter, and the joints that the rows of that array belong to.
+
+    **Raises:** `jaxfrf.InputError` for an unknown kind.
+    """
     springs = robot.spring_names if isinstance(robot.springs, Spring) else ()
     rubbing = robot.axis_names if isinstance(robot.drives.friction, Friction) else ()
     fields = {
@@ -94,7 +97,7 @@ def _nearest(name: str, known: Iterable[str]) -> str:
 
 
 def _unknown(name: str, robot: Robot):
-    known = [f"{joint}.{kind}" for kind in PARAMETER_UNITS for joint in _field(robot, kind)[1]]
+    known = [f"{joint}.{kind}" for kind in PARAMETER_UNITS for joint in parameter_field(robot, kind)[1]]
     return input_error(
         f"parameter of {robot.name}",
         repr(name),

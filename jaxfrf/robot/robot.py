@@ -20,6 +20,7 @@ from ..effects import AbstractArmTorque, AbstractEffect, AbstractFriction, Abstr
 from ..effects.acting import groups
 from .chain import Chain, mass_and_bias, mass_and_bias_columns, mass_matrix, potential_energy
 from .drive import AbstractSpring, Drives
+from .tolerances import Tolerances
 
 
 class Controller(eqx.Module):
@@ -65,6 +66,7 @@ class Robot(eqx.Module):
     - `stiff`: whether its transmission is rigid (driven), or it is locked (elastic).
     - `controller`, `sampling_frequency` (Hz): for the simulation.
     - `effects`: that act beside the robot's own laws; see `with_effects`.
+    - `tolerances`: how well its numbers are known.
     """
 
     chain: Chain
@@ -77,6 +79,7 @@ class Robot(eqx.Module):
     effects: tuple[AbstractEffect, ...] = ()
     name: str = eqx.field(static=True, default="robot")
     sampling_frequency: float = eqx.field(static=True, default=2000.0)
+    tolerances: Tolerances = eqx.field(static=True, default=Tolerances())
 
     def __check_init__(self):
         n = self.chain.n_joints
@@ -107,6 +110,10 @@ class Robot(eqx.Module):
                 effect.check(robot)
                 robot = dataclasses.replace(robot, effects=(*robot.effects, effect))
         return robot
+
+    def with_tolerances(self, tolerances: Tolerances) -> "Robot":
+        """The same robot, its numbers known better or worse: what is stated here goes before what was."""
+        return dataclasses.replace(self, tolerances=self.tolerances.updated(tolerances))
 
     @property
     def n_axes(self) -> int:

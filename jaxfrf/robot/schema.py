@@ -18,10 +18,11 @@ from ..effects._place import axis_of
 from .chain import Chain
 from .drive import Drives, Friction, Spring
 from .robot import Controller, Robot
+from .tolerances import Tolerances, table_of, tolerances_from
 
 _KNEE = 2.9e-4  # rad, one minute of arc: the knee of a linear spring, where it has no effect
 
-_ROBOT_KEYS = ("name", "gravity", "sampling_frequency", "joint", "controller", "friction", "effect")
+_ROBOT_KEYS = ("name", "gravity", "sampling_frequency", "joint", "controller", "friction", "effect", "tolerance")
 _LINK_KEYS = ("name", "type", "axis", "offset", "mass", "com", "inertia")
 _SPRING_KEYS = ("stiffness", "stiffness_low", "stiffness_knee", "damping")
 _DRIVE_KEYS = (
@@ -77,6 +78,7 @@ def robot_from_table(
         controller=_controller(top, drives),
         name=top.text("name", default="robot"),
         sampling_frequency=top.number("sampling_frequency", default=2000.0, positive=True),
+        tolerances=_tolerances(top, names),
     ).with_effects(*_effects(top, names, own))
 
 
@@ -102,6 +104,8 @@ def table_from_robot(robot: Robot) -> dict[str, Any]:
             **({} if robot.controller.feedforward else {"feedforward": False}),
         }
     table["friction"] = {"smoothing": _plain(robot.drives.friction.smoothing)}
+    if robot.tolerances.stated:
+        table["tolerance"] = table_of(robot.tolerances)
     effects = [effect_to_table(e, robot.axis_names[axis_of(robot, e.joint)]) for e in (*robot.effects, *_play(robot))]
     return {**table, **({"effect": effects} if effects else {})}
 
@@ -170,7 +174,14 @@ class _Table:
             raise self.error(key, f"a list of {size} finite numbers", "Write it as [x, y, z, ...], in SI units.")
         return [float(x) for x in value]
 
-    def table(self, key: str, known: Iterable[str]) -> "_Table | None":
+    def flat(self) -> dict[str, Any]:
+        """Its entries, those of tables in it under both names: TOML reads `joint1.mass = 0.1` so."""
+        inner = {
+            f"{key}.{name}": x for key, v in self._table.items() if isinstance(v, Mapping) for name, x in v.items()
+        }
+        return {key: v for key, v in self._table.items() if not isinstance(v, Mapping)} | inner
+
+    def table(self, key: str, known: Iterable[str] | None) -> "_Table | None":
         if key not in self._table:
             return None
         return _Table(self._table[key], f"{self.where}: [{key}]", known)
@@ -280,6 +291,11 @@ def _controller(top: _Table, joints: list[_Table]) -> Controller | None:
         velocity_gain=jnp.array(gains),
         feedforward=table.flag("feedforward", True),
     )
+
+
+def _tolerances(top: _Table, names: tuple[str, ...]) -> Tolerances:
+    table = top.table("tolerance", None)
+    return Tolerances() if table is None else tolerances_from(table.flat(), names, table.where)
 
 
 def _effects(top: _Table, names: tuple[str, ...], own) -> tuple[AbstractEffect, ...]:

@@ -19,6 +19,7 @@ from ..robot import (
     spring_directions,
 )
 from ..robot.drive import Spring
+from ..robot.regressor import link_regressor
 from ..simulation import Motion
 from ..simulation.plant import product
 from .frozen import Frozen
@@ -253,6 +254,24 @@ class Scene:
             more[..., own.n_motors :] = self.spectrum(self._own_links - self._links(changed))
             total += self.by_force(more)
         return total
+
+    def by_links(self, slopes: Float[np.ndarray, "change joint parameter"]) -> list[Signature]:
+        """Derivatives of what the links ask, along these changes of their parameters (`link_regressor`)."""
+        robot = self.robot
+        arm = np.array(robot.arm_joints)
+        signals = [np.zeros((robot.chain.n_joints, self._arm[0].shape[1])) for _ in range(3)]
+        for whole, moving in zip(signals, self._arm, strict=True):
+            whole[arm] = moving
+        Y = link_regressor(robot.chain, *signals)[arm]
+        if not len(slopes):
+            return []
+        forces = slopes.reshape(len(slopes), -1) @ Y.reshape(len(arm), -1, Y.shape[-1])
+        found = []
+        for force in forces.swapaxes(0, 1).reshape(len(slopes), len(arm), len(self.z), -1):
+            d = np.zeros((len(self.z), self.lines, robot.dof), complex)
+            d[..., robot.n_motors :] = -self.spectrum(np.moveaxis(force, 0, -1))
+            found.append(self.by_force(d))
+        return found
 
     @cached_property
     def _friction(self):

@@ -1,0 +1,105 @@
+"""What every number of a robot would add to the torque that its motors need for a motion."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ..effects import TorqueDelay
+from ..robot import Robot, parameters, with_parameters
+from ..robot.regressor import PER_LINK, link_parameters
+from ..trajectory.evidence import Column
+from ..trajectory.scene import Scene, Signature
+from ..trajectory.signature import signature
+from .numbers import Number, with_numbers
+
+_STEP = 1e-3  # of a coordinate's size, but at most this change of a logarithm
+_LATE = 1e-6  # s
+_OF_LINKS = ("mass", "com", "inertia")
+_RESISTS = ("stiffness", "damping", "motor_inertia", "viscous_friction", "coulomb_friction", "mass", "inertia")
+
+
+def number_columns(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "number"]) -> list[Column]:
+    """Derivatives by x, along a motion of the robot that stands at x.
+
+    `robot`: as given, whose numbers these are.
+    """
+    x = np.asarray(x, float)
+    now = with_numbers(robot, these, x)
+    links = [i for i, number in enumerate(these) if number.kind in _OF_LINKS]
+    given, linked = _OnceAScene(_Given(_heavier(now))), _OnceAScene(_Links(now, [these[i] for i in links], x[links]))
+    return [
+        (lambda scene, i=i: linked(scene)[links.index(i)]) if i in links else _column(robot, these, x, i, given)
+        for i in range(len(these))
+    ]
+
+
+def _column(robot: Robot, these, x, i: int, given: "_OnceAScene") -> Column:
+    number = these[i]
+    joint = number.joint
+    if number.kind == "torque_constant":
+        axis, part = robot.axis_names.index(joint), number.size / (1.0 + number.value(x[i]))
+        return lambda scene: scene.by_command(axis, -given(scene)[..., axis]) * part
+    if number.kind == "delay":
+        return lambda scene: signature(TorqueDelay(joint, _LATE), scene) * (number.size / _LATE)
+    step = min(_STEP, _STEP / number.size) if number.positive else _STEP
+    moved = x.copy()
+    moved[i] += step
+    changed = with_numbers(robot, these, moved)
+    return lambda scene: scene.by_robot(changed) / step
+
+
+def _heavier(robot: Robot) -> Robot:
+    """The robot with everything that resists a torque larger by a part `_STEP`."""
+    values = {
+        name: np.asarray(value) * (1.0 + _STEP)
+        for kind in _RESISTS
+        for name, value in parameters(robot, [kind]).items()
+    }
+    return with_parameters(robot, values)
+
+
+class _OnceAScene:
+    """A function of a scene that is asked again and again."""
+
+    def __init__(self, function):
+        self.function = function
+        self._known: dict[int, object] = {}
+
+    def __call__(self, scene: Scene):
+        if id(scene) not in self._known:
+            self._known[id(scene)] = self.function(scene)
+        return self._known[id(scene)]
+
+
+class _Given:
+    """Torque that motors give without being asked, where their constants are larger than said.
+
+    What the robot resists with, as the other columns have it: robots that are heavier by one part in all, and whose
+    motors are stronger by as much, move alike, and that must not depend on how a signal was sampled. Nor is it the
+    measured torque: then all of a misfit could be explained by a robot that is nothing on motors that give nothing.
+    """
+
+    def __init__(self, heavier: Robot):
+        self.heavier = heavier
+
+    def __call__(self, scene: Scene) -> Signature:
+        return scene.by_robot(self.heavier) / _STEP
+
+
+class _Links:
+    """Columns of masses, centres and inertias, all at once: torques are linear in the links' parameters."""
+
+    def __init__(self, now: Robot, these: Sequence[Number], x):
+        chain = now.chain
+        values = [np.asarray(getattr(chain, kind), float) for kind in _OF_LINKS]
+        self.slopes = np.zeros((len(these), len(now.joint_names), PER_LINK))
+        for slope, number, at in zip(self.slopes, these, x, strict=True):
+            joint = now.joint_names.index(number.joint)
+            for sign in (1.0, -1.0):
+                moved = {kind: np.array(value[joint]) for kind, value in zip(_OF_LINKS, values, strict=True)}
+                moved[number.kind][number.element] = number.value(at + sign * _STEP)
+                slope[joint] += sign * link_parameters(**moved) / (2 * _STEP)
+
+    def __call__(self, scene: Scene) -> list[Signature]:
+        return scene.by_links(self.slopes)

@@ -1,0 +1,121 @@
+"""A step of all numbers at once, beside ripple, with what is known beforehand; and how sure it is.
+
+Errors of a model repeat from line to line, so that the lines of a record are far fewer independent numbers than there
+are lines. How many is seen from the scatter of the positions: the score of each should vanish, and what is left of it
+says what an estimate may be off by (the cluster-robust covariance of Liang & Zeger, Biometrika 73, 1986, in the
+delete-one form of Bell & McCaffrey, Survey Methodology 28, 2002).
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.stats
+from jaxtyping import Float, Int
+
+from ..trajectory.evidence import Gram
+from .numbers import Number
+
+_RIDGE = 1e-9  # of a column's square: products are made in single precision
+_OWN = 1e-6  # of the largest eigenvalue of scaled products: less is no direction that the data know
+_ROUNDS = 5  # of the design effect, which depends on the step and the step on it
+
+
+@dataclasses.dataclass(frozen=True)
+class Posterior:
+    """Where the numbers are after one linear step.
+
+    **Fields:** `change`: of every column's coefficient, numbers first. `effect`: the design effect: so many lines count
+    as one. `normal`: the normal matrix A/effect + P. `by_cluster`: estimates of the change without each cluster,
+    (cluster, column). `prior`: P's diagonal.
+    """
+
+    change: Float[np.ndarray, "column"]
+    effect: float
+    normal: Float[np.ndarray, "column column"]
+    by_cluster: Float[np.ndarray, "cluster column"]
+    prior: Float[np.ndarray, "column"]
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "column column"]:
+        """Of the estimates: of what the data say, from the scatter of the clusters, and of what was known before, so
+        far as the estimates lean on it."""
+        return self._from_data + self._from_prior
+
+    @property
+    def _from_data(self):
+        count = len(self.by_cluster)
+        apart = self.by_cluster - self.by_cluster.mean(axis=0)
+        return (count - 1) / count * apart.T @ apart
+
+    @property
+    def _from_prior(self):
+        inverse = np.linalg.inv(self.normal)
+        return inverse @ (self.prior[:, None] * inverse)
+
+    def half_width(self, level: float = 0.95) -> Float[np.ndarray, "column"]:
+        """Half of a confidence interval: the scatter of few clusters is known with their degrees of freedom only."""
+        t = scipy.stats.t.ppf(0.5 + level / 2, len(self.by_cluster) - 1)
+        z = scipy.stats.norm.ppf(0.5 + level / 2)
+        return np.sqrt(t**2 * np.diag(self._from_data) + z**2 * np.diag(self._from_prior))
+
+    @property
+    def told(self) -> Float[np.ndarray, "column"]:
+        """Part of a number that the data tell, the rest being what was known before: 1 - posterior/prior variance."""
+        return 1.0 - self.prior * np.diag(np.linalg.inv(self.normal))
+
+
+def clusters(gram: Gram) -> Int[np.ndarray, "run"]:
+    """The cluster of each run: its position, or itself where there are less than three positions."""
+    if len(np.unique(gram.position)) >= 3:
+        return gram.position
+    return np.arange(len(gram.position))
+
+
+def solve(gram: Gram, these: Sequence[Number], x: Float[np.ndarray, "number"]) -> Posterior:
+    """The step of the numbers from x, and the coefficients of all columns behind theirs, which have no prior.
+
+    Minimises |r - J dx|^2/effect + sum prior (x + dx)^2.
+    """
+    count = gram.b.shape[1]
+    prior = np.concatenate([[n.prior for n in these], np.zeros(count - len(these))])
+    at = np.concatenate([np.asarray(x, float), np.zeros(count - len(these))])
+    which = clusters(gram)
+    A = np.stack([gram.A[which == c].sum(axis=0) for c in np.unique(which)])
+    b = np.stack([gram.b[which == c].sum(axis=0) for c in np.unique(which)])
+    whole, right = _information(A.sum(axis=0)), b.sum(axis=0)
+
+    def change_by(information, score, effect):
+        return np.linalg.solve(information / effect + np.diag(prior), score / effect - prior * at)
+
+    effect = 1.0
+    for _ in range(_ROUNDS):
+        effect = max(_design_effect(A, b, whole, change_by(whole, right, effect)), 1.0)
+    without = [change_by(_information(whole - a), right - c, effect) for a, c in zip(A, b, strict=True)]
+    normal = whole / effect + np.diag(prior)
+    return Posterior(change_by(whole, right, effect), effect, normal, np.array(without), prior)
+
+
+def _information(A):
+    """Products of columns as a matrix that has an inverse beside any prior: those made in single precision may have
+    slightly negative eigenvalues, and a column that is nothing has none."""
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    values, vectors = np.linalg.eigh(A / np.outer(size, size))
+    root = vectors * np.sqrt(np.maximum(values, _RIDGE))
+    whole = (root @ root.T) * np.outer(size, size)
+    return whole + np.diag(np.where(np.diag(A) > 0, 0.0, 1e-12))
+
+
+def _design_effect(A, b, whole, change) -> float:
+    """Mean over the directions that the data know of: variance of the score between clusters over what independent
+    lines of the floor's size would have."""
+    if len(A) < 2:
+        return 1.0
+    score = b - np.einsum("cij,j->ci", A, change)
+    score = score - score.mean(axis=0)
+    between = score.T @ score * len(A) / (len(A) - 1)
+    size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    values, vectors = np.linalg.eigh(whole / np.outer(size, size))
+    known = values > _OWN * values[-1]
+    directions = vectors[:, known] / size[:, None]
+    return float(np.mean(np.einsum("ik,ij,jk->k", directions, between, directions) / values[known]))

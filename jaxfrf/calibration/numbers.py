@@ -1,0 +1,166 @@
+"""The numbers of a robot that an experiment may tell, each in the coordinate that a fit moves."""
+
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..effects import TorqueConstant, TorqueDelay
+from ..effects._place import axis_of
+from ..robot import Robot, parameters
+from ..robot.drive import Friction, Spring
+from ..robot.parameters import parameter_field
+from ..robot.tolerances import KINDS, Tolerance, relative_sizes
+
+_UNKNOWN = 1.0  # size of the coordinate of a number of which nothing is known: of its logarithm
+_ELEMENTS = {"com": ("x", "y", "z"), "inertia": ("xx", "yy", "zz", "xy", "xz", "yz")}
+_POSITIVE = (
+    "stiffness",
+    "damping",
+    "stiffness_ratio",
+    "stiffness_knee",
+    "motor_inertia",
+    "viscous_friction",
+    "coulomb_friction",
+    "smoothing",
+    "mass",
+)
+_DRIVE = {"torque_constant": (TorqueConstant, "error"), "delay": (TorqueDelay, "delay")}
+
+
+class Number(eqx.Module):
+    """One number of a robot; x = 0 where it is as given, 1 where it is one tolerance above.
+
+    **Fields:** `name`: `joint6.mass`, `joint6.com.x`. `kind`. `unit`. `given`: its value in the robot's file. `size`:
+    of x = 1, in the logarithm of the value where `positive`, in its unit otherwise. `prior`: what x^2 costs, 1, or 0
+    where nothing is known before.
+    """
+
+    name: str = eqx.field(static=True)
+    kind: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    given: float = eqx.field(static=True)
+    size: float = eqx.field(static=True)
+    positive: bool = eqx.field(static=True)
+    prior: float = eqx.field(static=True)
+
+    @property
+    def joint(self) -> str:
+        return self.name[: self.name.rindex(f".{self.kind}")] if f".{self.kind}" in self.name else ""
+
+    @property
+    def element(self) -> tuple[int, ...]:
+        """Place in a vector, () of a plain number."""
+        return (_ELEMENTS[self.kind].index(self.name.rpartition(".")[2]),) if self.kind in _ELEMENTS else ()
+
+    def value(self, x: float) -> float:
+        """Of the number, in its unit, where its coordinate is x."""
+        return self.given * math.exp(self.size * x) if self.positive else self.given + self.size * x
+
+    def coordinate(self, value: float) -> float:
+        """x of a value; the inverse of `value`."""
+        change = math.log(value / self.given) if self.positive else value - self.given
+        return change / self.size
+
+    def deviation(self, x: float, std: float) -> float:
+        """Standard deviation of the value, in its unit, from that of x."""
+        return self.size * std * (self.value(x) if self.positive else 1.0)
+
+
+def numbers(robot: Robot) -> tuple[Number, ...]:
+    """All numbers that are not exact, by the robot's tolerances.
+
+    Left out is what a robot does not have or what does nothing: the shape of a linear spring, numbers that are zero
+    and known in relation to that, bodies without mass.
+    """
+    found: list[Number] = []
+
+    def add(name: str, kind: str, given: float, relative_to: float | None = None):
+        tolerance = robot.tolerances.of(name)
+        if tolerance.exact or not math.isfinite(given):
+            return
+        number = _number(name, kind, given, tolerance, abs(given) if relative_to is None else relative_to)
+        if number is not None:
+            found.append(number)
+
+    bent = _bent(robot)
+    for kind in KINDS:
+        if kind in _ELEMENTS:
+            for name, vector in parameters(robot, [kind]).items():
+                values = np.asarray(vector, float)
+                for element, value, size in zip(_ELEMENTS[kind], values, relative_sizes(values, kind), strict=True):
+                    add(f"{name}.{element}", kind, float(value), float(size))
+        elif kind == "smoothing":
+            if isinstance(robot.drives.friction, Friction) and np.any(np.asarray(robot.drives.friction.coulomb)):
+                add("friction.smoothing", kind, float(robot.drives.friction.smoothing))
+        elif kind in _DRIVE:
+            for axis, name in enumerate(robot.axis_names):
+                add(f"{name}.{kind}", kind, _of_drive(robot, kind, axis), 1.0)
+        elif kind in _POSITIVE:
+            for name, value in parameters(robot, [kind]).items():
+                if not kind.startswith("stiffness_") or name.rpartition(".")[0] in bent:
+                    add(name, kind, float(value))
+    return tuple(found)
+
+
+def _number(name: str, kind: str, given: float, tolerance: Tolerance, relative_to: float) -> Number | None:
+    absolute = tolerance.std if not tolerance.relative else tolerance.std * relative_to
+    positive = kind in _POSITIVE and given > 0.0
+    if tolerance.unknown:
+        size = _UNKNOWN if positive else relative_to
+        return Number(name, kind, KINDS[kind], given, size, positive, 0.0) if size > 0 else None
+    if absolute == 0.0:
+        return None
+    size = absolute / given if positive else absolute
+    return Number(name, kind, KINDS[kind], given, size, positive, 1.0)
+
+
+def _bent(robot: Robot) -> tuple[str, ...]:
+    """Joints whose springs are not linear."""
+    if not isinstance(robot.springs, Spring):
+        return ()
+    ratio = np.asarray(robot.springs.stiffness_ratio)
+    return tuple(name for name, r in zip(robot.spring_names, ratio, strict=True) if r != 1.0)
+
+
+def _of_drive(robot: Robot, kind: str, axis: int) -> float:
+    effect, field = _DRIVE[kind]
+    return sum(
+        float(getattr(e, field)) for e in robot.effects if isinstance(e, effect) and axis_of(robot, e.joint) == axis
+    )
+
+
+def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "number"]) -> Robot:
+    """The robot with these numbers where x says; the others as they are."""
+    arrays: dict[str, np.ndarray] = {}
+    drives: list[tuple[str, str, float]] = []
+    for number, at in zip(these, x, strict=True):
+        value, joint = number.value(float(at)), number.joint
+        if number.kind in _DRIVE:
+            drives.append((number.kind, joint, value))
+        elif number.kind == "smoothing":
+            robot = eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(value))
+        else:
+            where, joints = parameter_field(robot, number.kind)
+            rows = arrays.setdefault(number.kind, np.array(where(robot), float))
+            rows[(joints.index(joint), *number.element)] = value
+    for kind, rows in arrays.items():
+        robot = eqx.tree_at(parameter_field(robot, kind)[0], robot, jnp.asarray(rows))
+    return _with_drives(robot, drives)
+
+
+def _with_drives(robot: Robot, values) -> Robot:
+    """Torque constants and delays in the place of those that the robot has; none that is nothing."""
+    kept = list(robot.effects)
+    for kind, joint, value in values:
+        effect, _ = _DRIVE[kind]
+        axis = robot.axis_names.index(joint)
+        kept = [e for e in kept if not (isinstance(e, effect) and axis_of(robot, e.joint) == axis)]
+        if kind == "torque_constant" and value != 0.0:
+            kept.append(TorqueConstant(joint, value))
+        elif kind == "delay" and value > 0.0:
+            kept.append(TorqueDelay(joint, value))
+    return eqx.tree_at(lambda r: r.effects, robot, tuple(kept), is_leaf=lambda leaf: leaf is robot.effects)

@@ -1,0 +1,29 @@
+"""What columns leave of a residual, and how lines are weighed by it."""
+
+import numpy as np
+import scipy.ndimage
+from jaxtyping import Complex, Float
+
+from ..trajectory.evidence import Evidence, Weighed
+
+_AROUND = 21  # lines over which a remainder's size is smoothed
+
+
+def remainder(evidence: Evidence, weighed: Weighed, change) -> Complex[np.ndarray, "pos exp line axis"]:
+    """Residual less the columns taken so often, N m."""
+    change = np.asarray(change, np.float32)
+    shape, left = evidence.residual.shape[1:], []
+    for part in weighed.parts:
+        rest = part[:, -1] - np.einsum("enk,n->ek", part[:, : len(change)], change)
+        half = rest.shape[1] // 2
+        left.append((rest[:, :half] + 1j * rest[:, half:]).reshape(shape) * evidence.floor)
+    return np.stack(left)
+
+
+def usual_size(left, noise) -> Float[np.ndarray, "line axis"]:
+    """rms of the real part of a remainder around every line, not below the measured noise; of the steady torque its
+    own, but not below that of its neighbours."""
+    power = 0.5 * np.mean(np.abs(left) ** 2, axis=(0, 1))
+    smooth = scipy.ndimage.uniform_filter1d(power[1:], _AROUND, axis=0, mode="nearest")
+    steady = np.maximum(2.0 * power[:1], smooth[:1])
+    return np.sqrt(np.maximum(np.concatenate([steady, smooth]), 0.5 * noise**2))

@@ -1,0 +1,146 @@
+"""A calibrated robot, and how every number of it is known."""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from .. import __version__
+from ..robot import Robot
+from ..trajectory.ripple import Order
+from .numbers import Number
+
+_TOLD = 0.9  # of the prior's variance that the data take away: less is not told by the data
+_SURE = 0.3  # in x: a number of which nothing was known before is told where its deviation is below
+_TOGETHER = 0.5  # correlation of numbers that are told in combination only
+
+
+class Round(eqx.Module):
+    """One simulation. `misfit`: mean square of the residual over the floor, without ripple; `left`: after its step;
+    `design_effect`: so many lines counted as one."""
+
+    misfit: float = eqx.field(static=True)
+    left: float = eqx.field(static=True)
+    design_effect: float = eqx.field(static=True)
+
+
+class Calibration(eqx.Module):
+    """A robot whose uncertain numbers were fitted to records.
+
+    **Fields:**
+
+    - `given`: the robot as it was given; `robot`: as it was found, with the ripple of its motors.
+    - `numbers`: that were fitted, and `x`: where, in tolerances from what was given. `covariance`: of x.
+      `half_width`: of the 95 % intervals, in x. `told`: part of each that the data tell, the rest being what was known
+      before. `dependence`: inverse of the normal matrix, in x.
+    - `orders`, `waves`: of ripple, with coefficients of sine and cosine, (order, 2), N m or rad.
+    - `rounds`: of simulation. `converged`: whether the numbers stay.
+    - `missed_before`, `missed_after`: torque that the simulated robot misses, relative, by axis. `heldout`: the same
+      two on positions that were not fitted, or `None`.
+    """
+
+    given: Robot
+    robot: Robot
+    numbers: tuple[Number, ...]
+    x: Float[np.ndarray, "number"]
+    covariance: Float[np.ndarray, "number number"]
+    half_width: Float[np.ndarray, "number"]
+    told: Float[np.ndarray, "number"]
+    dependence: Float[np.ndarray, "number number"]
+    orders: tuple[Order, ...]
+    waves: Float[np.ndarray, "order 2"]
+    rounds: tuple[Round, ...]
+    converged: bool = eqx.field(static=True)
+    missed_before: Float[np.ndarray, "axis"]
+    missed_after: Float[np.ndarray, "axis"]
+    heldout: tuple[np.ndarray, np.ndarray] | None
+    sources: tuple = eqx.field(static=True)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every number by name, in its unit."""
+        return {n.name: n.value(float(x)) for n, x in zip(self.numbers, self.x, strict=True)}
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations, in the numbers' units."""
+        spread = np.sqrt(np.diag(self.covariance))
+        return {n.name: n.deviation(float(x), float(s)) for n, x, s in zip(self.numbers, self.x, spread, strict=True)}
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """The 95 % interval of a number, in its unit."""
+        i = [n.name for n in self.numbers].index(name)
+        number, x, half = self.numbers[i], float(self.x[i]), float(self.half_width[i])
+        return number.value(x - half), number.value(x + half)
+
+    def told_by(self, name: str) -> str:
+        """ "data", "prior", or "data in combination" where the data know it only together with others."""
+        i = [n.name for n in self.numbers].index(name)
+        alone = 1.0 / np.linalg.inv(self.dependence)[i, i]  # variance of x where all others were known
+        prior = self.numbers[i].prior
+        if (prior and self.told[i] >= _TOLD) or (not prior and np.sqrt(self.covariance[i, i]) < _SURE):
+            return "data"
+        if self.partners(name) and (1.0 - alone >= _TOLD if prior else alone < _SURE**2):
+            return "data in combination"
+        return "prior" if prior else "nothing"
+
+    def partners(self, name: str) -> tuple[str, ...]:
+        """Numbers that this one is correlated with, strongest first."""
+        i = [n.name for n in self.numbers].index(name)
+        size = np.sqrt(np.diag(self.dependence))
+        rho = np.abs(self.dependence[i] / (size * size[i]))
+        return tuple(self.numbers[j].name for j in np.argsort(-rho) if j != i and rho[j] > _TOGETHER)
+
+    def lines(self) -> list[str]:
+        """A short summary, line by line."""
+        told = [n for n in self.numbers if self.told_by(n.name) == "data"]
+        text = [
+            f"{self.given.name}: {len(self.numbers)} numbers, {len(told)} of them told by the data, "
+            f"{len(self.rounds)} rounds" + ("" if self.converged else "; they do not stay yet")
+        ]
+        for number in told:
+            if number.kind in ("com", "inertia"):
+                continue
+            low, high = self.interval(number.name)
+            text.append(f"{number.name} = {self.values[number.name]:.4g} {number.unit} ({low:.4g} to {high:.4g})")
+        named = list(zip(self.given.axis_names, self.missed_before, self.missed_after, strict=True))
+        text.append("torque missed: " + ", ".join(f"{n} {100 * b:.3g} -> {100 * a:.2g} %" for n, b, a in named))
+        if self.heldout is not None:
+            pair = zip(self.given.axis_names, *self.heldout, strict=True)
+            text.append("held out: " + ", ".join(f"{n} {100 * b:.3g} -> {100 * a:.2g} %" for n, b, a in pair))
+        return text
+
+    def as_dict(self) -> dict[str, Any]:
+        """What fit.json holds."""
+        return {
+            "kind": "whole robot through the experiment",
+            "parameters": {n.name: self._entry(n) for n in self.numbers},
+            "ripple": [
+                {"joint": self.given.axis_names[o.axis], "kind": o.kind, "order": o.order, "sine": s, "cosine": c}
+                for o, (s, c) in zip(self.orders, self.waves.tolist(), strict=True)
+            ],
+            "converged": self.converged,
+            "rounds": [{"misfit": r.misfit, "left": r.left, "design_effect": r.design_effect} for r in self.rounds],
+            "torque_missed": {
+                "before": self.missed_before.tolist(),
+                "after": self.missed_after.tolist(),
+                "heldout": None if self.heldout is None else [x.tolist() for x in self.heldout],
+            },
+            "robot": self.given.name,
+            "sources": [{"name": s.name, "sha256": s.sha256} for s in self.sources],
+            "version": __version__,
+        }
+
+    def _entry(self, number: Number) -> dict[str, Any]:
+        name = number.name
+        return {
+            "value": self.values[name],
+            "std": self.std[name],
+            "unit": number.unit,
+            "start": number.given,
+            "interval95": list(self.interval(name)),
+            "told_by": self.told_by(name),
+            "with": list(self.partners(name))[:3] if self.told_by(name) == "data in combination" else [],
+            "identifiable": self.told_by(name) == "data",
+        }

@@ -1,0 +1,78 @@
+"""Rounds of a calibration that were finished, kept until its result stands."""
+
+import dataclasses
+import json
+import pathlib
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from .._files import replacing
+from ..experiment import Experiment
+from ..parts import Parts, files_text, numbers_text
+from ..robot import Robot
+from ..trajectory.ripple import Order
+from .numbers import Number
+from .result import Round
+
+PART_FILES = ("[0-9]" * 3 + ".json",)
+
+
+@dataclasses.dataclass(frozen=True)
+class Kept:
+    """A finished round: where the numbers were, the orders of ripple beside them, the floor, and what was left."""
+
+    x: np.ndarray
+    orders: tuple[Order, ...]
+    floor: np.ndarray
+    round: Round
+
+
+class Rounds:
+    """The finished rounds of these data and this robot; keeps nothing without `parts`."""
+
+    def __init__(self, parts: Parts | None, robot: Robot, these: Sequence[Number], data: Experiment, heldout):
+        self.parts, self.done = parts, []
+        if parts is None:
+            return
+        parts.begin(_about(robot, these, data, heldout), PART_FILES)
+        while (found := parts.read(_name(len(self.done)), _read)) is not None:
+            self.done.append(found)
+
+    def keep(self, round: Kept) -> None:
+        self.done.append(round)
+        if self.parts is None:
+            return
+        said = {
+            "x": round.x.tolist(),
+            "orders": [[o.kind, o.axis, o.order] for o in round.orders],
+            "floor": round.floor.tolist(),
+            "round": [round.round.misfit, round.round.left, round.round.design_effect],
+        }
+        with replacing(self.parts.path(_name(len(self.done) - 1))) as draft:
+            draft.write_text(json.dumps(said), encoding="utf-8")
+
+
+def _name(number: int) -> str:
+    return f"{number:03d}.json"
+
+
+def _read(path: pathlib.Path) -> Kept:
+    said = json.loads(path.read_text(encoding="utf-8"))
+    orders = tuple(Order(kind, int(axis), float(order)) for kind, axis, order in said["orders"])
+    return Kept(np.array(said["x"], float), orders, np.array(said["floor"], float), Round(*said["round"]))
+
+
+def _about(robot: Robot, these: Sequence[Number], data: Experiment, heldout) -> dict:
+    """What a round depends on."""
+    return {
+        "whole robot": True,
+        "data": files_text(data.sources),
+        "output": data.y_quantity,
+        "joints": [*robot.joint_names, *(f"{e.name} of {getattr(e, 'joint', '')}" for e in robot.effects)],
+        "numbers": [[n.name, n.given, n.size, n.prior] for n in these],
+        "numbers of the robot": numbers_text(*jax.tree.leaves(robot)),
+        "numbers of the data": numbers_text(*jax.tree.leaves(data)),
+        "heldout": list(heldout),
+    }

@@ -1,0 +1,271 @@
+"""Whole robots from records: columns against simulations, the step against stacked least squares, and what is found."""
+
+import functools
+
+import equinox as eqx
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+import scipy.stats
+from test_gap import FS, PERIOD, Q, small_robot
+
+import jaxfrf as jf
+from benchmarks._mujoco_records import mujoco_experiment
+from jaxfrf.calibration.columns import number_columns
+from jaxfrf.calibration.least_squares import solve
+from jaxfrf.calibration.numbers import Number, numbers, with_numbers
+from jaxfrf.robot import parameters, r3x, tolerances_from, with_parameters
+from jaxfrf.robot.regressor import link_parameters, link_regressor
+from jaxfrf.trajectory.evidence import Evidence, Gram
+from jaxfrf.trajectory.measured import measured
+
+WIDE = tolerances_from({"links": 0.05, "rotors": 0.05, "friction": 0.5, "smoothing": 0.7, "damping": 0.7}, ())
+
+
+@functools.cache
+def model():
+    """The small robot with a bent spring, of which nothing is known well."""
+    robot = with_parameters(small_robot(), {"elbow.stiffness_ratio": 0.7, "elbow.stiffness_knee": 1e-3})
+    return robot.with_tolerances(WIDE)
+
+
+@functools.cache
+def machine(seed: int = 0):
+    """As built: every number is off by what a data sheet is."""
+    rng, values = np.random.default_rng([seed, 12]), {}
+    off = {
+        "stiffness": 0.2,
+        "damping": 0.4,
+        "viscous_friction": 0.3,
+        "coulomb_friction": 0.3,
+        "motor_inertia": 0.03,
+        "mass": 0.05,
+        "com": 0.05,
+        "inertia": 0.05,
+        "stiffness_ratio": 0.2,
+        "stiffness_knee": 0.2,
+    }
+    for kind, part in off.items():
+        for name, value in parameters(model(), [kind]).items():
+            if kind.startswith("stiffness_") and name.startswith("shoulder"):
+                continue
+            values[name] = value * (1.0 + rng.uniform(-part, part))
+    return with_parameters(model(), values)
+
+
+def design(seed: int):
+    slow = jf.SlowSine([3, 5], [30.0, 30.0])
+    return jf.Multisine(FS, PERIOD, np.arange(17, 240, 2), rms=[2.0, 3.0], slow=slow, seed=seed)
+
+
+@functools.cache
+def played(seed: int = 0):
+    q = np.concatenate([Q, Q[:, ::-1] + 0.2])
+    return mujoco_experiment(machine(seed), design(seed), q, seed=seed, run_in=3.0, noise=2e-5, ripple=None)
+
+
+# --- numbers
+
+
+def test_numbers_are_those_that_are_not_exact():
+    names = [n.name for n in numbers(model())]
+    assert "elbow.stiffness_knee" in names and "shoulder.stiffness_knee" not in names
+    assert {"shoulder.mass", "elbow.com.z", "elbow.inertia.yz", "friction.smoothing"} <= set(names)
+    assert "shoulder.delay" not in names and "shoulder.torque_constant" in names
+    assert len(set(names)) == len(names)
+    exact = model().with_tolerances(tolerances_from({"all": 0, "damping": 0.5}, ()))
+    assert [n.name for n in numbers(exact)] == ["shoulder.damping", "elbow.damping"]
+
+
+def test_numbers_go_there_and_back():
+    robot, these = model(), numbers(model())
+    x = np.random.default_rng(0).standard_normal(len(these)) * 0.5
+    moved = with_numbers(robot, these, x)
+    there = {n.name: n for n in numbers(moved)}
+    for number, at in zip(these, x, strict=True):
+        assert there[number.name].given == pytest.approx(number.value(at), rel=1e-12, abs=1e-15)
+        assert number.coordinate(number.value(at)) == pytest.approx(at)
+    back = with_numbers(moved, these, np.zeros(len(these)))
+    for kind in ("mass", "com", "inertia", "stiffness", "coulomb_friction"):
+        for name, value in parameters(robot, [kind]).items():
+            np.testing.assert_allclose(parameters(back, [kind])[name], value, rtol=1e-12)
+    assert not back.effects
+
+
+def test_what_nothing_is_known_of_costs_nothing():
+    robot = model().with_tolerances(tolerances_from({"stiffness": "unknown", "elbow.mass": "0.4 kg"}, robot_names()))
+    these = {n.name: n for n in numbers(robot)}
+    assert these["elbow.stiffness"].prior == 0.0
+    assert these["elbow.mass"].size == pytest.approx(0.4 / 10.0)
+
+
+def robot_names():
+    return model().joint_names
+
+
+# --- the links' regressor
+
+
+def test_regressor_against_the_dynamics():
+    """Torques of the chain's own mass matrix and bias, of a robot with joints about every axis."""
+    chain = r3x().chain
+    rng = np.random.default_rng(1)
+    q, v, a = rng.uniform(-2, 2, (3, chain.n_joints, 5))
+    Y = link_regressor(chain, q, v, a)
+    pi = np.stack([link_parameters(*rows) for rows in zip(chain.mass, chain.com, chain.inertia, strict=True)])
+    M, bias = jf.robot.chain.mass_and_bias(chain, jnp.asarray(q.T), jnp.asarray(v.T))
+    wanted = np.einsum("tij,jt->it", np.asarray(M), a) + np.asarray(bias).T
+    np.testing.assert_allclose(np.einsum("ijpt,jp->it", Y, pi), wanted, rtol=1e-9, atol=1e-9)
+
+
+# --- columns
+
+
+@pytest.mark.slow
+def test_columns_against_simulations():
+    """A column is the change of the residual between two simulated robots."""
+    robot = eqx.tree_at(lambda r: r.tolerances, model(), WIDE, is_leaf=lambda x: x is model().tolerances)
+    these = numbers(robot)
+    record = measured(jf.simulate(robot, design(0), Q[:1], key=jr.key(0), run_in=3.0, noise=0.0))
+    x = np.zeros(len(these))
+    scene = Evidence(robot, record).scenes[0]
+    for i, (number, column) in enumerate(zip(these, number_columns(robot, these, x), strict=True)):
+        h = 0.02 / number.size if number.positive else 0.1
+        sides = []
+        for sign in (1.0, -1.0):
+            moved = x.copy()
+            moved[i] = sign * h
+            sides.append(Evidence(with_numbers(robot, these, moved), record).residual[0])
+        wanted = -(sides[0] - sides[1]) / (2 * h)
+        assert np.linalg.norm(column(scene) - wanted) < 0.05 * np.linalg.norm(wanted), number.name
+
+
+# --- the step
+
+
+def products(J, r, position):
+    A = np.einsum("rnk,rnl->rkl", J, J)
+    return Gram(A, np.einsum("rnk,rn->rk", J, r), np.einsum("rn,rn->r", r, r), position, J.shape[1])
+
+
+def plain(prior, count):
+    return [Number(f"n{i}.mass", "mass", "kg", 0.0, 1.0, False, p) for i, p in zip(range(count), prior, strict=True)]
+
+
+def test_the_step_against_stacked_least_squares():
+    rng = np.random.default_rng(3)
+    J, r = rng.standard_normal((6, 50, 4)), rng.standard_normal((6, 50))
+    x = np.array([0.3, -0.2])
+    found = solve(products(J, r, np.arange(6)), plain([1.0, 0.0], 2), x)
+    weight = found.effect**-0.5
+    rows = np.concatenate([J.reshape(-1, 4) * weight, [[1.0, 0, 0, 0]]])
+    wanted = np.linalg.lstsq(rows, np.append(r.reshape(-1) * weight, -x[0]), rcond=None)[0]
+    np.testing.assert_allclose(found.change, wanted, atol=1e-7)
+
+
+def test_intervals_hold_where_errors_repeat_from_line_to_line():
+    """Errors that are the same in all lines of a position: 50 lines tell no more than one. And a number that only the
+    prior knows keeps the prior's interval."""
+    rng, held, pulled = np.random.default_rng(5), [], []
+    for _ in range(300):
+        truth = np.array([rng.standard_normal(), rng.standard_normal()])
+        J = np.ones((8, 50, 2)) * np.array([1.0, 1e-6])
+        J[:, :, 0] += 0.3 * rng.standard_normal((8, 1))
+        r = J @ truth + 0.5 * rng.standard_normal((8, 1)) + 0.05 * rng.standard_normal((8, 50))
+        found = solve(products(J, r, np.arange(8)), plain([1.0, 1.0], 2), np.zeros(2))
+        half = found.half_width()
+        held.append(abs(found.change[0] - truth[0]) < half[0])
+        pulled.append(abs(found.change[1] - truth[1]) < half[1])
+        assert found.told[0] > 0.9 and found.told[1] < 0.01
+    for hits in (held, pulled):
+        low, high = scipy.stats.binomtest(sum(hits), len(hits)).proportion_ci(0.99)
+        assert low < 0.95 < high or np.mean(hits) > 0.95
+
+
+# --- the whole
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_machine_that_is_off_everywhere():
+    """MuJoCo's records of a machine with springs 20 %, dampers 40 %, friction 30 % and links 5 % off."""
+    found = jf.calibrate(model(), played(), heldout=[3])
+    assert found.converged
+    truth = {n.name: n.given for n in numbers(machine().with_tolerances(WIDE))}
+    for kind, limit in {"stiffness": 0.02, "coulomb_friction": 0.03, "damping": 0.1}.items():
+        for name in (n for n in truth if n.endswith(f".{kind}")):
+            assert found.values[name] == pytest.approx(truth[name], rel=limit), name
+    told = [n for n in truth if n != "friction.smoothing" and found.told_by(n) == "data"]
+    hits = [low <= truth[n] <= high for n in told for low, high in [found.interval(n)]]
+    assert len(told) >= 8 and np.mean(hits) >= 0.7
+    before, after = found.heldout
+    assert np.all(after < 0.2 * before)
+
+
+def test_what_cannot_be_calibrated():
+    data = jf.simulate(small_robot(), design(0), Q[:1], key=jr.key(0), run_in=0.5)
+    exact = small_robot().with_tolerances(tolerances_from({"all": 0}, ()))
+    with pytest.raises(jf.InputError, match="0 for every number"):
+        jf.calibrate(exact, data)
+    with pytest.raises(jf.InputError, match="no reference"):
+        jf.calibrate(small_robot(), eqx.tree_at(lambda d: d.r, data, None))
+    with pytest.raises(jf.InputError, match="positions \\[4\\] of 1"):
+        jf.calibrate(small_robot(), data, heldout=[4])
+
+
+# --- the command
+
+
+@pytest.fixture(scope="module")
+def commanded(tmp_path_factory):
+    """`jaxfrf identify` on a record of the project's own simulator, stopped after two rounds and resumed."""
+    from jaxfrf.__main__ import main
+
+    out = tmp_path_factory.mktemp("whole")
+    data = jf.simulate(machine(), design(1), Q[:3], key=jr.key(2), run_in=3.0, noise=2e-5)
+    jf.io.write(out / "run.npz", data)
+    jf.io.write_robot(model(), out / "robot.toml")
+    command = ["identify", str(out / "run.npz"), "--robot", str(out / "robot.toml"), "-o", str(out / "fit.json")]
+    more = ["--report", str(out / "fit.html"), "--robot-out", str(out / "found.toml"), "--tolerance", "links=0.04"]
+    assert main([*command, *more, "--rounds", "6"]) == 0
+    return out
+
+
+def test_the_command_fits_the_whole_robot(commanded):
+    found = jf.io.read_fit(commanded / "fit.json")
+    assert found["kind"].startswith("whole robot")
+    truth = {n.name: n.given for n in numbers(machine())}
+    for name in (
+        "shoulder.stiffness",
+        "elbow.stiffness",
+        "shoulder.damping",
+        "elbow.damping",
+        "elbow.coulomb_friction",
+    ):
+        entry = found["parameters"][name]
+        assert entry["value"] == pytest.approx(truth[name], rel=0.05), name
+        assert entry["interval95"][0] < entry["value"] < entry["interval95"][1]
+        assert entry["told_by"] == "data" and entry["start"] != truth[name]
+    assert np.all(np.array(found["torque_missed"]["after"]) < 0.2 * np.array(found["torque_missed"]["before"]))
+    robot = jf.io.read_robot(commanded / "found.toml")
+    stiffness = float(parameters(robot)["elbow.stiffness"])
+    assert stiffness == pytest.approx(found["parameters"]["elbow.stiffness"]["value"])
+    assert robot.tolerances.of("elbow.mass").std == 0.04
+
+
+def test_the_page_shows_every_number(commanded):
+    page, found = (commanded / "fit.html").read_text(), jf.io.read_fit(commanded / "fit.json")
+    for name in found["parameters"]:
+        assert name in page
+    assert "<img" in page and 'src="http' not in page
+
+
+def test_springs_have_options_of_their_own(commanded, capsys):
+    from jaxfrf.__main__ import main
+
+    files = [str(commanded / "run.npz"), "--robot", str(commanded / "robot.toml"), "-o", str(commanded / "no.json")]
+    assert main(["identify", *files, "--starts", "3"]) == 2
+    assert "--starts: found the whole robot to be fitted; expected --springs" in capsys.readouterr().err
+    assert main(["identify", *files, "--tolerance", "lnks=3"]) == 2
+    assert "Did you mean 'links'?" in capsys.readouterr().err
