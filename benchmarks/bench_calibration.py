@@ -3,16 +3,16 @@
     python benchmarks/bench_calibration.py -o calibration [--robots r3x small light] [--seeds 0 1 2 3 4]
         [--experiments 6 1] [--without-springs]
 
-A machine is a robot as its file says; what the calibration is given is off from it, uniformly: stiffness and the springs'
-knee and ratio by up to 20 %, damping 40 %, friction 30 %, rotors 3 %, masses, centres and inertias 5 %. Records are MuJoCo's
-(another integrator, another friction law: `_mujoco_records.py`), with noise and ripple. The robots' tolerances are the
-defaults of `jaxfrf.robot.tolerances`, nothing that the records were drawn from.
+A machine is a robot as its file says; what the calibration is given is off from it, uniformly: stiffness and the
+springs' knee and ratio by up to 20 %, damping 40 %, friction 30 %, rotors 3 %, masses, centres and inertias 5 %.
+Records are MuJoCo's (another integrator, another friction law: `_mujoco_records.py`), with noise and ripple. The
+robots' tolerances are the defaults of `jaxfrf.robot.tolerances`, nothing that the records were drawn from.
 
     r3x    6 axes, 2 kHz, 7 random positions, 8 s, seeds 100 and more were tuned on
     small  2 axes, 1 kHz, 7 random positions, 4 s: never tuned on
-    light  7 axes, 1 kHz, harmonic drives, PI speed loop without feedforward, 8 random positions, 6 s: never tuned on
+    light  7 axes, 1 kHz, ratios of 100 and 160, slower loops, 8 random positions, 6 s: never tuned on
 
-Beside it, on the same records of r3x: the fit of springs and dampers through the experiment, which takes the rest as exact.
+Beside it, on the same records of r3x: the fit of springs and dampers through the experiment, the rest taken as exact.
 Finished entries are kept in OUTPUT/found.json, so that an interrupted run goes on; tables are printed at the end.
 """
 
@@ -177,8 +177,9 @@ def report(done: dict) -> None:
         held, after = sum(r["held"] for r in told), np.concatenate([e["missed"]["after"] for e in entries])
         low, high = scipy.stats.binomtest(held, len(told)).proportion_ci(method="exact")
         print(f"{group:8}95 % intervals of what the data tell: {held} of {len(told)} hold ({low:.1%} to {high:.1%})")
-        print(f"{group:8}torque missed {100 * np.median(after):.2f} % (largest {100 * max(after):.2f} %), "
-              f"{np.median([e['seconds'] for e in entries]):.0f} s, {np.median([e['rounds'] for e in entries]):.0f} rounds")  # fmt: skip
+        print(f"{group:8}torque missed {100 * np.median(after):.2f} % (largest {100 * max(after):.2f} %)")
+        seconds, rounds = (np.median([e[name] for e in entries]) for name in ("seconds", "rounds"))
+        print(f"{group:8}{seconds:.0f} s, {rounds:.0f} rounds (medians)")
     rows = [v for k, v in done.items() if k.startswith("springs")]
     for kind in ("stiffness", "damping") if rows else ():
         means = [100 * np.mean([x for n, x in r.items() if n.endswith(kind)]) for r in rows]
