@@ -164,10 +164,10 @@ def report(done: dict) -> None:
     print(f"\n{'':24}{'mean error, % (range over seeds)':>40}{'largest, %':>14}")
     for group in sorted({key.rpartition(" ")[0] for key in done if not key.startswith("springs")}):
         entries = [v for k, v in done.items() if k.rpartition(" ")[0] == group]
-        for kind in (*OFF, "payload"):
+        for kind in (*(k for k in OFF if k not in ("com", "inertia")), "payload"):
             rows = [[_error(r) for n, r in e["numbers"].items() if _is(kind, n, r, e)] for e in entries]
             rows = [r for r in rows if r]
-            if kind in ("com", "inertia") or not rows:
+            if not rows:
                 continue
             means = [100 * np.mean(r) for r in rows]
             spread = f"{np.median(means):.2f} ({min(means):.2f}-{max(means):.2f})"

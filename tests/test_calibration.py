@@ -208,7 +208,7 @@ def test_what_cannot_be_calibrated():
     exact = small_robot().with_tolerances(tolerances_from({"all": 0}, ()))
     with pytest.raises(jf.InputError, match="0 for every number"):
         jf.calibrate(exact, data)
-    with pytest.raises(jf.InputError, match="no reference"):
+    with pytest.raises(jf.InputError, match="a record that cannot be played"):
         jf.calibrate(small_robot(), eqx.tree_at(lambda d: d.r, data, None))
     with pytest.raises(jf.InputError, match="positions \\[4\\] of 1"):
         jf.calibrate(small_robot(), data, heldout=[4])

@@ -16,6 +16,7 @@ from ..trajectory.evidence import Evidence, Weighed, refloored, weigh
 from ..trajectory.measured import Measured, measured
 from ..trajectory.ripple import Order
 from .columns import number_columns
+from .from_motion import calibrate_from_motion, check_rigid
 from .least_squares import Posterior, solve
 from .numbers import Number, numbers, with_numbers
 from .remainder import remainder, usual_size
@@ -55,15 +56,20 @@ def calibrate(
     *,
     heldout: Sequence[int] = (),
     rounds: int = 12,
+    cutoff: float | None = None,
     parts: Parts | None = None,
     say: Say | None = None,
 ) -> Calibration:
-    """Fit everything that is not exactly known of a robot to periodic records.
+    """Fit everything that is not exactly known of a robot to records.
 
-    The robot plays the references of the record; what its motors give less than measured, at every line from the
-    steady torque to the highest excited one, is explained by its numbers and by ripple, to first order along the
-    simulated motion, with the robot's tolerances as what is known before. The robot so found is simulated again, until
-    it stays: Gauss-Newton on the maximum a posteriori, lines weighed by what the model leaves around them.
+    **A robot with rigid transmissions**, from any motion, periodic or not: the torque that it needs for the measured
+    motion, filtered and thinned as the measured one. No reference and no controller are needed.
+
+    **Any other robot**, from periodic records: the robot plays the references of the record; what its motors give less
+    than measured, at every line from the steady torque to the highest excited one, is explained by its numbers and by
+    ripple, to first order along the simulated motion, with the robot's tolerances as what is known before. The robot so
+    found is simulated again, until it stays: Gauss-Newton on the maximum a posteriori, lines weighed by what the model
+    leaves around them.
 
     Intervals come from the scatter between positions (between runs, where there are less than three), so that errors
     of the model which repeat from line to line count, and from the tolerances. **Biased** where the robot lacks an
@@ -75,6 +81,7 @@ def calibrate(
     - `data`: periodic records with references and arm configurations.
     - `heldout`: numbers of positions, from 0, that are not fitted, and on which the result is judged.
     - `rounds`: of simulation, at most.
+    - `cutoff`: of the motion's filter, Hz, of a robot with rigid transmissions.
     - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`), so that an interrupted run goes on where it was.
     - `say`: called with a line of progress.
 
@@ -82,6 +89,8 @@ def calibrate(
     as given cannot be simulated.
     """
     require_x64("calibrate")
+    if not robot.n_motors and not robot.n_elastic:
+        return calibrate_from_motion(robot, data, heldout, 4 * rounds, cutoff, say or (lambda text: None))
     _check(robot, data)
     these = numbers(robot)
     if not these:
@@ -96,15 +105,8 @@ def calibrate(
 
 
 def _check(robot: Robot, data: Experiment) -> None:
-    for what, there in (("reference", data.r is not None), ("period", bool(data.period)), ("q", data.q is not None)):
-        if not there:
-            raise input_error(
-                "record", f"no {what}", "a periodic record with its reference and arm configurations", "Add it."
-            )
-    if robot.controller is None:
-        raise input_error(
-            f"{robot.name}: controller", "none", "a [controller] table", "Without it the experiment cannot be played."
-        )
+    if data.r is None or not data.period or data.q is None or robot.controller is None:
+        check_rigid(robot)
     check_fit(robot, data.fs, data.r.shape[3], "record")
 
 
@@ -167,7 +169,7 @@ class _Search:
         if more:
             orders, weighed = with_found_orders(evidence, weighed, orders, posterior.change)
             posterior = solve(weighed.gram, self.these, x)
-        misfit = _misfit(evidence, weighed, len(self.these))
+        misfit = _misfit(evidence, weighed, np.arange(len(self.these), weighed.gram.b.shape[1]))
         for _ in range(_REWEIGHED):
             left = remainder(evidence, weighed, posterior.change)
             floor = usual_size(left, evidence.noise)
@@ -180,9 +182,10 @@ class _Search:
 
     def further(self, look: Look, more: bool) -> Look | None:
         """The next robot, by a step that is short enough to leave less."""
-        orders = tuple(
-            o for o, is_sure in zip(look.orders, sure_orders(look.orders, look.posterior), strict=True) if is_sure
-        )
+        sure, count = sure_orders(look.orders, look.posterior), len(self.these)
+        orders = tuple(o for o, is_sure in zip(look.orders, sure, strict=True) if is_sure)
+        # Orders that go take nothing away any more: what they took is no reason to refuse a step.
+        before = _misfit(look.evidence, look.weighed, count + np.flatnonzero(np.repeat(sure, 2)))
         step = look.posterior.change[: len(self.these)]
         longest = max((abs(n.size * s) for n, s in zip(self.these, step, strict=True) if n.positive), default=0.0)
         part = min(1.0, _LONGEST / longest) if longest > 0 else 1.0
@@ -192,7 +195,7 @@ class _Search:
             except InputError as error:
                 self.say(f"a step too far: {error}")
             else:
-                if found.misfit < _WORSE * look.misfit or part * longest < 0.02:
+                if found.misfit < _WORSE * before or part * longest < 0.02:
                     return found
             part /= 2
         return None
@@ -211,14 +214,14 @@ def _square(z) -> float:
     return 0.5 * float(np.mean(np.abs(z) ** 2))
 
 
-def _misfit(evidence: Evidence, weighed: Weighed, count: int) -> float:
-    """Of the robot as it was simulated, ripple taken away; over the plain floor."""
+def _misfit(evidence: Evidence, weighed: Weighed, ripple) -> float:
+    """Of the robot as it was simulated, what these columns explain taken away; over the plain floor."""
     gram = weighed.gram
-    A, b = gram.A.sum(axis=0)[count:, count:], gram.b.sum(axis=0)[count:]
+    A, b = gram.A.sum(axis=0)[np.ix_(ripple, ripple)], gram.b.sum(axis=0)[ripple]
     change = np.zeros(gram.b.shape[1])
     if len(b):
         size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-        change[count:] = np.linalg.lstsq(A / np.outer(size, size), b / size, rcond=1e-7)[0] / size
+        change[ripple] = np.linalg.lstsq(A / np.outer(size, size), b / size, rcond=1e-7)[0] / size
     return _square(remainder(evidence, weighed, change) / evidence.plain)
 
 

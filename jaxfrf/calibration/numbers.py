@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..effects import TorqueConstant, TorqueDelay
+from ..effects import FrictionAsymmetry, TorqueConstant, TorqueDelay
 from ..effects._place import axis_of
 from ..robot import Robot, parameters
 from ..robot.drive import Friction, Spring
@@ -28,7 +28,11 @@ _POSITIVE = (
     "smoothing",
     "mass",
 )
-_DRIVE = {"torque_constant": (TorqueConstant, "error"), "delay": (TorqueDelay, "delay")}
+_DRIVE = {
+    "torque_constant": (TorqueConstant, "error"),
+    "delay": (TorqueDelay, "delay"),
+    "torque_offset": (FrictionAsymmetry, "offset"),
+}
 
 
 class Number(eqx.Module):
@@ -70,8 +74,10 @@ class Number(eqx.Module):
         return self.size * std * (self.value(x) if self.positive else 1.0)
 
 
-def numbers(robot: Robot) -> tuple[Number, ...]:
+def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) -> tuple[Number, ...]:
     """All numbers that are not exact, by the robot's tolerances.
+
+    `offset_size`: of the coordinates of the motors' torque offsets, N m; `None`: there are none.
 
     Left out is what a robot does not have or what does nothing: the shape of a linear spring, numbers that are zero
     and known in relation to that, bodies without mass.
@@ -96,6 +102,9 @@ def numbers(robot: Robot) -> tuple[Number, ...]:
         elif kind == "smoothing":
             if isinstance(robot.drives.friction, Friction) and np.any(np.asarray(robot.drives.friction.coulomb)):
                 add("friction.smoothing", kind, float(robot.drives.friction.smoothing))
+        elif kind == "torque_offset":
+            for axis, name in enumerate(robot.axis_names if offset_size is not None else ()):
+                add(f"{name}.{kind}", kind, _of_drive(robot, kind, axis), float(offset_size[axis]))
         elif kind in _DRIVE:
             for axis, name in enumerate(robot.axis_names):
                 add(f"{name}.{kind}", kind, _of_drive(robot, kind, axis), 1.0)
@@ -158,9 +167,13 @@ def _with_drives(robot: Robot, values) -> Robot:
     for kind, joint, value in values:
         effect, _ = _DRIVE[kind]
         axis = robot.axis_names.index(joint)
-        kept = [e for e in kept if not (isinstance(e, effect) and axis_of(robot, e.joint) == axis)]
+        had = [e for e in kept if isinstance(e, effect) and axis_of(robot, e.joint) == axis]
+        kept = [e for e in kept if not any(e is other for other in had)]
         if kind == "torque_constant" and value != 0.0:
             kept.append(TorqueConstant(joint, value))
         elif kind == "delay" and value > 0.0:
             kept.append(TorqueDelay(joint, value))
+        elif kind == "torque_offset" and value != 0.0:
+            level = sum(float(e.level) for e in had if isinstance(e, FrictionAsymmetry))
+            kept.append(FrictionAsymmetry(joint, value, level))
     return eqx.tree_at(lambda r: r.effects, robot, tuple(kept), is_leaf=lambda leaf: leaf is robot.effects)

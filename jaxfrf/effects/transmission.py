@@ -186,7 +186,9 @@ class WristCoupling(AbstractGearCoupling):
     In data: the off-diagonal elements of G between the two axes, at all frequencies and positions. In the linearised
     robot: exactly.
 
-    **Raises:** (in `with_effects`) `jaxfrf.InputError` on the first axis, and on a rigid transmission.
+    On a rigid transmission it is used where torques are compared along a measured motion; simulations refuse it.
+
+    **Raises:** (in `with_effects`) `jaxfrf.InputError` on the first axis.
     """
 
     name: ClassVar = "wrist_coupling"
@@ -203,7 +205,6 @@ class WristCoupling(AbstractGearCoupling):
         return cls(joint, 0.02)
 
     def check(self, robot):
-        super().check(robot)
         if axis_of(robot, self.joint) == 0:
             raise input_error(
                 f"wrist_coupling on {robot.name}",

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from .._errors import input_error
 from ..experiment import Experiment
-from .torque_motion import smooth
+from ..trajectory.rigid_motion import smooth
 from .torque_result import Value
 from .torque_score import block_length, covariance, family_wise, numbered, projector, score
 

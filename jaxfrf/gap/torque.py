@@ -15,11 +15,11 @@ from .._errors import input_error
 from ..effects import library
 from ..experiment import Experiment
 from ..robot import PARAMETER_UNITS, Robot, parameters
+from ..trajectory.rigid_motion import COMPARED, chosen_cutoff, measured_motions
 from .torque_candidates import Candidate, candidates
 from .torque_evidence import Evidence, Fitted, State, gathered
 from .torque_floor import unpredictable
 from .torque_model import check_rigid
-from .torque_motion import COMPARED, chosen_cutoff, measured_motions
 from .torque_result import NamedEffect, TorqueDiagnosis, TorqueGap, Value
 from .torque_score import covariance
 from .torque_search import LEVEL, Search, search

@@ -7,9 +7,9 @@ import numpy as np
 
 from ..experiment import Experiment
 from ..robot import Robot, parameters
+from ..trajectory.rigid_motion import COMPARED, Motion, measured_motions, thinned
 from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
 from .torque_model import needed_torque
-from .torque_motion import COMPARED, Motion, measured_motions, thinned
 from .torque_result import TorqueDiagnosis, Value
 
 _BANDS = 6

@@ -5,10 +5,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ..robot import Robot, parameters, with_parameters
+from ..trajectory.rigid_motion import Motion, thinned
 from .torque_candidates import Candidate
 from .torque_floor import unpredictable
 from .torque_model import added_torque, needed_torque, torque_slopes
-from .torque_motion import Motion, thinned
 from .torque_score import block_length, numbered
 
 _STRETCHES = 8  # at least, that selection holds out in turn

@@ -20,7 +20,7 @@ from ..effects import (
 )
 from ..effects._place import axis_of
 from ..robot import Robot, arm_inertia_and_bias, with_parameters
-from .torque_motion import Motion, smooth
+from ..trajectory.rigid_motion import Motion, smooth
 
 Torque = Float[np.ndarray, "time axis"]
 

@@ -148,9 +148,12 @@ class Drives(eqx.Module):
     - `motor_inertia`: (axis,), kg m^2. `gear_ratio`: motor turns per joint turn, (axis,).
     - `torque_limit`: of the motor, (axis,), N m; `inf` where there is none.
     - `friction`: of the motors.
+    - `zero`: readings of the motors in a log, (axis,), rad, where the joints' angles are zero; `None`: zero. Used where
+      a log's motor angles are turned into the arm's.
     """
 
     motor_inertia: Float[Array, "axis"]
     gear_ratio: Float[Array, "axis"]
     torque_limit: Float[Array, "axis"]
     friction: AbstractFriction
+    zero: Float[Array, "axis"] | None = None

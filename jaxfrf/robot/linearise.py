@@ -12,11 +12,13 @@ from .._types import Array
 from ..effects import (
     AbstractActuator,
     AbstractFriction,
+    AbstractGearCoupling,
     AbstractGearError,
     AbstractGearTorque,
     AbstractMotorTorque,
     AbstractSensor,
 )
+from ..effects._place import spring_of
 from ..effects.acting import Group, groups
 from .chain import gravity_forces
 from .drive import ViscousFriction, effective_friction
@@ -94,10 +96,17 @@ def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> Op
 
     **Arguments:** `arm_angles`: q_a, (*batch, axis), rad.
     """
+    _check_coupling(robot)
     arm_angles = jnp.asarray(arm_angles)
     if arm_angles.shape[-1:] != (robot.n_axes,):
         raise ValueError(f"arm_angles have shape {arm_angles.shape}; expected (*batch, {robot.n_axes}).")
     return _operating_point(_at_rest(robot), arm_angles)
+
+
+def _check_coupling(robot: Robot) -> None:
+    for effect in robot.effects:
+        if isinstance(effect, AbstractGearCoupling):
+            spring_of(robot, effect.joint)
 
 
 def _at_rest(robot: Robot) -> Robot:

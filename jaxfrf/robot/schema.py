@@ -32,6 +32,7 @@ _DRIVE_KEYS = (
     "coulomb_friction",
     "torque_limit",
     "velocity_gain",
+    "zero",
 )
 _CONTROLLER_KEYS = ("position_gain", "integral_time", "velocity_gain", "feedforward")
 
@@ -274,6 +275,7 @@ def _drives(top: _Table, joints: list[_Table]) -> Drives:
             coulomb=column("coulomb_friction", 0.0, nonnegative=True),
             smoothing=jnp.asarray(smoothing, float),
         ),
+        zero=column("zero", 0.0) if any("zero" in joint for joint in joints) else None,
     )
 
 
@@ -341,6 +343,8 @@ def _drive_table(robot: Robot, axis: int) -> dict[str, Any]:
         "coulomb_friction": _plain(drives.friction.coulomb[axis]),
         "torque_limit": _plain(drives.torque_limit[axis]),
     }
+    if drives.zero is not None:
+        table["zero"] = _plain(drives.zero[axis])
     if robot.controller is not None:
         table["velocity_gain"] = _plain(robot.controller.velocity_gain[axis])
     return table

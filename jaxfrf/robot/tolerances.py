@@ -24,6 +24,7 @@ KINDS: dict[str, str] = {
     "inertia": "kg m^2",
     "torque_constant": "1",
     "delay": "s",
+    "torque_offset": "N m",
     "torque_ripple": "N m",
     "resolver_ripple": "rad",
 }
@@ -88,6 +89,7 @@ DEFAULTS: dict[str, Tolerance] = {
     "inertia": Tolerance(0.05),
     "torque_constant": Tolerance(0.03, relative=False),
     "delay": Tolerance(0.0, relative=False),
+    "torque_offset": Tolerance(math.inf, relative=False),
     "torque_ripple": Tolerance(math.inf, relative=False),
     "resolver_ripple": Tolerance(math.inf, relative=False),
 }

@@ -1,0 +1,234 @@
+"""Robots with rigid transmissions from any motion: the torque that it needs, as a function of all uncertain numbers."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from .._errors import input_error
+from ..experiment import Experiment
+from ..robot import Robot
+from ..robot.regressor import PER_LINK, link_parameters, link_regressor
+from ..robot.robot import gear_coupling
+from ..trajectory.evidence import Gram
+from ..trajectory.rigid_motion import Motion, chosen_cutoff, measured_motions, thinned
+from .least_squares import Posterior, solve
+from .numbers import Number, numbers, with_numbers
+from .result import Calibration, Round
+
+_OF_LINKS = ("mass", "com", "inertia")
+_BLOCKS = 20  # of all records together, at least two of each: what their scatter is seen from
+_LONGEST = 0.7  # of a logarithm, in one step
+_STAYS = 0.05  # of its standard deviation that every number moves less
+_GONE = 1e-5  # of the largest friction: a friction that the records do not show at all
+_STEP = 1e-4
+
+
+class Rows(eqx.Module):
+    """One record, filtered and thinned.
+
+    **Fields:** `links`: torque of every motor for each parameter of every link, (row, axis, link parameter);
+    `acceleration`, `torque`: (row, axis), motor side; `motion`: every sample, for what is not linear in it.
+    """
+
+    links: Float[np.ndarray, "row axis parameter"]
+    speed: Float[np.ndarray, "row axis"]
+    acceleration: Float[np.ndarray, "row axis"]
+    torque: Float[np.ndarray, "row axis"]
+    motion: Motion
+
+
+def check_rigid(robot: Robot) -> None:
+    """Refuse a robot whose arm moves otherwise than its motors do."""
+    if robot.n_motors or robot.n_elastic:
+        raise input_error(
+            f"transmissions of {robot.name}",
+            f"springs at {', '.join(robot.spring_names)}, and a record that cannot be played",
+            "a periodic record with its reference, q and a controller, or rigid transmissions (stiffness = inf)",
+            "Add what is missing, or set the transmissions rigid for a look at the slow motion.",
+        )
+
+
+def calibrate_from_motion(
+    robot: Robot, data: Experiment, heldout: Sequence[int], rounds: int, cutoff: float | None, say
+) -> Calibration:
+    """As `calibrate`, for a robot with rigid transmissions: the torque of the measured motion against the measured one.
+
+    Both sides go through the same filters, so that these bias neither (Gautier, Janot & Vandanjon, IEEE Trans. Control
+    Syst. Technol. 21, 2013). Every motor's torque may have an offset. Intervals come from the scatter of stretches of
+    the records.
+    """
+    check_rigid(robot)
+    cutoff = chosen_cutoff(data) if cutoff is None else float(cutoff)
+    these = numbers(robot, offset_size=0.05 * np.abs(np.asarray(data.u)).max(axis=(0, 1, 2)))
+    rows = [_rows(robot, motion) for motion in measured_motions(robot, data, cutoff)]
+    held = np.isin(np.repeat(np.arange(data.n_pos), data.n_exp), list(heldout))
+    fitted = [r for r, h in zip(rows, held, strict=True) if not h]
+    judged = [r for r, h in zip(rows, held, strict=True) if h]
+    if not fitted:
+        raise input_error("heldout", "every position", "one left to fit", "Hold fewer back.")
+    x, scale = np.zeros(len(these)), np.sqrt(_by_axis(fitted, lambda r: r.torque))
+    done: list[Round] = []
+    converged = False
+    while len(done) < rounds and not converged:
+        left = [r.torque - needed(robot, these, x, r) for r in fitted]
+        gram = _gram(robot, these, x, fitted, left, scale)
+        posterior = solve(gram, these, x)
+        step = posterior.change
+        longest = max((abs(n.size * s) for n, s in zip(these, step, strict=True) if n.positive), default=0.0)
+        part = min(1.0, _LONGEST / longest) if longest > 0 else 1.0
+        std = np.sqrt(np.diag(posterior.covariance))
+        converged = bool(np.all(np.abs(step) < _STAYS * std))
+        before = _square(left, scale)
+        x = x + part * step
+        left = [r.torque - needed(robot, these, x, r) for r in fitted]
+        scale = np.sqrt(_mean_square(left))
+        done.append(Round(before, _square(left, scale), posterior.effect))
+        say(f"round {len(done)}: torque missed {100 * _all(fitted, left):.3g} %")
+    return _result(robot, these, x, posterior, done, converged, fitted, judged, data)
+
+
+def _rows(robot: Robot, motion: Motion) -> Rows:
+    gear = np.asarray(robot.drives.gear_ratio, float)
+    out = _unmixed(robot) / gear  # arm = out @ motor
+    zero = 0.0 if robot.drives.zero is None else np.asarray(robot.drives.zero)
+    joints = np.zeros((3, robot.chain.n_joints, len(motion.angle)))
+    driven = np.array(robot.driven_joints)
+    for k, signal in enumerate((motion.angle - zero, motion.speed, motion.acceleration)):
+        joints[k, driven] = out @ signal.T
+    Y = link_regressor(robot.chain, *joints)[driven].reshape(len(driven), -1, joints.shape[-1])
+    links = np.stack([thinned(motion, np.moveaxis(out.T @ Y[:, k], 0, -1)) for k in range(Y.shape[1])], axis=-1)
+    thin = lambda signal: thinned(motion, signal)
+    return Rows(links, thin(motion.speed), thin(motion.acceleration), thin(motion.torque), motion)
+
+
+def _unmixed(robot: Robot):
+    """Turn of every joint per turn of every gear's output; a wrist's gears may turn more than one."""
+    coupling = gear_coupling(robot)
+    return np.eye(robot.n_axes) if coupling is None else np.linalg.inv(np.asarray(coupling))
+
+
+def needed(robot: Robot, these: Sequence[Number], x, rows: Rows) -> Float[np.ndarray, "row axis"]:
+    """Torque command that the robot needs at these numbers."""
+    now = with_numbers(robot, these, x)
+    drives, chain = now.drives, now.chain
+    pi = np.concatenate(
+        [link_parameters(*link) for link in zip(*(np.asarray(getattr(chain, k)) for k in _OF_LINKS), strict=True)]
+    )
+    torque = rows.links @ pi + np.asarray(drives.motor_inertia) * rows.acceleration
+    torque = torque + thinned(rows.motion, np.asarray(drives.friction.torque(rows.motion.speed)))
+    return (torque + _offsets(now, these, x)) / _gains(now, these, x)
+
+
+def _offsets(robot: Robot, these, x):
+    return _of_axes(robot, these, x, "torque_offset", 0.0)
+
+
+def _gains(robot: Robot, these, x):
+    return 1.0 + _of_axes(robot, these, x, "torque_constant", 0.0)
+
+
+def _of_axes(robot: Robot, these, x, kind: str, otherwise: float):
+    values = np.full(robot.n_axes, otherwise)
+    for number, at in zip(these, x, strict=True):
+        if number.kind == kind:
+            values[robot.axis_names.index(number.joint)] = number.value(float(at))
+    return values
+
+
+def _slopes(robot: Robot, these: Sequence[Number], x, rows: Rows) -> Float[np.ndarray, "row axis number"]:
+    """Derivatives of the needed torque by x."""
+    now = with_numbers(robot, these, x)
+    friction, speed = now.drives.friction, rows.motion.speed
+    corner, level = float(friction.smoothing), np.asarray(friction.coulomb)
+    gain, own = _gains(robot, these, x), needed(robot, these, x, rows)
+    sign = thinned(rows.motion, np.tanh(speed / corner))
+    found = np.zeros((*rows.torque.shape, len(these)))
+    chain = [np.asarray(getattr(now.chain, k), float) for k in _OF_LINKS]
+    for i, (number, at) in enumerate(zip(these, x, strict=True)):
+        by = number.size * (number.value(float(at)) if number.positive else 1.0)
+        if number.kind in _OF_LINKS:
+            j = robot.joint_names.index(number.joint)
+            slope = np.zeros(PER_LINK)
+            for side in (1.0, -1.0):
+                link = {k: np.array(v[j]) for k, v in zip(_OF_LINKS, chain, strict=True)}
+                link[number.kind][number.element] = number.value(float(at) + side * _STEP)
+                slope += side * link_parameters(**link) / (2 * _STEP)
+            found[..., i] = rows.links[..., PER_LINK * j : PER_LINK * (j + 1)] @ slope
+        elif number.kind == "smoothing":
+            found[..., i] = thinned(rows.motion, -level * speed / corner**2 / np.cosh(speed / corner) ** 2) * by
+        elif number.kind == "torque_constant":
+            axis = robot.axis_names.index(number.joint)
+            found[:, axis, i] = -own[:, axis] * by
+        else:
+            axis = robot.axis_names.index(number.joint)
+            signals = {
+                "motor_inertia": rows.acceleration,
+                "viscous_friction": rows.speed,
+                "coulomb_friction": sign,
+                "torque_offset": np.ones_like(sign),
+            }
+            found[:, axis, i] = signals[number.kind][:, axis] * by
+    return found / gain[:, None]
+
+
+def _gram(robot: Robot, these, x, records: Sequence[Rows], left, scale) -> Gram:
+    """Products of slopes and residuals of every stretch."""
+    each = max(2, -(-_BLOCKS // len(records)))
+    A, b, rr = [], [], []
+    for rows, rest in zip(records, left, strict=True):
+        J = (_slopes(robot, these, x, rows) / scale[:, None]).reshape(len(rest), -1, len(these))
+        r = rest / scale
+        for part in np.array_split(np.arange(len(r)), each):
+            columns, residual = J[part].reshape(-1, len(these)), r[part].ravel()
+            A.append(columns.T @ columns)
+            b.append(columns.T @ residual)
+            rr.append(residual @ residual)
+    return Gram(np.array(A), np.array(b), np.array(rr), np.arange(len(A)), int(left[0].size // each))
+
+
+def _result(robot, these, x, posterior: Posterior, done, converged, fitted, judged, data) -> Calibration:
+    zero = np.zeros(len(these))
+    return Calibration(
+        given=robot,
+        robot=with_numbers(robot, these, x),
+        numbers=tuple(these),
+        x=x,
+        covariance=posterior.covariance,
+        half_width=posterior.half_width(),
+        told=posterior.told,
+        dependence=np.linalg.inv(posterior.normal),
+        orders=(),
+        waves=np.zeros((0, 2)),
+        rounds=tuple(done),
+        converged=converged,
+        missed_before=_missed(robot, these, zero, fitted),
+        missed_after=_missed(robot, these, x, fitted),
+        heldout=tuple(_missed(robot, these, at, judged) for at in (zero, x)) if judged else None,
+        sources=data.sources,
+    )
+
+
+def _missed(robot: Robot, these, x, records: Sequence[Rows]) -> Float[np.ndarray, "axis"]:
+    left = [r.torque - needed(robot, these, x, r) for r in records]
+    return np.sqrt(_mean_square(left) / _by_axis(records, lambda r: r.torque))
+
+
+def _by_axis(records: Sequence[Rows], signal) -> Float[np.ndarray, "axis"]:
+    """Mean square about the mean."""
+    whole = np.concatenate([signal(r) for r in records])
+    return np.var(whole, axis=0)
+
+
+def _mean_square(left) -> Float[np.ndarray, "axis"]:
+    return np.mean(np.concatenate(left) ** 2, axis=0)
+
+
+def _square(left, scale) -> float:
+    return float(np.mean((np.concatenate(left) / scale) ** 2))
+
+
+def _all(records: Sequence[Rows], left) -> float:
+    """Of all torques together, rms."""
+    return float(np.sqrt(np.sum(np.concatenate(left) ** 2) / np.sum(np.concatenate([r.torque for r in records]) ** 2)))
