@@ -313,9 +313,11 @@ class TestFiles:
             ef.TransmissionError(1, [3e-5], 80.0, (1,)),
             ef.StructuralDamping("joint2", 0.02),
             ef.GearHysteresis(1, 3.0),
-            ef.WristCoupling(1, 0.02),
         ):
             with pytest.raises(jf.InputError, match=r"joint2 of .*rigid transmission"):
                 robot.with_effects(effect)
+        coupled = robot.with_effects(ef.WristCoupling(1, 0.02))  # for torques along a motion, but not to be simulated
+        with pytest.raises(jf.InputError, match=r"joint2 of .*rigid transmission"):
+            jf.robot.operating_point(coupled, np.zeros(2))
         with pytest.raises(jf.InputError, match=r"found joint1, the first axis; expected an axis with another"):
             robot.with_effects(ef.WristCoupling(0, 0.02))

@@ -12,9 +12,9 @@ from jaxfrf.gap.torque import diagnose_torque
 from jaxfrf.gap.torque_as_diagnosis import as_diagnosis
 from jaxfrf.gap.torque_candidates import Candidate, allowed
 from jaxfrf.gap.torque_model import added_torque, needed_torque, torque_slopes
-from jaxfrf.trajectory.rigid_motion import Motion, measured_motions
 from jaxfrf.gap.torque_score import covariance, family_wise, numbered, projector, score
 from jaxfrf.io.gaps import gap_contents
+from jaxfrf.trajectory.rigid_motion import Motion, measured_motions
 
 # --- a planar arm of two links, its equations as textbooks write them
 

@@ -52,6 +52,9 @@ def add(commands) -> None:
     parser.add_argument(
         "--guess", action="store_true", help="start from the FRF's antiresonances, not from the robot's values"
     )
+    parser.add_argument(
+        "--cutoff", type=float, metavar="HZ", help="of the motion's filter, of a robot with rigid transmissions"
+    )
     parser.add_argument("--direct", action="store_true", help="the direct fit alone, no simulation of the experiment")
     parser.add_argument("--rounds", type=int, default=12, metavar="N", help="of simulation, at most (default 12)")
     names = {"action": "append", "default": []}
@@ -95,8 +98,10 @@ def _is_whole(given, robot, data) -> bool:
 
     if given.springs:
         return False
-    check_data(robot, data)
-    why = why_springs(robot, data)
+    rigid = not isinstance(data, FRF) and not robot.n_motors and not robot.n_elastic
+    if not rigid:
+        check_data(robot, data)
+    why = "" if rigid else why_springs(robot, data)
     if why:
         if not isinstance(data, FRF):
             say(f"springs and dampers alone: {why}")
@@ -116,7 +121,15 @@ def _calibrated(given, robot, data, parts):
     from ..calibration import calibrate
 
     heldout = _numbers(given.heldout)
-    return calibrate(robot, data, heldout=heldout, rounds=given.rounds, parts=parts, say=None if given.json else say)
+    return calibrate(
+        robot,
+        data,
+        heldout=heldout,
+        rounds=given.rounds,
+        cutoff=given.cutoff,
+        parts=parts,
+        say=None if given.json else say,
+    )
 
 
 def _springs(given, robot, data, method, parts):

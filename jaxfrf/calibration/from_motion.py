@@ -157,7 +157,8 @@ def _slopes(robot: Robot, these: Sequence[Number], x, rows: Rows) -> Float[np.nd
                 slope += side * link_parameters(**link) / (2 * _STEP)
             found[..., i] = rows.links[..., PER_LINK * j : PER_LINK * (j + 1)] @ slope
         elif number.kind == "smoothing":
-            found[..., i] = thinned(rows.motion, -level * speed / corner**2 / np.cosh(speed / corner) ** 2) * by
+            bend = 1.0 - np.tanh(speed / corner) ** 2
+            found[..., i] = thinned(rows.motion, -level * speed / corner**2 * bend) * by
         elif number.kind == "torque_constant":
             axis = robot.axis_names.index(number.joint)
             found[:, axis, i] = -own[:, axis] * by

@@ -15,7 +15,8 @@ from ..robot.schema import robot_from_table, table_from_robot
 
 
 def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()) -> Robot:
-    """The robot that a TOML file describes.
+    """The robot that a TOML file describes; with `urdf = "arm.urdf"` in it, links and joints are those of that file
+    beside it (`read_urdf`).
 
     **Arguments:** `own`: effects of your own that the file may name, beside the library's.
 
@@ -23,7 +24,20 @@ def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()
     known one), missing, or of the wrong type. `OSError` if the file cannot be opened.
     """
     path = pathlib.Path(path)
-    return robot_from_table(read_toml(path), path.name, own)
+    if path.suffix.lower() in (".urdf", ".xacro", ".xml"):
+        raise input_error(
+            path.name,
+            "a description of links and joints, which says nothing of motors and gears",
+            "a robot's TOML file",
+            f'Write one with urdf = "{path.name}" and a [[joint]] table (name, gear_ratio, motor_inertia, ...) for '
+            "every joint that moves; stiffness = inf is a rigid transmission.",
+        )
+    table = read_toml(path)
+    if "urdf" in table:
+        from .urdf import read_urdf
+
+        return read_urdf(path.parent / str(table["urdf"]), path, own)
+    return robot_from_table(table, path.name, own)
 
 
 def write_robot(robot: Robot, path: str | os.PathLike) -> None:

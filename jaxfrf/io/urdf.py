@@ -3,12 +3,13 @@
 import os
 import pathlib
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from .._errors import input_error
+from ..effects import AbstractEffect
 from ..robot.robot import Robot
 from ..robot.schema import robot_from_table
 from .robots import read_toml
@@ -16,7 +17,7 @@ from .robots import read_toml
 _MOVING = ("revolute", "continuous")
 
 
-def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike) -> Robot:
+def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()) -> Robot:
     """A robot with the links of a URDF (a serial chain) and the drive trains of a TOML file.
 
     The TOML file has the schema of a robot's file without the links: a `[[joint]]` table for every moving
@@ -28,11 +29,14 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike) -> Robot:
     the numbers that the dynamics need, and joints that only one of the two files has.
     """
     urdf, drives = pathlib.Path(urdf), pathlib.Path(drives)
+    if not urdf.is_file():
+        raise input_error(str(urdf), "no such file", "the URDF that the robot's file names", "Correct the name.")
     try:
         root = ET.parse(urdf).getroot()
     except ET.ParseError as error:
         raise input_error(urdf.name, f"{error}", "an XML file", "Export the URDF again (xacro files first).") from error
     table = {"name": root.get("name", urdf.stem), "gravity": [0.0, 0.0, -9.81], **read_toml(drives)}
+    table.pop("urdf", None)
     trains = _drive_trains(table, drives.name)
     links = _links(root, urdf.name)
     names = [link["name"] for link in links]
@@ -53,7 +57,7 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike) -> Robot:
                 "Add it.",
             )
     table["joint"] = [{"type": "driven", **link, **trains[link["name"]]} for link in links]
-    return robot_from_table(table, drives.name)
+    return robot_from_table(table, drives.name, own)
 
 
 def _drive_trains(table: Mapping[str, Any], source: str) -> dict[str, Mapping[str, Any]]:

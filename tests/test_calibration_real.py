@@ -1,0 +1,284 @@
+"""Robots with rigid transmissions calibrated from real motions: EMPS and a Staubli TX40 with its coupled wrist.
+
+With `pytest -s` the figures are printed.
+"""
+
+import numpy as np
+import pytest
+from test_gap_real import COULOMB, MASS, NEWTON_PER_VOLT, OFFSET, VISCOUS, emps_record
+
+import jaxfrf as jf
+from jaxfrf.calibration import from_motion as fm
+from jaxfrf.robot import robot_from_table, tolerances_from
+from jaxfrf.robot.regressor import link_regressor
+
+# --- EMPS
+
+
+def emps_robot(inertia=80.0, viscous=300.0, coulomb=10.0):
+    """Guesses of which nothing is known; N and m in the place of N m and rad, about the vertical."""
+    joint = {
+        "name": "axis",
+        "type": "driven",
+        "axis": [0.0, 0.0, 1.0],
+        "offset": [0.0, 0.0, 0.0],
+        "mass": 0.0,
+        "com": [0.0, 0.0, 0.0],
+        "inertia": [0.0] * 6,
+        "gear_ratio": 1.0,
+        "motor_inertia": inertia,
+        "viscous_friction": viscous,
+        "coulomb_friction": coulomb,
+        "stiffness": np.inf,
+    }
+    table = {
+        "name": "EMPS",
+        "gravity": [0.0, 0.0, -9.81],
+        "sampling_frequency": 1000.0,
+        "joint": [joint],
+        "friction": {"smoothing": 1e-4},
+        "tolerance": {"rotors": "unknown", "friction": "unknown", "smoothing": 0, "torque_constant": 0},
+    }
+    return robot_from_table(table)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("guess", [(80.0, 300.0, 10.0), (40.0, 100.0, 60.0)])
+def test_emps_published_values(measured, guess):
+    found = jf.calibrate(emps_robot(*guess), emps_record(measured, "DATA_EMPS"))
+    print(f"EMPS: {found.values}, torque missed {100 * found.missed_after[0]:.2f} %")
+    assert found.converged
+    kinds = ("motor_inertia", "viscous_friction", "coulomb_friction", "torque_offset")
+    for kind, value in zip(kinds, (MASS, VISCOUS, COULOMB, OFFSET), strict=True):
+        assert found.values[f"axis.{kind}"] == pytest.approx(value, rel=0.02), kind
+        assert found.told_by(f"axis.{kind}") == "data"
+    assert NEWTON_PER_VOLT == 35.15
+
+
+# --- TX40
+
+RATIO = np.array([32.0, 32.0, 45.0, -48.0, 45.0, 32.0])
+# What the data's own file states, arm side: friction, rotors times ratio squared.
+VISCOUS_ARM, COULOMB_ARM = [8.05, 5.53, 1.97, 1.11, 1.86, 0.65], [7.14, 8.26, 6.34, 2.48, 3.03, 0.282]
+ROTORS = [0.362, 0.362, 0.0988, 0.0313, 0.0468, 0.0105]
+ZERO = [0.0, 16 * np.pi, -22.5 * np.pi, 0.0, 0.0, 0.0]  # readings at joint angles of zero
+
+
+def drives():
+    """The drive trains that the URDF does not state, as a user would write them."""
+    lines = ["gravity = [0.0, 0.0, -9.81]", "sampling_frequency = 5000.0"]
+    for i in range(6):
+        size = abs(RATIO[i])
+        lines += [
+            "[[joint]]",
+            f'name = "joint_{i + 1}"',
+            f"gear_ratio = {RATIO[i]}",
+            f"motor_inertia = {ROTORS[i] / size**2}",
+            f"viscous_friction = {VISCOUS_ARM[i] / size**2}",
+            f"coulomb_friction = {COULOMB_ARM[i] / size}",
+            "stiffness = inf",
+            f"zero = {ZERO[i]}",
+        ]
+    lines += ["[friction]", "smoothing = 1.0"]
+    lines += ["[tolerance]", "links = 0.3", "rotors = 0.5", 'friction = "unknown"', "torque_constant = 0"]
+    lines += ["[[effect]]", 'name = "wrist_coupling"', 'joint = "joint_6"', "ratio = 1.0"]
+    return "\n".join(lines)
+
+
+@pytest.fixture(scope="module")
+def tx40(measured, tmp_path_factory):
+    """The robot, and torque and motor angles."""
+    folder = measured / "staubli_tx40"
+    path = tmp_path_factory.mktemp("tx40") / "drives.toml"
+    path.write_text(drives())
+    robot = jf.io.read_urdf(folder / "tx40_mdh_modified.urdf", path)
+    u, y = (np.loadtxt(folder / f"{n}.csv", delimiter=",", skiprows=1) for n in ("curr_data", "pos_read_data"))
+    return robot, u, y
+
+
+def in_parts(u, y, parts):
+    shape = (parts, 1, len(u) // parts, 6)
+    return jf.Experiment(u=u.reshape(shape), y=y.reshape(shape), fs=5000.0, y_quantity="position")
+
+
+def least_squares(robot, rows):
+    """Torque that plain least squares misses of all rows, and its coefficients: links, rotors, friction, offsets."""
+
+    def columns(r):
+        sign = fm.thinned(r.motion, np.sign(r.motion.speed))
+        signals = (r.acceleration, r.speed, sign, np.ones_like(sign))
+        own = [signal[..., None] * np.eye(6) for signal in signals]
+        return np.concatenate([r.links, *own], axis=-1)
+
+    X, y = (np.concatenate(x) for x in zip(*((columns(r), r.torque) for r in rows), strict=True))
+    w = 1.0 / np.std(y, axis=0)
+    theta = np.linalg.lstsq((X * w[:, None]).reshape(-1, X.shape[-1]), (y * w).ravel(), rcond=1e-9)[0]
+    return lambda others: [r.torque - columns(r) @ theta for r in others]
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_tx40(tx40):
+    """Beside plain least squares with the same filters: as good on all of it, better on what was not fitted.
+
+    In the mean over axes, each over its own torque: 12.3 and 19.3 % (12.2 and 20.6-21 % are published beside the data).
+    """
+    robot, u, y = tx40
+    whole = jf.calibrate(robot, in_parts(u, y, 1))
+    assert whole.converged
+    data = in_parts(u, y, 1)
+    cutoff = fm.chosen_cutoff(data)
+    rows = [fm._rows(robot, m) for m in fm.measured_motions(robot, data, cutoff)]
+    ours = fm._all(rows, [r.torque - fm.needed(robot, whole.numbers, whole.x, r) for r in rows])
+    plain = fm._all(rows, least_squares(robot, rows)(rows))
+
+    halves = in_parts(u, y, 2)
+    fitted = jf.calibrate(robot, halves, heldout=[1], cutoff=cutoff)
+    first, second = ([fm._rows(robot, m)] for m in fm.measured_motions(robot, halves, cutoff))
+    left = [r.torque - fm.needed(robot, fitted.numbers, fitted.x, r) for r in second]
+    by_axis = [100 * np.sqrt(np.mean(x**2)) for x in (whole.missed_after, fitted.heldout[1])]
+    ours_later, plain_later = fm._all(second, left), fm._all(second, least_squares(robot, first)(second))
+    print(
+        f"TX40, torque missed: whole record {100 * ours:.1f} % (least squares {100 * plain:.1f}), second half of a "
+        f"calibration on the first {100 * ours_later:.1f} % ({100 * plain_later:.1f}); by axis {by_axis[0]:.1f} and "
+        f"{by_axis[1]:.1f} %"
+    )
+    assert ours < 1.01 * plain and ours_later < plain_later
+    assert by_axis[0] < 12.5 and by_axis[1] < 20.0
+
+
+# --- a motion of which everything is known
+
+
+def test_a_simulated_rigid_arm():
+    """Two coupled axes moved at will; torque by the textbook's chain, `link_regressor` against `mass_and_bias`."""
+    table = {
+        "name": "arm",
+        "gravity": [0.0, -9.81, 0.0],
+        "sampling_frequency": 1000.0,
+        "friction": {"smoothing": 0.5},
+        "joint": [
+            {
+                "name": f"axis{i}",
+                "type": "driven",
+                "axis": [0.0, 0.0, 1.0],
+                "offset": [0.4 * i, 0.0, 0.0],
+                "mass": 5.0 - i,
+                "com": [0.2, 0.02, 0.0],
+                "inertia": [0.02, 0.2, 0.2, 0.0, 0.0, 0.0],
+                "gear_ratio": 50.0,
+                "motor_inertia": 2e-4,
+                "viscous_friction": 2e-3,
+                "coulomb_friction": 0.1,
+                "stiffness": np.inf,
+                "zero": 10.0 * i,
+            }
+            for i in range(2)
+        ],
+        "effect": [{"name": "wrist_coupling", "joint": "axis1", "ratio": 1.0}],
+    }
+    true = robot_from_table(table)
+    t = np.arange(8000) / 1000.0
+    waves = lambda seed: sum(
+        a * np.sin(2 * np.pi * f * t + p)
+        for a, f, p in np.random.default_rng(seed).uniform([0.2, 0.2, 0], [0.6, 1.5, 6], (4, 3))
+    )
+    q = np.stack([waves(1), waves(2)], axis=-1)
+    rate = np.gradient(q, 1e-3, axis=0)
+    acceleration = np.gradient(rate, 1e-3, axis=0)
+    M, bias = jf.robot.chain.mass_and_bias(true.chain, q, rate)
+    arm = np.einsum("tij,tj->ti", np.asarray(M), acceleration) + np.asarray(bias)
+    C = np.array([[1.0, 0.0], [1.0, 1.0]])
+    motor, speed = 50 * q @ C.T + [0.0, 10.0], 50 * rate @ C.T
+    u = arm @ np.linalg.inv(C) / 50 + 2e-4 * 50 * acceleration @ C.T + np.asarray(true.drives.friction.torque(speed))
+    u = np.concatenate([0.5 * (u[1:] + u[:-1]), u[-1:]])  # of a command that is held: the mean about a sample acts
+    rng = np.random.default_rng(3)
+    u = u + [0.05, -0.03] + 0.02 * rng.standard_normal(u.shape)
+    data = jf.Experiment(u=u, y=motor + 1e-5 * rng.standard_normal(u.shape), fs=1000.0, y_quantity="position")
+
+    known = {"links": 0.1, "rotors": 0.2, "torque_constant": 0, "smoothing": 0}
+    given = true.with_tolerances(tolerances_from(known, true.joint_names))
+    start = {"axis0.mass": 5.4, "axis1.mass": 3.7, "axis0.coulomb_friction": 0.15, "axis1.motor_inertia": 1.8e-4}
+    found = jf.calibrate(jf.robot.with_parameters(given, start), data)
+    assert found.converged and np.all(found.missed_after < 0.1)
+    for name, value in {
+        "axis0.coulomb_friction": 0.1,
+        "axis1.coulomb_friction": 0.1,
+        "axis0.viscous_friction": 2e-3,
+        "axis0.torque_offset": 0.05,
+        "axis1.torque_offset": -0.03,
+        "axis1.motor_inertia": 2e-4,
+    }.items():
+        low, high = found.interval(name)
+        assert low < value < high and found.values[name] == pytest.approx(value, rel=0.1), name
+    assert link_regressor(true.chain, q.T[:, :1], rate.T[:, :1], acceleration.T[:, :1]).shape == (2, 2, 10, 1)
+
+
+# --- from a URDF and a CSV file, as the guide shows it
+
+PENDULUM = """<robot name="pendulum">
+<link name="base"/>
+<link name="rod"><inertial><mass value="2.0"/><origin xyz="0.3 0 0"/>
+<inertia ixx="0.001" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
+<joint name="swing" type="revolute"><parent link="base"/><child link="rod"/>
+<origin xyz="0 0 1"/><axis xyz="0 1 0"/></joint></robot>"""
+
+DRIVES = """urdf = "pendulum.urdf"
+sampling_frequency = 500.0
+[[joint]]
+name = "swing"
+gear_ratio = 20.0
+motor_inertia = 1e-4
+viscous_friction = 1e-3
+coulomb_friction = 0.03
+stiffness = inf
+[friction]
+smoothing = 0.5
+[tolerance]
+friction = "unknown"
+torque_constant = 0
+"""
+
+
+@pytest.fixture
+def pendulum(tmp_path):
+    """A folder with the robot and a motion of it: mass 2.2 kg, friction twice what the file says."""
+    (tmp_path / "pendulum.urdf").write_text(PENDULUM)
+    (tmp_path / "robot.toml").write_text(DRIVES)
+    t = np.arange(6000) / 500.0
+    waves = [(1.2, 0.35, 0.0), (0.5, 0.9, 1.0), (0.2, 2.1, 2.0)]
+    q = sum(a * np.sin(2 * np.pi * f * t + p) for a, f, p in waves)
+    v = sum(a * 2 * np.pi * f * np.cos(2 * np.pi * f * t + p) for a, f, p in waves)
+    a = -sum(a * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * t + p) for a, f, p in waves)
+    arm = (0.02 + 2.2 * 0.09) * a - 2.2 * 9.81 * 0.3 * np.cos(q)
+    u = arm / 20 + 1e-4 * 20 * a + 2e-3 * 20 * v + 0.06 * np.tanh(20 * v / 0.5)
+    u = np.append(0.5 * (u[1:] + u[:-1]), u[-1]) + 0.005 * np.random.default_rng(0).standard_normal(len(t))
+    np.savetxt(tmp_path / "motion.csv", np.column_stack([u, 20 * q]), delimiter=",", header="tau,theta", comments="")
+    return tmp_path
+
+
+def test_from_a_urdf_and_a_csv(pendulum, monkeypatch, capsys):
+    from jaxfrf.__main__ import main
+
+    monkeypatch.chdir(pendulum)
+    command = ["identify", "motion.csv", "--robot", "robot.toml", "--map", "u=tau,y=theta"]
+    command += ["--set", "fs=500,y_quantity=position", "-o", "fit.json", "--report", "fit.html"]
+    assert main([*command, "--robot-out", "found.toml"]) == 0, capsys.readouterr().err
+    found = jf.io.read_fit("fit.json")["parameters"]
+    for name, value in {"swing.coulomb_friction": 0.06, "swing.viscous_friction": 2e-3}.items():
+        assert found[name]["value"] == pytest.approx(value, rel=0.02) and found[name]["told_by"] == "data"
+    robot = jf.io.read_robot("found.toml")
+    moment = float(robot.chain.mass[0]) * float(robot.chain.com[0, 0])
+    assert moment == pytest.approx(2.2 * 0.3, rel=0.02)
+    assert "swing.mass" in (pendulum / "fit.html").read_text()
+
+
+def test_a_urdf_alone_says_too_little(pendulum, capsys):
+    from jaxfrf.__main__ import main
+
+    files = [str(pendulum / name) for name in ("motion.csv", "pendulum.urdf", "fit.json")]
+    assert main(["identify", files[0], "--robot", files[1], "-o", files[2]]) == 2
+    assert 'Write one with urdf = "pendulum.urdf"' in capsys.readouterr().err
+    (pendulum / "robot.toml").write_text(DRIVES.replace("pendulum.urdf", "other.urdf"))
+    assert main(["identify", files[0], "--robot", str(pendulum / "robot.toml"), "-o", files[2]]) == 2
+    assert "other.urdf: found no such file" in capsys.readouterr().err
