@@ -98,6 +98,16 @@ def _arguments(model: Callable) -> int:
     return sum(p.kind in kinds and p.default is p.empty for p in inspect.signature(model).parameters.values())
 
 
+def _spread(robot: Robot, name: str, value: float, asked: float | None) -> float:
+    """Standard deviation of the logarithm of a number's starts."""
+    if asked is not None:
+        return asked
+    tolerance = robot.tolerances.of(name)
+    if tolerance.unknown:
+        return 1.0
+    return tolerance.std if tolerance.relative else tolerance.std / max(abs(value), 1e-9)
+
+
 class RobotPoint(eqx.Module):
     """An operating point of a robot: `q`, arm angles (*pos, axis), rad; `swing`: deflections of the springs about their
     rest during the experiment, (*pos, sample, spring), rad, over which a nonlinear spring's stiffness is averaged.
@@ -122,7 +132,8 @@ class RobotModel(AbstractModel):
     - `hold`: the zero-order hold of the torque; `None`: continuous time. The default follows the robot's sampling.
     - `slow_amplitude`: amplitude of the slow motion that keeps joints sliding, motor side, (axis,), rad/s: effective
       friction starts at f + 2 c/(pi A); without it at a guess.
-    - `damping_spread`, `stiffness_spread`, `friction_spread`: standard deviation of ln of perturbed starts.
+    - `damping_spread`, `stiffness_spread`, `friction_spread`: standard deviation of ln of perturbed starts; by default
+      the robot's tolerances of stiffness, damping and Coulomb friction (of what is unknown, a factor of e).
     """
 
     robot: Robot
@@ -137,22 +148,24 @@ class RobotModel(AbstractModel):
         quantity: str = "acceleration",
         hold: ZeroOrderHold | str | None = "sampled",
         slow_amplitude: Float[Array, "axis"] | None = None,
-        stiffness_spread: float = 0.25,
-        damping_spread: float = 1.0,
-        friction_spread: float = 0.5,
+        stiffness_spread: float | None = None,
+        damping_spread: float | None = None,
+        friction_spread: float | None = None,
     ):
         self.robot, self.quantity = robot, quantity
         self.hold = ZeroOrderHold(robot.sampling_frequency, "position") if hold == "sampled" else hold
-        spreads = {"stiffness": stiffness_spread, "damping": damping_spread}
+        asked = {"stiffness": stiffness_spread, "damping": damping_spread, "coulomb_friction": friction_spread}
+        spread = lambda name, value: _spread(robot, name, float(value), asked[name.rpartition(".")[2]])
         units = {"stiffness": "N m/rad", "damping": "N m s/rad"}
         known = {
-            name: Parameter(max(float(value), 1e-9), units[kind], spread=spreads[kind])
+            name: Parameter(max(float(value), 1e-9), units[kind], spread=spread(name, value))
             for name, value in robot_parameters(robot).items()
             for kind in (name.rpartition(".")[2],)
         }
         friction = _effective_friction(robot, slow_amplitude)
         for axis, value in zip(robot.axis_names, friction, strict=True):
-            known[f"{axis}.effective_friction"] = Parameter(value, "N m s/rad", nuisance=True, spread=friction_spread)
+            own = spread(f"{axis}.coulomb_friction", value)
+            known[f"{axis}.effective_friction"] = Parameter(value, "N m s/rad", nuisance=True, spread=own)
         for axis in robot.axis_names:
             known[f"{axis}.torque_gain"] = Parameter(1.0, "1", free=False, spread=0.05)
         for axis in robot.axis_names:
