@@ -12,7 +12,7 @@ from ..experiment import Experiment
 from ..parts import Parts
 from ..robot import Robot
 from ..simulation.checks import check_fit
-from ..trajectory.evidence import Evidence, Weighed, refloored, weigh
+from ..trajectory.evidence import Evidence, Weighed, precise, refloored, weigh
 from ..trajectory.measured import Measured, measured
 from ..trajectory.ripple import Order
 from .columns import number_columns
@@ -28,6 +28,7 @@ _LONGEST = 0.5  # of a logarithm, in one step: columns hold no further
 _HALVINGS = 3
 _WORSE = 1.02  # of the misfit: a step that leaves more is halved
 _REWEIGHED = 2  # times in a round
+_NOTHING = 1e-12  # tolerances: what rounding moved
 _GAIN = 0.97  # of the misfit: a step that leaves more is of no use
 _STAYS = 0.3  # of its standard deviation that every number moves less
 _LOOKS_FOR_RIPPLE = 4  # first rounds in which more orders are looked for: far from the truth some are not there
@@ -176,6 +177,8 @@ class _Search:
             weighed = refloored(weighed, evidence.floor, floor)
             evidence.floor = floor
             posterior = solve(weighed.gram, self.these, x)
+        weighed = precise(weighed)
+        posterior = solve(weighed.gram, self.these, x)
         self.floor = evidence.floor
         left = remainder(evidence, weighed, posterior.change)
         return Look(np.asarray(x, float), evidence, weighed, orders, posterior, misfit, _square(left / evidence.plain))
@@ -228,6 +231,7 @@ def _misfit(evidence: Evidence, weighed: Weighed, ripple) -> float:
 def _result(robot: Robot, these, look: Look, rounds, converged: bool, fitted: Measured, judged) -> Calibration:
     posterior, count = look.posterior, len(these)
     x = look.x + posterior.change[:count] if converged else look.x
+    x = np.where(np.abs(x) < _NOTHING, 0.0, x)
     sure = sure_orders(look.orders, posterior)
     waves = posterior.change[count:].reshape(-1, 2)
     kept = [i for i, is_sure in enumerate(sure) if is_sure]

@@ -32,8 +32,11 @@ def _result(found: Calibration) -> str:
     texts = [
         f"{count('data')} of {len(by)} numbers are told by the records, {count('data in combination')} only together "
         f"with others, {count('prior') + count('nothing')} are as they were known before.",
-        f"{found.rounds[-1].design_effect:.3g} lines count as one: errors of the model repeat from line to line.",
     ]
+    if found.rounds[-1].design_effect > 1.05:
+        texts.append(
+            f"{found.rounds[-1].design_effect:.3g} lines count as one: errors of the model repeat from line to line."
+        )
     if not found.converged:
         texts.append("The numbers still moved in the last round: more rounds may help, or the robot lacks an effect.")
     return verdict(word, texts, found.converged)
