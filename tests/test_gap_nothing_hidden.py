@@ -15,7 +15,7 @@ from benchmarks._mujoco_records import mujoco_experiment
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
 from jaxfrf.gap.verify import over_floor
-from jaxfrf.robot import parameters, with_parameters
+from jaxfrf.robot import Tolerances, parameters, with_parameters
 from jaxfrf.trajectory.evidence import Evidence
 from jaxfrf.trajectory.measured import measured
 
@@ -83,3 +83,36 @@ def test_a_delay_is_still_found(quantity, tmp_path):
     evidence = Evidence(jf.io.read_robot(tmp_path / "extended.toml"), measured(data))
     axes = over_floor(evidence.residual, evidence.plain, np.array(found.sealed))
     np.testing.assert_allclose(np.sqrt(np.mean(axes**2)), found.gap.after, rtol=0.02)
+
+
+def stated_nothing():
+    """The small robot, whose file says nothing of how well it is known: the defaults hold."""
+    return dataclasses.replace(small_robot(), tolerances=Tolerances())
+
+
+OFF = {"links": (["mass"], 1.05), "friction": (["coulomb_friction", "viscous_friction"], 1.3)}
+
+
+def played_by(robot, seed: int = 3):
+    slow = jf.SlowSine([3, 5], [30.0, 30.0])
+    plan = jf.Multisine(FS, PERIOD, np.arange(17, 240, 2), rms=[2.0, 3.0], slow=slow, seed=seed)
+    return mujoco_experiment(robot, plan, Q, seed=seed, run_in=3.0, noise=2e-5, ripple=None, processes=2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", OFF)
+def test_numbers_that_are_off_by_a_tolerance_are_no_effect(what):
+    """Every mass by 5 %, or every friction by 30 %: an earlier search named friction that was not there."""
+    kinds, factor = OFF[what]
+    values = {name: factor * np.asarray(x) for name, x in parameters(stated_nothing(), kinds).items()}
+    found = diagnose(stated_nothing(), played_by(with_parameters(stated_nothing(), values)))
+    assert found.verdict in ("sufficient", "inconclusive") and found.effects == (), found.says
+
+
+@pytest.mark.slow
+def test_a_delay_is_found_beside_wide_tolerances():
+    found = diagnose(stated_nothing(), played_by(stated_nothing().with_effects(fx.TorqueDelay("shoulder", 8e-4))))
+    (named,) = found.effects
+    assert "torque_delay" in (named.name, *named.equivalent) and named.joint == "shoulder", found.says
+    (late,) = named.parameters.values()
+    assert late.value == pytest.approx(8e-4, rel=0.1)
