@@ -41,21 +41,27 @@ class Cascade:
     """The controller of the robot's file, (run, axis) at once: P on position, PI on velocity, limited."""
 
     def __init__(self, job, reading, torque):
-        self.kp, self.kv, self.limit = float(job["position_gain"]), job["velocity_gain"], job["torque_limit"]
+        self.kp, self.kv, self.limit = job["position_gain"], job["velocity_gain"], job["torque_limit"]
         self.feedforward, self.fs = bool(job["feedforward"]), float(job["fs"])
-        self.rate = 1.0 / (self.fs * float(job["integral_time"]))
+        self.rate = 1.0 / (self.fs * job["integral_time"])
+        self.new = 1.0 - np.exp(-2 * np.pi * job["speed_filter"] / self.fs)  # 1 without a filter
+        self.speed, self.waits = np.zeros_like(reading), bool(job["anti_windup"])
         held = (self.kv > 0) & (self.rate > 0)
         self.integral = np.where(held, torque / np.where(held, self.kv, 1.0), 0.0)
         self.last = reading
 
     def __call__(self, reading, position, velocity):
         error = self.kp * (position - reading)
-        error -= self.fs * (reading - self.last)
+        self.speed += self.new * (self.fs * (reading - self.last) - self.speed)
+        error -= self.speed
         if self.feedforward:
             error += velocity
-        self.integral += self.rate * error
+        grown = self.integral + self.rate * error
         self.last = reading
-        return np.clip(self.kv * (error + self.integral), -self.limit, self.limit)
+        wanted = self.kv * (error + grown)
+        stuck = self.waits & (np.abs(wanted) > self.limit) & (wanted * error > 0)
+        self.integral = np.where(stuck, self.integral, grown)
+        return np.clip(wanted, -self.limit, self.limit)
 
 
 class Springs:

@@ -162,8 +162,10 @@ def _job(robot, design, positions, run_in, ripple, substeps, integrator, stick) 
         "torque": np.asarray(point.torque),
         "gear": np.asarray(robot.drives.gear_ratio),
         "torque_limit": np.asarray(robot.drives.torque_limit),
-        "position_gain": float(controller.position_gain),
-        "integral_time": float(controller.integral_time),
+        "position_gain": np.asarray(controller.position_gain),
+        "integral_time": np.asarray(controller.integral_time),
+        "speed_filter": np.inf if controller.speed_filter is None else np.asarray(controller.speed_filter),
+        "anti_windup": controller.anti_windup,
         "velocity_gain": np.asarray(controller.velocity_gain),
         "feedforward": controller.feedforward,
     }

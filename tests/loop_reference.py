@@ -10,16 +10,26 @@ class NumPyController:
 
     def __init__(self, robot, rest, torque):
         c = robot.controller
-        self.kp, self.ti, self.kv = float(c.position_gain), float(c.integral_time), np.asarray(c.velocity_gain)
+        self.kp, self.ti, self.kv = (np.asarray(x) for x in (c.position_gain, c.integral_time, c.velocity_gain))
+        self.corner, self.anti_windup, self.speed = c.speed_filter, c.anti_windup, 0.0
         self.feedforward, self.limit = c.feedforward, np.asarray(robot.drives.torque_limit)
         self.fs, self.last = robot.sampling_frequency, np.array(rest)
-        self.integral = np.zeros_like(rest) if np.isinf(self.ti) else np.asarray(torque) / self.kv * self.ti
+        self.integral = np.zeros_like(rest) if np.any(np.isinf(self.ti)) else np.asarray(torque) / self.kv * self.ti
 
     def __call__(self, reading, position, velocity):
-        error = self.kp * (position - reading) + self.feedforward * velocity - (reading - self.last) * self.fs
-        self.last = reading
-        self.integral = self.integral + error / self.fs
-        return np.clip(self.kv * (error + self.integral / self.ti), -self.limit, self.limit)
+        speed = (reading - self.last) * self.fs
+        if self.corner is not None:
+            part = 1.0 - np.exp(-2 * np.pi * np.asarray(self.corner) / self.fs)
+            speed = self.speed + part * (speed - self.speed)
+        self.last, self.speed = reading, speed
+        error = self.kp * (position - reading) + self.feedforward * velocity - speed
+        before, self.integral = self.integral, self.integral + error / self.fs
+        torque = self.kv * (error + self.integral / self.ti)
+        if self.anti_windup:
+            for i in np.flatnonzero(np.abs(torque) > self.limit):
+                if np.sign(error[i]) == np.sign(torque[i]):
+                    self.integral[i] = before[i]
+        return np.clip(torque, -self.limit, self.limit)
 
 
 def mujoco_loop(robot, point, velocity, position, steps=5, integrator=mujoco.mjtIntegrator.mjINT_RK4):

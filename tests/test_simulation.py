@@ -152,11 +152,27 @@ class TestParts:
         ours = np.moveaxis(np.asarray(inverse_columns(jnp.asarray(np.moveaxis(A, 0, -1)))), -1, 0)
         np.testing.assert_allclose(A @ ours, np.broadcast_to(np.eye(7), A.shape), atol=1e-7)
 
-    @pytest.mark.parametrize("feedforward, integral_time", [(True, 0.05), (False, np.inf)])
-    def test_controller(self, feedforward, integral_time):
+    @pytest.mark.parametrize(
+        "settings",
+        [
+            {},
+            {"feedforward": False, "integral_time": np.inf},
+            {"position_gain": [5.0, 4.0, 6.0, 8.0, 3.0, 5.0], "integral_time": [0.05, 0.1, 0.2, 0.05, 0.04, 0.3]},
+            {"speed_filter": 150.0},
+            {"speed_filter": [50.0, 150.0, 300.0, 80.0, 100.0, 200.0], "anti_windup": True},
+        ],
+        ids=lambda settings: ", ".join(settings) or "plain",
+    )
+    def test_controller(self, settings):
         table = jf.robot.table_from_robot(jf.robot.r3x())
-        table["controller"] |= {"feedforward": feedforward, "integral_time": integral_time}
+        table["controller"] |= settings
+        if "anti_windup" in settings:
+            for joint in (j for j in table["joint"] if j["type"] == "driven"):
+                joint["torque_limit"] /= 50.0
         robot = jf.robot.robot_from_table(table)
+        assert jf.robot.robot_from_table(jf.robot.table_from_robot(robot)).controller.anti_windup == (
+            "anti_windup" in settings
+        )
         rng = np.random.default_rng(0)
         rest, torque = rng.normal(size=6), 0.1 * rng.normal(size=6)
         ours, theirs = Cascade.of(robot), NumPyController(robot, rest, torque)

@@ -1,5 +1,7 @@
 """The response of an arm that moves slowly: against time-domain simulations, and its pieces against NumPy."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
@@ -90,14 +92,17 @@ class TestWhereTheArmWas:
 
 
 class TestController:
-    def test_feedback_against_the_sampled_law(self, robot):
+    @pytest.mark.parametrize("corner", [None, 40.0, [30.0, 90.0]])
+    def test_feedback_against_the_sampled_law(self, robot, corner):
         """A sine through the controller's own difference equation, until it is steady."""
+        filtered = None if corner is None else np.array(corner)
+        robot = dataclasses.replace(robot, controller=dataclasses.replace(robot.controller, speed_filter=filtered))
         cascade = Cascade.of(robot)
         period, line = 250, 7
         angle = np.exp(2j * np.pi * line * np.arange(4 * period) / period)
         torques = []
         for part in (angle.real, angle.imag):
-            state = ControllerState(jnp.full((2, 1), part[0]), jnp.zeros((2, 1)))
+            state = ControllerState(jnp.full((2, 1), part[0]), jnp.zeros((2, 1)), jnp.zeros((2, 1)))
             zero, out = jnp.zeros((2, 1)), []
             for x in part:
                 u, state = cascade.torque(state, jnp.full((2, 1), x), zero, zero)

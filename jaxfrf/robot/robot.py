@@ -29,23 +29,34 @@ class Controller(eqx.Module):
     Velocity error e = position_gain (q_ref - q_m) + v_ref - v_m; torque
     u = velocity_gain (e + integral(e)/integral_time).
 
-    **Arguments:** `position_gain`: 1/s. `integral_time`: s; `inf` = no integral part. `velocity_gain`:
-    (axis,), N m s/rad, motor side. `feedforward`: whether the speed reference v_ref is added.
+    **Arguments:** numbers for all axes, or one for each, (axis,)
+
+    - `position_gain`: 1/s. `integral_time`: s; `inf` = no integral part. `velocity_gain`: (axis,), N m s/rad, motor
+      side.
+    - `feedforward`: whether the speed reference v_ref is added.
+    - `speed_filter`: corner of a first-order low-pass of the measured speed v_m, Hz; `None`: there is none.
+    - `anti_windup`: whether the integral waits while the torque is clipped and the error would clip it further.
     """
 
-    position_gain: Float[Array, ""]
-    integral_time: Float[Array, ""]
+    position_gain: Float[Array, "..."]
+    integral_time: Float[Array, "..."]
     velocity_gain: Float[Array, "axis"]
     feedforward: bool = eqx.field(static=True, default=True)
+    speed_filter: Float[Array, "..."] | None = None
+    anti_windup: bool = eqx.field(static=True, default=False)
 
     def feedback(self, frequency: Float[Array, "freq"], sampling_frequency: float) -> Complex[np.ndarray, "freq axis"]:
         """FRF from measured motor position to the torque that the controller takes back, -du/dq, N m/rad.
 
-        Sampled as it runs: the speed is the difference of two positions, the integral the sum of all errors so far.
+        Sampled as it runs: the speed is the filtered difference of two positions, the integral the sum of all errors.
         Limits of the torque are left out. `frequency`: Hz, above 0.
         """
         back = np.exp(-2j * np.pi * np.asarray(frequency) / sampling_frequency)[:, None]
-        error = np.asarray(self.position_gain) + sampling_frequency * (1.0 - back)
+        speed = sampling_frequency * (1.0 - back)
+        if self.speed_filter is not None:
+            kept = np.exp(-2 * np.pi * np.asarray(self.speed_filter) / sampling_frequency)
+            speed = speed * (1.0 - kept) / (1.0 - kept * back)
+        error = np.asarray(self.position_gain) + speed
         rate = 1.0 / (sampling_frequency * np.asarray(self.integral_time))
         return np.asarray(self.velocity_gain) * error * (1.0 + rate / (1.0 - back))
 

@@ -34,7 +34,14 @@ _DRIVE_KEYS = (
     "velocity_gain",
     "zero",
 )
-_CONTROLLER_KEYS = ("position_gain", "integral_time", "velocity_gain", "feedforward")
+_CONTROLLER_KEYS = (
+    "position_gain",
+    "integral_time",
+    "velocity_gain",
+    "feedforward",
+    "speed_filter",
+    "anti_windup",
+)
 
 
 def robot_from_table(
@@ -103,6 +110,10 @@ def table_from_robot(robot: Robot) -> dict[str, Any]:
             "position_gain": _plain(robot.controller.position_gain),
             "integral_time": _plain(robot.controller.integral_time),
             **({} if robot.controller.feedforward else {"feedforward": False}),
+            **(
+                {} if robot.controller.speed_filter is None else {"speed_filter": _plain(robot.controller.speed_filter)}
+            ),
+            **({"anti_windup": True} if robot.controller.anti_windup else {}),
         }
     table["friction"] = {"smoothing": _plain(robot.drives.friction.smoothing)}
     if robot.tolerances.stated:
@@ -155,6 +166,15 @@ class _Table:
         if (math.isinf(value) and not infinite) or (positive and value <= 0) or (nonnegative and value < 0):
             raise self.error(key, kind if infinite else f"{kind}, finite", "Correct the value or its unit.")
         return float(value)
+
+    def number_or_each(self, key: str, size: int, default: float | None = None, **limits) -> float | list[float]:
+        """One number for all, or a list of one for each."""
+        value = self._table.get(key)
+        if not isinstance(value, list):
+            return self.number(key, default, **limits)
+        if len(value) != size:
+            raise self.error(key, f"a number, or {size} of them", "Give one for each driven joint, base to tip.")
+        return [_Table({key: x}, self.where, None).number(key, **limits) for x in value]
 
     def flag(self, key: str, default: bool) -> bool:
         value = self._value(key, default, "true or false")
@@ -287,11 +307,14 @@ def _controller(top: _Table, joints: list[_Table]) -> Controller | None:
         gains = table.vector("velocity_gain", len(joints))
     else:
         gains = [joint.number("velocity_gain", nonnegative=True) for joint in joints]
+    each = lambda key, *rest, **limits: jnp.asarray(table.number_or_each(key, len(joints), *rest, **limits), float)
     return Controller(
-        position_gain=jnp.asarray(table.number("position_gain", nonnegative=True), float),
-        integral_time=jnp.asarray(table.number("integral_time", math.inf, positive=True, infinite=True), float),
+        position_gain=each("position_gain", nonnegative=True),
+        integral_time=each("integral_time", math.inf, positive=True, infinite=True),
         velocity_gain=jnp.array(gains),
         feedforward=table.flag("feedforward", True),
+        speed_filter=each("speed_filter", positive=True) if "speed_filter" in table else None,
+        anti_windup=table.flag("anti_windup", False),
     )
 
 
