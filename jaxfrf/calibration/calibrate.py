@@ -15,7 +15,7 @@ from ..simulation.checks import check_fit
 from ..trajectory.evidence import Evidence, Weighed, precise, refloored, weigh
 from ..trajectory.measured import Measured, measured
 from ..trajectory.ripple import Order
-from .columns import number_columns
+from .columns import near_rest_columns, number_columns
 from .from_motion import calibrate_from_motion, check_rigid
 from .least_squares import Posterior, solve
 from .numbers import Number, numbers, with_numbers
@@ -129,6 +129,7 @@ class _Search:
     def __init__(self, robot: Robot, record: Measured, these: Sequence[Number], say: Say):
         self.robot, self.record, self.these, self.say = robot, record, these, say
         self.floor: np.ndarray | None = None
+        self.near_rest = len(near_rest_columns(robot))
 
     def run(self, rounds: int, kept: Rounds) -> tuple[Look, bool]:
         """The last look, and whether the numbers stay; from where an earlier run was interrupted."""
@@ -165,7 +166,8 @@ class _Search:
         evidence = Evidence(now, self.record)
         if self.floor is not None:
             evidence.floor = self.floor
-        weighed = weigh(evidence, [*number_columns(self.robot, self.these, x), *order_columns(orders)])
+        near_rest = near_rest_columns(self.robot)
+        weighed = weigh(evidence, [*number_columns(self.robot, self.these, x), *near_rest, *order_columns(orders)])
         posterior = solve(weighed.gram, self.these, x)
         if more:
             orders, weighed = with_found_orders(evidence, weighed, orders, posterior.change)
@@ -185,10 +187,11 @@ class _Search:
 
     def further(self, look: Look, more: bool) -> Look | None:
         """The next robot, by a step that is short enough to leave less."""
-        sure, count = sure_orders(look.orders, look.posterior), len(self.these)
+        sure = sure_orders(look.orders, look.posterior)
         orders = tuple(o for o, is_sure in zip(look.orders, sure, strict=True) if is_sure)
         # Orders that go take nothing away any more: what they took is no reason to refuse a step.
-        before = _misfit(look.evidence, look.weighed, count + np.flatnonzero(np.repeat(sure, 2)))
+        kept = np.flatnonzero(np.concatenate([np.ones(self.near_rest, bool), np.repeat(sure, 2)]))
+        before = _misfit(look.evidence, look.weighed, len(self.these) + kept)
         step = look.posterior.change[: len(self.these)]
         longest = max((abs(n.size * s) for n, s in zip(self.these, step, strict=True) if n.positive), default=0.0)
         part = min(1.0, _LONGEST / longest) if longest > 0 else 1.0
@@ -233,7 +236,7 @@ def _result(robot: Robot, these, look: Look, rounds, converged: bool, fitted: Me
     x = look.x + posterior.change[:count] if converged else look.x
     x = np.where(np.abs(x) < _NOTHING, 0.0, x)
     sure = sure_orders(look.orders, posterior)
-    waves = posterior.change[count:].reshape(-1, 2)
+    waves = posterior.change[len(posterior.change) - 2 * len(look.orders) :].reshape(-1, 2)
     kept = [i for i, is_sure in enumerate(sure) if is_sure]
     orders = tuple(look.orders[i] for i in kept)
     found = with_numbers(robot, these, x).with_effects(*ripple_effects(robot.axis_names, orders, waves[kept]))

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from ..effects import TorqueDelay
 from ..robot import Robot, parameters, with_parameters
+from ..robot.drive import Friction
 from ..robot.regressor import PER_LINK, link_parameters
 from ..trajectory.evidence import Column
 from ..trajectory.scene import Scene, Signature
@@ -15,6 +16,7 @@ from .numbers import Number, with_numbers
 
 _STEP = 1e-3  # of a coordinate's size, but at most this change of a logarithm
 _LATE = 1e-6  # s
+_NEAR_REST = (2.5, 12.5)  # times the speed that smooths the friction: within it, friction may be another
 _OF_LINKS = ("mass", "com", "inertia")
 _RESISTS = ("stiffness", "damping", "motor_inertia", "viscous_friction", "coulomb_friction", "mass", "inertia")
 
@@ -57,6 +59,25 @@ def _heavier(robot: Robot) -> Robot:
         for name, value in parameters(robot, [kind]).items()
     }
     return with_parameters(robot, values)
+
+
+def near_rest_columns(robot: Robot) -> list[Column]:
+    """What friction may be near standstill beside the robot's own law, two shapes for each motor.
+
+    No machine's friction turns over as tanh(v/eps) does: presliding, stiction, the drop of Stribeck. Left out, the
+    difference would go into viscous friction, of which it can be many per cent."""
+    friction = robot.drives.friction
+    if not isinstance(friction, Friction) or not np.any(np.asarray(friction.coulomb)):
+        return []
+    return [
+        lambda scene, axis=axis, width=width: scene.by_motor(axis, _near_rest(scene.speed[..., axis], width))
+        for axis in np.flatnonzero(np.asarray(friction.coulomb))
+        for width in np.array(_NEAR_REST) * float(friction.smoothing)
+    ]
+
+
+def _near_rest(speed, width: float):
+    return np.tanh(speed / (0.2 * width)) * np.exp(-np.abs(speed) / width)
 
 
 class _OnceAScene:
