@@ -28,6 +28,7 @@ _LONGEST = 0.5  # of a logarithm, in one step: columns hold no further
 _HALVINGS = 3
 _WORSE = 1.02  # of the misfit: a step that leaves more is halved
 _REWEIGHED = 2  # times in a round
+_FEW, _BANDS = 4, 8  # runs whose scatter says too little: bands of lines stand for runs then
 _NOTHING = 1e-12  # tolerances: what rounding moved
 _GAIN = 0.97  # of the misfit: a step that leaves more is of no use
 _STAYS = 0.3  # of its standard deviation that every number moves less
@@ -72,7 +73,11 @@ def calibrate(
     found is simulated again, until it stays: Gauss-Newton on the maximum a posteriori, lines weighed by what the model
     leaves around them.
 
-    Intervals come from the scatter between positions (between runs, where there are less than three), so that errors
+    How friction turns over near standstill is left open (two more columns a motor), so that another law there does not
+    go into viscous friction.
+
+    Intervals come from the scatter between positions (between runs, where there are less than three positions; between
+    bands of lines, where there are less than four runs), so that errors
     of the model which repeat from line to line count, and from the tolerances. **Biased** where the robot lacks an
     effect: what repeats from position to position is not in the intervals; `jaxfrf.gap.diagnose` looks for it.
 
@@ -179,7 +184,8 @@ class _Search:
             weighed = refloored(weighed, evidence.floor, floor)
             evidence.floor = floor
             posterior = solve(weighed.gram, self.these, x)
-        weighed = precise(weighed)
+        runs = len(weighed.gram.A)
+        weighed = precise(weighed, _BANDS if runs < _FEW else 1)
         posterior = solve(weighed.gram, self.these, x)
         self.floor = evidence.floor
         left = remainder(evidence, weighed, posterior.change)

@@ -170,18 +170,27 @@ def _products(X, Y):
 
 
 def _gram(every, parts) -> Gram:
-    position = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
+    position = np.repeat(np.arange(len(parts)), [len(p) * (len(every) // sum(map(len, parts))) for p in parts])
     return Gram(every[:, :-1, :-1], every[:, :-1, -1], every[:, -1, -1], position, parts[0].shape[-1])
 
 
-def precise(weighed: Weighed) -> Weighed:
-    """The same columns, their products in double precision: what a few directions of many columns are told by."""
+def precise(weighed: Weighed, bands: int = 1) -> Weighed:
+    """The same columns, their products in double precision: what a few directions of many columns are told by.
+
+    `bands`: of lines that every run is cut into, each of which then counts as a run at a position of its own: where
+    there are too few runs to see how errors of the model scatter."""
 
     def one(X):
-        wide = X.astype(float)
-        return wide @ wide.swapaxes(1, 2)
+        halves = X.reshape(*X.shape[:2], 2, -1)
+        cuts = np.array_split(np.arange(halves.shape[-1]), bands)
+        wide = [halves[..., cut].reshape(*X.shape[:2], -1).astype(float) for cut in cuts]
+        return np.stack([x @ x.swapaxes(1, 2) for x in wide], axis=1).reshape(-1, X.shape[1], X.shape[1])
 
-    return Weighed(weighed.parts, _gram(np.concatenate(_shared(one, weighed.parts)), weighed.parts))
+    gram = _gram(np.concatenate(_shared(one, weighed.parts)), weighed.parts)
+    if bands > 1:
+        position = np.arange(len(gram.A))
+        gram = Gram(gram.A, gram.b, gram.rr, position, gram.count // bands)
+    return Weighed(weighed.parts, gram)
 
 
 def renewed(weighed: Weighed, evidence: Evidence, columns: Mapping[int, Column]) -> Weighed:
