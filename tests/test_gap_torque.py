@@ -217,6 +217,9 @@ def test_nothing_is_named_where_nothing_is_missing():
     for key, true in (("shoulder.motor_inertia", ROTOR[0]), ("elbow.viscous_friction", VISCOUS[1])):
         assert abs(found.parameters[key].value - true) < 4 * found.parameters[key].std
     assert "backlash" in found.left_out and "rigid" in found.left_out["backlash"]
+    assert "wrist_coupling" in found.left_out
+    with pytest.raises(jf.InputError, match="a gear that turns with another axis"):
+        diagnose_torque(arm().with_effects(jf.effects.WristCoupling(1, 1.0)), record(5))
 
 
 def test_wrong_numbers_are_no_missing_effect():

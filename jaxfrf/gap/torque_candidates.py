@@ -16,6 +16,7 @@ NOT_ASSESSED = {
     "torque_saturation": "a clipped torque cannot be inverted: look for flat tops of u (jaxfrf.screen)",
     "encoder_quantisation": "it is noise here: the filter of y takes it off",
     "extra_flexibility": "the transmissions are taken as rigid",
+    "wrist_coupling": "gears that turn with another axis are no candidates here",
 }
 """Effects that inverse dynamics cannot see, and why."""
 

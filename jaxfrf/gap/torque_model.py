@@ -20,6 +20,7 @@ from ..effects import (
 )
 from ..effects._place import axis_of
 from ..robot import Robot, arm_inertia_and_bias, with_parameters
+from ..robot.robot import gear_coupling
 from ..trajectory.rigid_motion import Motion, smooth
 
 Torque = Float[np.ndarray, "time axis"]
@@ -34,6 +35,13 @@ def check_rigid(robot: Robot) -> None:
             f"springs at {names}",
             "rigid ones (stiffness = inf): the motors' motion is then the arm's",
             "Set them rigid for a look at the slow motion, or diagnose periodic records by simulation.",
+        )
+    if gear_coupling(robot) is not None:
+        raise input_error(
+            f"transmissions of {robot.name}",
+            "a gear that turns with another axis",
+            "one motor for each joint",
+            "Calibrate it (`jaxfrf.calibrate`), which knows such wrists; this diagnosis does not yet.",
         )
 
 
