@@ -190,3 +190,14 @@ def test_an_effect_of_the_library_without_a_table(robot, monkeypatch):
         value = float(Drag.typical(robot, candidate.joint).coefficient)
         np.testing.assert_allclose(candidate.high[0] * value, 0.5)
         assert float(candidate.make(np.array([2.0])).coefficient) == pytest.approx(2 * value)
+
+
+def test_gears_that_are_rigid_take_no_effect_of_a_spring():
+    """A wrist's coupling too, which a robot with rigid gears may have but which no simulation of it knows."""
+    from test_gap import small_robot
+
+    from jaxfrf.gap.candidates import candidates
+
+    names = {(c.name, c.joint) for c in candidates(small_robot(stiffness=np.inf), np.ones(2))}
+    assert ("wrist_coupling", "elbow") not in names and ("gear_hysteresis", "elbow") not in names
+    assert ("wrist_coupling", "elbow") in {(c.name, c.joint) for c in candidates(small_robot(), np.ones(2))}

@@ -13,7 +13,7 @@ import numpy as np
 
 from .. import effects as fx
 from ..effects import AbstractEffect
-from ..effects._place import axis_of
+from ..effects._place import axis_of, spring_of
 from ..robot import Robot
 from ..robot.drive import Friction
 
@@ -123,6 +123,8 @@ def _fitting(kind, robot: Robot, joint: str) -> AbstractEffect | None:
     try:
         effect = kind.typical(robot, joint)
         robot.with_effects(effect)
+        if isinstance(effect, fx.AbstractGear):
+            spring_of(robot, joint)
     except ValueError:
         return None
     return effect
