@@ -121,7 +121,7 @@ def least_squares(robot, rows):
 def test_tx40(tx40):
     """Beside plain least squares with the same filters: as good on all of it, better on what was not fitted.
 
-    In the mean over axes, each over its own torque: 12.3 and 19.3 % (12.2 and 20.6-21 % are published beside the data).
+    In the mean over axes, each over its own torque: 12.3 and 18.7 % (12.2 and 20.6-21 % are published beside the data).
     """
     robot, u, y = tx40
     whole = jf.calibrate(robot, in_parts(u, y, 1))
