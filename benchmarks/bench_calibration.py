@@ -180,6 +180,10 @@ def report(done: dict) -> None:
         print(f"{group:8}torque missed {100 * np.median(after):.2f} % (largest {100 * max(after):.2f} %)")
         seconds, rounds = (np.median([e[name] for e in entries]) for name in ("seconds", "rounds"))
         print(f"{group:8}{seconds:.0f} s, {rounds:.0f} rounds (medians)")
+    told = [r for k, v in done.items() if not k.startswith("springs") for r in v["numbers"].values()]
+    told = [r["held"] for r in told if r["told_by"] == "data" and r["kind"] != "smoothing"]
+    low, high = scipy.stats.binomtest(sum(told), len(told)).proportion_ci(method="exact")
+    print(f"all: 95 % intervals of what the data tell: {sum(told)} of {len(told)} hold ({low:.1%} to {high:.1%})")
     rows = [v for k, v in done.items() if k.startswith("springs")]
     for kind in ("stiffness", "damping") if rows else ():
         means = [100 * np.mean([x for n, x in r.items() if n.endswith(kind)]) for r in rows]

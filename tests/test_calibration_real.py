@@ -282,3 +282,19 @@ def test_a_urdf_alone_says_too_little(pendulum, capsys):
     (pendulum / "robot.toml").write_text(DRIVES.replace("pendulum.urdf", "other.urdf"))
     assert main(["identify", files[0], "--robot", str(pendulum / "robot.toml"), "-o", files[2]]) == 2
     assert "other.urdf: found no such file" in capsys.readouterr().err
+
+
+def test_positions_that_are_not_there(pendulum, capsys):
+    from jaxfrf.__main__ import main
+
+    command = [
+        "identify",
+        str(pendulum / "motion.csv"),
+        "--robot",
+        str(pendulum / "robot.toml"),
+        "--map",
+        "u=tau,y=theta",
+    ]
+    command += ["--set", "fs=500,y_quantity=position", "-o", str(pendulum / "fit.json"), "--heldout", "4"]
+    assert main(command) == 2
+    assert "heldout: found positions 4 of 1; expected some of 0 to 0" in capsys.readouterr().err

@@ -83,7 +83,7 @@ def run(given) -> dict:
             found = _calibrated(given, robot, data, parts) if whole else _springs(given, robot, data, method, parts)
         contents = found.as_dict()
         write_fit(given.output, contents)
-        written = [given.output, *(_write_calibration(given, found) if whole else _write_more(given, found))]
+        written = [given.output, *_write_more(given, found, whole)]
     warnings = data.warnings if whole else found.measured.warnings
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -94,14 +94,14 @@ def run(given) -> dict:
 def _is_whole(given, robot, data) -> bool:
     """Whether all of the robot can be fitted; says why, where not."""
     from ..frf import FRF
-    from ..identification import check_data, why_springs
+    from ..identification import check_data, why_direct
 
     if given.springs:
         return False
     rigid = not isinstance(data, FRF) and not robot.n_motors and not robot.n_elastic
     if not rigid:
         check_data(robot, data)
-    why = "" if rigid else why_springs(robot, data)
+    why = "" if rigid else why_direct(robot, data, False)
     if why:
         if not isinstance(data, FRF):
             say(f"springs and dampers alone: {why}")
@@ -155,28 +155,13 @@ def _springs(given, robot, data, method, parts):
     )
 
 
-def _write_calibration(given, found) -> list[str]:
-    written = []
-    if given.robot_out:
-        from ..io.robots import write_robot
-
-        write_robot(found.robot, given.robot_out)
-        written.append(given.robot_out)
-    if given.report:
-        from ..report.calibration import write_calibration
-
-        write_calibration(given.report, found)
-        written.append(given.report)
-    return written
-
-
 def _brief(contents: dict) -> dict:
     """Without what fills pages."""
     starts = {name: x for name, x in contents["starts"].items() if name not in ("costs", "paths", "polished")}
     return contents | {"starts": starts}
 
 
-def _write_more(given, found) -> list[str]:
+def _write_more(given, found, whole: bool) -> list[str]:
     written = []
     if given.robot_out:
         from ..io.robots import write_robot
@@ -191,9 +176,9 @@ def _write_more(given, found) -> list[str]:
         save(fit_bode(found.measured, found.responses(), title=title)[0], given.plot)
         written.append(given.plot)
     if given.report:
-        from ..report import write_identification
+        from ..report import write_calibration, write_identification
 
-        write_identification(given.report, found)
+        (write_calibration if whole else write_identification)(given.report, found)
         written.append(given.report)
     return written
 

@@ -14,14 +14,15 @@ from ..robot import Robot
 from ..simulation.checks import check_fit
 from ..trajectory.evidence import Evidence, Weighed, precise, refloored, weigh
 from ..trajectory.measured import Measured, measured
-from ..trajectory.ripple import Order
+from ..trajectory.ripple import Order, order_columns, ripple_effects
 from .columns import near_rest_columns, number_columns
 from .from_motion import calibrate_from_motion, check_rigid
+from .heldout import heldout_numbers
 from .least_squares import Posterior, solve
 from .numbers import Number, numbers, with_numbers
 from .remainder import remainder, usual_size
 from .result import Calibration, Round
-from .ripple import order_columns, ripple_effects, sure_orders, with_found_orders
+from .ripple import sure_orders, with_found_orders
 from .rounds import Kept, Rounds
 
 _LONGEST = 0.5  # of a logarithm, in one step: columns hold no further
@@ -117,12 +118,7 @@ def _check(robot: Robot, data: Experiment) -> None:
 
 
 def _split(record: Measured, heldout: Sequence[int]) -> tuple[Measured, Measured | None]:
-    held = sorted({int(p) for p in heldout})
-    n = record.data.n_pos
-    if held and (held[0] < 0 or held[-1] >= n or len(held) == n):
-        raise input_error(
-            "heldout", f"positions {held} of {n}", f"some of 0 to {n - 1}, and one left to fit", "They count from 0."
-        )
+    n, held = record.data.n_pos, heldout_numbers(heldout, record.data.n_pos)
     if not held:
         return record, None
     return record.at([p for p in range(n) if p not in held]), record.at(held)
@@ -134,7 +130,7 @@ class _Search:
     def __init__(self, robot: Robot, record: Measured, these: Sequence[Number], say: Say):
         self.robot, self.record, self.these, self.say = robot, record, these, say
         self.floor: np.ndarray | None = None
-        self.near_rest = len(near_rest_columns(robot))
+        self.near_rest = near_rest_columns(robot)
 
     def run(self, rounds: int, kept: Rounds) -> tuple[Look, bool]:
         """The last look, and whether the numbers stay; from where an earlier run was interrupted."""
@@ -171,8 +167,8 @@ class _Search:
         evidence = Evidence(now, self.record)
         if self.floor is not None:
             evidence.floor = self.floor
-        near_rest = near_rest_columns(self.robot)
-        weighed = weigh(evidence, [*number_columns(self.robot, self.these, x), *near_rest, *order_columns(orders)])
+        own = number_columns(self.robot, self.these, x)
+        weighed = weigh(evidence, [*own, *self.near_rest, *order_columns(orders)])
         posterior = solve(weighed.gram, self.these, x)
         if more:
             orders, weighed = with_found_orders(evidence, weighed, orders, posterior.change)
@@ -196,7 +192,7 @@ class _Search:
         sure = sure_orders(look.orders, look.posterior)
         orders = tuple(o for o, is_sure in zip(look.orders, sure, strict=True) if is_sure)
         # Orders that go take nothing away any more: what they took is no reason to refuse a step.
-        kept = np.flatnonzero(np.concatenate([np.ones(self.near_rest, bool), np.repeat(sure, 2)]))
+        kept = np.flatnonzero(np.concatenate([np.ones(len(self.near_rest), bool), np.repeat(sure, 2)]))
         before = _misfit(look.evidence, look.weighed, len(self.these) + kept)
         step = look.posterior.change[: len(self.these)]
         longest = max((abs(n.size * s) for n, s in zip(self.these, step, strict=True) if n.positive), default=0.0)

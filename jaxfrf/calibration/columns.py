@@ -17,7 +17,7 @@ from .numbers import Number, with_numbers
 _STEP = 1e-3  # of a coordinate's size, but at most this change of a logarithm
 _LATE = 1e-6  # s
 _NEAR_REST = (2.5, 12.5)  # times the speed that smooths the friction: within it, friction may be another
-_OF_LINKS = ("mass", "com", "inertia")
+OF_LINKS = ("mass", "com", "inertia")
 _RESISTS = ("stiffness", "damping", "motor_inertia", "viscous_friction", "coulomb_friction", "mass", "inertia")
 
 
@@ -28,7 +28,7 @@ def number_columns(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "
     """
     x = np.asarray(x, float)
     now = with_numbers(robot, these, x)
-    links = [i for i, number in enumerate(these) if number.kind in _OF_LINKS]
+    links = [i for i, number in enumerate(these) if number.kind in OF_LINKS]
     given, linked = _OnceAScene(_Given(_heavier(now))), _OnceAScene(_Links(now, [these[i] for i in links], x[links]))
     return [
         (lambda scene, i=i: linked(scene)[links.index(i)]) if i in links else _column(robot, these, x, i, given)
@@ -112,15 +112,20 @@ class _Links:
     """Columns of masses, centres and inertias, all at once: torques are linear in the links' parameters."""
 
     def __init__(self, now: Robot, these: Sequence[Number], x):
-        chain = now.chain
-        values = [np.asarray(getattr(chain, kind), float) for kind in _OF_LINKS]
-        self.slopes = np.zeros((len(these), len(now.joint_names), PER_LINK))
-        for slope, number, at in zip(self.slopes, these, x, strict=True):
-            joint = now.joint_names.index(number.joint)
-            for sign in (1.0, -1.0):
-                moved = {kind: np.array(value[joint]) for kind, value in zip(_OF_LINKS, values, strict=True)}
-                moved[number.kind][number.element] = number.value(at + sign * _STEP)
-                slope[joint] += sign * link_parameters(**moved) / (2 * _STEP)
+        self.slopes = link_slopes(now, these, x)
 
     def __call__(self, scene: Scene) -> list[Signature]:
         return scene.by_links(self.slopes)
+
+
+def link_slopes(now: Robot, these: Sequence[Number], x) -> Float[np.ndarray, "number joint parameter"]:
+    """Derivatives of the links' parameters (`link_regressor`) by numbers of the links, of a robot that stands at x."""
+    values = {kind: np.asarray(getattr(now.chain, kind), float) for kind in OF_LINKS}
+    slopes = np.zeros((len(these), len(now.joint_names), PER_LINK))
+    for slope, number, at in zip(slopes, these, x, strict=True):
+        joint = now.joint_names.index(number.joint)
+        for sign in (1.0, -1.0):
+            moved = {kind: np.array(value[joint]) for kind, value in values.items()}
+            moved[number.kind][number.element] = number.value(at + sign * _STEP)
+            slope[joint] += sign * link_parameters(**moved) / (2 * _STEP)
+    return slopes

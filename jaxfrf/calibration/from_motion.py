@@ -9,20 +9,19 @@ from jaxtyping import Float
 from .._errors import input_error
 from ..experiment import Experiment
 from ..robot import Robot
-from ..robot.regressor import PER_LINK, link_parameters, link_regressor
+from ..robot.regressor import link_parameters, link_regressor
 from ..robot.robot import gear_coupling
 from ..trajectory.evidence import Gram
 from ..trajectory.rigid_motion import Motion, chosen_cutoff, measured_motions, thinned
+from .columns import OF_LINKS, link_slopes
+from .heldout import heldout_numbers
 from .least_squares import Posterior, solve
 from .numbers import Number, numbers, with_numbers
 from .result import Calibration, Round
 
-_OF_LINKS = ("mass", "com", "inertia")
 _BLOCKS = 20  # of all records together, at least two of each: what their scatter is seen from
 _LONGEST = 0.7  # of a logarithm, in one step
 _STAYS = 0.05  # of its standard deviation that every number moves less
-_GONE = 1e-5  # of the largest friction: a friction that the records do not show at all
-_STEP = 1e-4
 
 
 class Rows(eqx.Module):
@@ -61,13 +60,13 @@ def calibrate_from_motion(
     """
     check_rigid(robot)
     cutoff = chosen_cutoff(data) if cutoff is None else float(cutoff)
+    held = heldout_numbers(heldout, data.n_pos)
     these = numbers(robot, offset_size=0.05 * np.abs(np.asarray(data.u)).max(axis=(0, 1, 2)))
+    these = tuple(number for number in these if number.kind != "delay")  # filters that have no phase would hide it
     rows = [_rows(robot, motion) for motion in measured_motions(robot, data, cutoff)]
-    held = np.isin(np.repeat(np.arange(data.n_pos), data.n_exp), list(heldout))
-    fitted = [r for r, h in zip(rows, held, strict=True) if not h]
-    judged = [r for r, h in zip(rows, held, strict=True) if h]
-    if not fitted:
-        raise input_error("heldout", "every position", "one left to fit", "Hold fewer back.")
+    judge = np.isin(np.repeat(np.arange(data.n_pos), data.n_exp), held)
+    fitted = [r for r, h in zip(rows, judge, strict=True) if not h]
+    judged = [r for r, h in zip(rows, judge, strict=True) if h]
     x, scale = np.zeros(len(these)), np.sqrt(_by_axis(fitted, lambda r: r.torque))
     done: list[Round] = []
     converged = False
@@ -114,7 +113,7 @@ def needed(robot: Robot, these: Sequence[Number], x, rows: Rows) -> Float[np.nda
     now = with_numbers(robot, these, x)
     drives, chain = now.drives, now.chain
     pi = np.concatenate(
-        [link_parameters(*link) for link in zip(*(np.asarray(getattr(chain, k)) for k in _OF_LINKS), strict=True)]
+        [link_parameters(*link) for link in zip(*(np.asarray(getattr(chain, k)) for k in OF_LINKS), strict=True)]
     )
     torque = rows.links @ pi + np.asarray(drives.motor_inertia) * rows.acceleration
     torque = torque + thinned(rows.motion, np.asarray(drives.friction.torque(rows.motion.speed)))
@@ -145,18 +144,14 @@ def _slopes(robot: Robot, these: Sequence[Number], x, rows: Rows) -> Float[np.nd
     gain, own = _gains(robot, these, x), needed(robot, these, x, rows)
     sign = thinned(rows.motion, np.tanh(speed / corner))
     found = np.zeros((*rows.torque.shape, len(these)))
-    chain = [np.asarray(getattr(now.chain, k), float) for k in _OF_LINKS]
+    links = [i for i, number in enumerate(these) if number.kind in OF_LINKS]
+    slopes = link_slopes(now, [these[i] for i in links], np.asarray(x, float)[links])
+    found[..., links] = rows.links @ slopes.reshape(len(links), rows.links.shape[-1]).T
     for i, (number, at) in enumerate(zip(these, x, strict=True)):
         by = number.size * (number.value(float(at)) if number.positive else 1.0)
-        if number.kind in _OF_LINKS:
-            j = robot.joint_names.index(number.joint)
-            slope = np.zeros(PER_LINK)
-            for side in (1.0, -1.0):
-                link = {k: np.array(v[j]) for k, v in zip(_OF_LINKS, chain, strict=True)}
-                link[number.kind][number.element] = number.value(float(at) + side * _STEP)
-                slope += side * link_parameters(**link) / (2 * _STEP)
-            found[..., i] = rows.links[..., PER_LINK * j : PER_LINK * (j + 1)] @ slope
-        elif number.kind == "smoothing":
+        if number.kind in OF_LINKS:
+            continue
+        if number.kind == "smoothing":
             bend = 1.0 - np.tanh(speed / corner) ** 2
             found[..., i] = thinned(rows.motion, -level * speed / corner**2 * bend) * by
         elif number.kind == "torque_constant":

@@ -5,20 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.stats
 
-from ..effects import AbstractEffect, ResolverRipple, TorqueRipple
-from ..trajectory.evidence import Column, Evidence, Weighed, weigh
-from ..trajectory.ripple import Order, find_orders
+from ..trajectory.evidence import Evidence, Weighed, weigh
+from ..trajectory.ripple import Order, find_orders, order_columns
 from .least_squares import Posterior
 from .remainder import remainder
 
 _TRIED = {"torque": np.arange(1, 51), "resolver": np.arange(1, 13)}  # whole orders of the motor's turn
 _AT_ONCE = {"torque": 3, "resolver": 2}  # of every motor, in a round
 _CHANCE = 1e-3  # of an order that is kept without being there
-
-
-def order_columns(orders: Sequence[Order]) -> list[Column]:
-    """Sine and cosine of each order, (2 order) columns."""
-    return [lambda scene, o=o, i=i: o.columns(scene)[i] for o in orders for i in (0, 1)]
 
 
 def with_found_orders(
@@ -44,16 +38,3 @@ def sure_orders(orders: Sequence[Order], posterior: Posterior) -> list[bool]:
     spread = np.sqrt(np.diag(posterior.covariance))[-2 * len(orders) :].reshape(-1, 2) if orders else waves
     size = np.sum((waves / np.where(spread > 0, spread, np.inf)) ** 2, axis=1)
     return list(size > scipy.stats.chi2.isf(_CHANCE, 2))
-
-
-def ripple_effects(names: Sequence[str], orders: Sequence[Order], waves) -> list[AbstractEffect]:
-    """One effect for each motor and kind; `waves`: coefficients of sine and cosine, (order, 2)."""
-    found: list[AbstractEffect] = []
-    for axis, joint in enumerate(names):
-        for kind, make in (("torque", TorqueRipple), ("resolver", ResolverRipple)):
-            rows = [i for i, o in enumerate(orders) if (o.kind, o.axis) == (kind, axis)]
-            if rows:
-                amplitude = np.hypot(*waves[rows].T)
-                phase = np.arctan2(waves[rows, 1], waves[rows, 0])
-                found.append(make(joint, amplitude, [int(orders[i].order) for i in rows], phase))
-    return found

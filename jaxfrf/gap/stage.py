@@ -9,7 +9,7 @@ from ..effects import AbstractEffect, ResolverRipple, TorqueRipple, Transmission
 from ..robot import Robot
 from ..trajectory.evidence import Column, Evidence, Weighed, by_band, inflated, rebased, refloored, renewed, weigh
 from ..trajectory.measured import Measured
-from ..trajectory.ripple import Order, find_orders, gear_orders
+from ..trajectory.ripple import Order, find_orders, gear_orders, order_columns
 from ..trajectory.signature import signature
 from .candidates import Candidate
 from .knobs import Knob
@@ -54,10 +54,6 @@ def knob_columns(robot: Robot, knobs: Sequence[Knob]) -> list[Column]:
         return lambda scene: scene.by_robot(knob.turned(robot, _STEP)) / _STEP
 
     return [column(knob) for knob in knobs]
-
-
-def order_columns(orders: Sequence[Order]) -> list[Column]:
-    return [lambda scene, o=o, i=i: o.columns(scene)[i] for o in orders for i in (0, 1)]
 
 
 def limits(robot: Robot, knobs: Sequence[Knob], turns, orders: Sequence[Order], near: bool) -> Limits:

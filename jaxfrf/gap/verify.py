@@ -8,13 +8,14 @@ import scipy.stats
 from jaxtyping import Bool, Complex, Float
 
 from .._errors import InputError
-from ..effects import AbstractEffect, ResolverRipple, TorqueRipple
+from ..effects import AbstractEffect
 from ..robot import Robot
 from ..trajectory.evidence import Evidence
+from ..trajectory.ripple import ripple_effects
 from .knobs import turned
 from .score import deviations
 from .search import Search, Step
-from .stage import Stage, mean_square, waves_of
+from .stage import Stage, mean_square
 from .trial import Setting, together
 
 _CHANCE = 1e-3  # of an order of ripple that is written without being there
@@ -63,13 +64,8 @@ def motors_ripple(stage: Stage) -> list[AbstractEffect]:
     std[fit.columns], value[fit.columns] = deviations(stage.weighed.gram, fit), fit.x
     c, sure = value[first:].reshape(-1, 2), (value / std)[first:].reshape(-1, 2)
     sure = np.sum(sure**2, axis=1) > scipy.stats.chi2.isf(_CHANCE, 2)
-    found = []
-    for axis, joint in enumerate(stage.robot.axis_names):
-        for kind, make in (("torque", TorqueRipple), ("resolver", ResolverRipple)):
-            rows = [i for i, o in enumerate(stage.orders) if (o.kind, o.axis) == (kind, axis) and sure[i]]
-            if rows:
-                found.append(waves_of(make, joint, [int(stage.orders[i].order) for i in rows], c[rows]))
-    return found
+    kept = [order for order, is_sure in zip(stage.orders, sure, strict=True) if is_sure]
+    return ripple_effects(stage.robot.axis_names, kept, c[sure])
 
 
 class Verified(eqx.Module):

@@ -8,6 +8,7 @@ import numpy as np
 
 from .._errors import input_error
 from .._types import require_x64
+from ..calibration.heldout import heldout_numbers
 from ..experiment import Experiment
 from ..frf import FRF, AbstractMethod, Auto, describe_method, estimate
 from ..frf.from_record import spectra_of
@@ -81,7 +82,7 @@ def identify(
     **Raises:** `jaxfrf.InputError`, before anything long begins, if robot, data and arguments do not fit together.
     """
     require_x64("identify")
-    held = _heldout_numbers(heldout, data)
+    held = heldout_numbers(heldout, data.n_pos)
     check_data(robot, data)
     why = why_direct(robot, data, direct)
     model = robot_model(robot, data, fixed=fixed, freed=freed, shared=shared, simulated=not why)
@@ -139,18 +140,6 @@ def _within(weights: Weights, band) -> Weights:
     outside = ((0.0, np.nextafter(low, 0), 0.0),) if low > 0 else ()
     outside += ((np.nextafter(high, np.inf), np.inf, 0.0),) if np.isfinite(high) else ()
     return dataclasses.replace(weights, bands=(*weights.bands, *outside))
-
-
-def _heldout_numbers(heldout: Sequence[int], data) -> tuple[int, ...]:
-    held = tuple(sorted({int(p) for p in heldout}))
-    if held and (held[0] < 0 or held[-1] >= data.n_pos or len(held) == data.n_pos):
-        raise input_error(
-            "heldout",
-            f"positions {', '.join(map(str, held))} of {data.n_pos}",
-            f"some of 0 to {data.n_pos - 1}, and at least one left to fit",
-            "Positions are counted from 0.",
-        )
-    return held
 
 
 def _at(data: Experiment | FRF, positions: Sequence[int]):

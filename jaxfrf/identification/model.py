@@ -83,11 +83,6 @@ def why_direct(robot: Robot, data: Experiment | FRF, direct: bool) -> str:
     return ""
 
 
-def why_springs(robot: Robot, data: Experiment | FRF) -> str:
-    """Why no more than springs and dampers can be fitted; empty where the whole robot can be."""
-    return why_direct(robot, data, False)
-
-
 def _amplitude(data: Experiment) -> np.ndarray | None:
     """Of a sine that moves as fast as the motors did, (axis,), rad/s."""
     if data.r is None or data.r_quantity != "velocity" or data.r.shape[-1] != data.n_in:

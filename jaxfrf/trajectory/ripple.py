@@ -1,10 +1,13 @@
 """Ripple over the motor's angle: which orders a residual holds, of torque, of the resolver, of the gear."""
 
+from collections.abc import Callable, Sequence
+
 import equinox as eqx
 import numpy as np
 import scipy.fft
 from jaxtyping import Float
 
+from ..effects import AbstractEffect, ResolverRipple, TorqueRipple
 from ..robot import Robot
 from .scene import Scene, Signature
 
@@ -111,3 +114,21 @@ def gear_orders(scenes, residuals, floor, axis: int, most: int = 4) -> list[floa
         b = sum(strength(s, r * weight, "torque", axis, fine) for s, r in zip(scenes, residuals, strict=True))
         result.append(float(fine[int(np.argmax(np.abs(b)))]))
     return result
+
+
+def order_columns(orders: Sequence[Order]) -> list[Callable[[Scene], Signature]]:
+    """Sine and cosine of each order, (2 order) columns."""
+    return [lambda scene, o=o, i=i: o.columns(scene)[i] for o in orders for i in (0, 1)]
+
+
+def ripple_effects(names: Sequence[str], orders: Sequence[Order], waves) -> list[AbstractEffect]:
+    """One effect for each motor and kind; `waves`: coefficients of sine and cosine, (order, 2)."""
+    found: list[AbstractEffect] = []
+    for axis, joint in enumerate(names):
+        for kind, make in (("torque", TorqueRipple), ("resolver", ResolverRipple)):
+            rows = [i for i, o in enumerate(orders) if (o.kind, o.axis) == (kind, axis)]
+            if rows:
+                amplitude = np.hypot(*waves[rows].T)
+                phase = np.arctan2(waves[rows, 1], waves[rows, 0])
+                found.append(make(joint, amplitude, [int(orders[i].order) for i in rows], phase))
+    return found
