@@ -644,8 +644,6 @@ class TestDiagnosis:
             diagnose(small_robot(), changed(data, period=0))
         with pytest.raises(jf.InputError, match="arm configuration"):
             diagnose(small_robot(), changed(data, q=None))
-        with pytest.raises(jf.InputError, match="accelerations"):
-            diagnose(changed(small_robot(), controller=None), changed(data, y_quantity="acceleration"))
 
 
 @pytest.mark.slow

@@ -235,7 +235,7 @@ class TestURDF:
     @pytest.mark.parametrize(
         ("old", "new", "message"),
         [
-            ('type="revolute"', 'type="prismatic"', "joint 'shoulder': found type 'prismatic'"),
+            ('type="revolute"', 'type="planar"', "joint 'shoulder': found type 'planar'"),
             ('<parent link="upper"/>', '<parent link="base"/>', "link 'base': found 2 joints that move"),
             (
                 '<parent link="upper"/>',

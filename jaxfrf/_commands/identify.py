@@ -40,8 +40,8 @@ def add(commands) -> None:
     parser.add_argument(
         "--springs",
         action="store_true",
-        help="stiffness and damping alone, from the FRF, everything else taken as exact (what FRF files, and records "
-        "without reference or controller, always give); all options from --plot to --weights belong to it",
+        help="stiffness and damping alone, from the FRF, everything else taken as exact (what FRF files always give); "
+        "all options from --plot to --weights belong to it",
     )
     add_tolerance_option(parser)
     parser.add_argument("--plot", metavar="FILE", help="Bode picture of measurement and models: .png, .pdf, .svg")
@@ -94,17 +94,8 @@ def run(given) -> dict:
 def _is_whole(given, robot, data) -> bool:
     """Whether all of the robot can be fitted; says why, where not."""
     from ..frf import FRF
-    from ..identification import check_data, why_direct
 
-    if given.springs:
-        return False
-    rigid = not isinstance(data, FRF) and not robot.n_motors and not robot.n_elastic
-    if not rigid:
-        check_data(robot, data)
-    why = "" if rigid else why_direct(robot, data, False)
-    if why:
-        if not isinstance(data, FRF):
-            say(f"springs and dampers alone: {why}")
+    if given.springs or isinstance(data, FRF):
         return False
     asked = next((name for name in _SPRINGS_ONLY if getattr(given, name) not in (None, False, [])), None)
     if asked is not None:

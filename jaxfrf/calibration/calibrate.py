@@ -9,10 +9,12 @@ from jaxtyping import Float
 from .._errors import InputError, input_error
 from .._types import require_x64
 from ..experiment import Experiment
+from ..identification.model import check_data
 from ..parts import Parts
 from ..robot import Robot
 from ..simulation.checks import check_fit
 from ..trajectory.evidence import Evidence, Weighed, precise, refloored, weigh
+from ..trajectory.following import compared, why_followed
 from ..trajectory.measured import Measured, measured
 from ..trajectory.ripple import Order, order_columns, ripple_effects
 from .columns import near_rest_columns, number_columns
@@ -72,7 +74,8 @@ def calibrate(
     than measured, at every line from the steady torque to the highest excited one, is explained by its numbers and by
     ripple, to first order along the simulated motion, with the robot's tolerances as what is known before. The robot so
     found is simulated again, until it stays: Gauss-Newton on the maximum a posteriori, lines weighed by what the model
-    leaves around them.
+    leaves around them. Without references, without a controller, or where the controller runs at another rate than the
+    log, the motors are moved as measured instead (`trajectory/following.py`).
 
     How friction turns over near standstill is left open (two more columns a motor), so that another law there does not
     go into viscous friction.
@@ -84,8 +87,8 @@ def calibrate(
 
     **Arguments:**
 
-    - `robot`: with a controller; `robot.tolerances` say how well its numbers are known.
-    - `data`: periodic records with references and arm configurations.
+    - `robot`: its `controller` may be unknown (`None`); `robot.tolerances` say how well its numbers are known.
+    - `data`: records with arm configurations `q`; `r` may be missing.
     - `heldout`: numbers of positions, from 0, that are not fitted, and on which the result is judged.
     - `rounds`: of simulation, at most.
     - `cutoff`: of the motion's filter, Hz, of a robot with rigid transmissions.
@@ -112,9 +115,11 @@ def calibrate(
 
 
 def _check(robot: Robot, data: Experiment) -> None:
-    if data.r is None or not data.period or data.q is None or robot.controller is None:
+    if not data.period:
         check_rigid(robot)
-    check_fit(robot, data.fs, data.r.shape[3], "record")
+    check_data(robot, data)
+    if not why_followed(robot, data):
+        check_fit(robot, data.fs, data.r.shape[3], "record")
 
 
 def _split(record: Measured, heldout: Sequence[int]) -> tuple[Measured, Measured | None]:
@@ -259,6 +264,7 @@ def _result(robot: Robot, these, look: Look, rounds, converged: bool, fitted: Me
         missed_before=missed(Evidence(robot, fitted), fitted),
         missed_after=missed(Evidence(found, fitted), fitted),
         heldout=None if judged is None else _missed_pair(robot, found, judged),
+        compared=compared(robot, fitted.data),
         sources=fitted.data.sources,
     )
 

@@ -43,9 +43,9 @@ def check_rigid(robot: Robot) -> None:
     if robot.n_motors or robot.n_elastic:
         raise input_error(
             f"transmissions of {robot.name}",
-            f"springs at {', '.join(robot.spring_names)}, and a record that cannot be played",
-            "a periodic record with its reference, q and a controller, or rigid transmissions (stiffness = inf)",
-            "Add what is missing, or set the transmissions rigid for a look at the slow motion.",
+            f"springs at {', '.join(robot.spring_names)}, and a record that is not periodic",
+            "a periodic record, or rigid transmissions (stiffness = inf)",
+            "Say its period (--set period=N), or set the transmissions rigid for a look at the slow motion.",
         )
 
 
@@ -202,6 +202,7 @@ def _result(robot, these, x, posterior: Posterior, done, converged, fitted, judg
         missed_before=_missed(robot, these, zero, fitted),
         missed_after=_missed(robot, these, x, fitted),
         heldout=tuple(_missed(robot, these, at, judged) for at in (zero, x)) if judged else None,
+        compared="by the torque that the model needs for the measured motion: its transmissions are rigid",
         sources=data.sources,
     )
 

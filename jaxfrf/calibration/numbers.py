@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ..effects import FrictionAsymmetry, TorqueConstant, TorqueDelay
 from ..effects._place import axis_of
-from ..robot import Robot, parameters
+from ..robot import PARAMETER_UNITS, Robot, parameter_unit, parameters
 from ..robot.drive import Friction, Spring
 from ..robot.parameters import parameter_field
 from ..robot.tolerances import KINDS, Tolerance, relative_sizes
@@ -88,7 +88,8 @@ def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) 
         tolerance = robot.tolerances.of(name)
         if tolerance.exact or not math.isfinite(given):
             return
-        number = _number(name, kind, given, tolerance, abs(given) if relative_to is None else relative_to)
+        unit = KINDS[kind] if kind not in PARAMETER_UNITS else parameter_unit(robot, name.split(".")[0], kind)
+        number = _number(name, kind, unit, given, tolerance, abs(given) if relative_to is None else relative_to)
         if number is not None:
             found.append(number)
 
@@ -115,16 +116,16 @@ def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) 
     return tuple(found)
 
 
-def _number(name: str, kind: str, given: float, tolerance: Tolerance, relative_to: float) -> Number | None:
+def _number(name: str, kind: str, unit: str, given: float, tolerance: Tolerance, relative_to: float) -> Number | None:
     absolute = tolerance.std if not tolerance.relative else tolerance.std * relative_to
     positive = kind in _POSITIVE and given > 0.0
     if tolerance.unknown:
         size = _UNKNOWN if positive else relative_to
-        return Number(name, kind, KINDS[kind], given, size, positive, 0.0) if size > 0 else None
+        return Number(name, kind, unit, given, size, positive, 0.0) if size > 0 else None
     if absolute == 0.0:
         return None
     size = absolute / given if positive else absolute
-    return Number(name, kind, KINDS[kind], given, size, positive, 1.0)
+    return Number(name, kind, unit, given, size, positive, 1.0)
 
 
 def _bent(robot: Robot) -> tuple[str, ...]:

@@ -37,7 +37,7 @@ class Calibration(eqx.Module):
     - `orders`, `waves`: of ripple, with coefficients of sine and cosine, (order, 2), N m or rad.
     - `rounds`: of simulation. `converged`: whether the numbers stay.
     - `missed_before`, `missed_after`: torque that the simulated robot misses, relative, by axis. `heldout`: the same
-      two on positions that were not fitted, or `None`.
+      two on positions that were not fitted, or `None`. `compared`: what of the robot with the records, in words.
     """
 
     given: Robot
@@ -55,6 +55,7 @@ class Calibration(eqx.Module):
     missed_before: Float[np.ndarray, "axis"]
     missed_after: Float[np.ndarray, "axis"]
     heldout: tuple[np.ndarray, np.ndarray] | None
+    compared: str = eqx.field(static=True)
     sources: tuple = eqx.field(static=True)
 
     @property
@@ -97,7 +98,8 @@ class Calibration(eqx.Module):
         told = [n for n in self.numbers if self.told_by(n.name) == "data"]
         text = [
             f"{self.given.name}: {len(self.numbers)} numbers, {len(told)} of them told by the data, "
-            f"{len(self.rounds)} rounds" + ("" if self.converged else "; they do not stay yet")
+            f"{len(self.rounds)} rounds" + ("" if self.converged else "; they do not stay yet"),
+            f"compared {self.compared}",
         ]
         for number in told:
             if number.kind in ("com", "inertia"):
@@ -114,7 +116,8 @@ class Calibration(eqx.Module):
     def as_dict(self) -> dict[str, Any]:
         """What fit.json holds."""
         return {
-            "kind": "whole robot through the experiment",
+            "kind": "whole robot",
+            "compared": self.compared,
             "parameters": {n.name: self._entry(n) for n in self.numbers},
             "ripple": [
                 {"joint": self.given.axis_names[o.axis], "kind": o.kind, "order": o.order, "sine": s, "cosine": c}

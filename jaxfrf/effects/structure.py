@@ -191,16 +191,7 @@ class ExtraFlexibility(AbstractStructure):
             raise input_error(f"{robot.name}", f"an elastic joint {name!r} already", "one", "Change that one.")
         chain, axis = robot.chain, jnp.asarray(self.axis, float)
         _check_across(axis, chain.axis[at], robot.joint_names[at])
-        insert = lambda x, row: jnp.insert(jnp.asarray(x), at, row, axis=0)
-        chain = dataclasses.replace(
-            chain,
-            axis=insert(chain.axis, axis / jnp.linalg.norm(axis)),
-            # The new joint takes over the way to `joint`, which then sits at its origin.
-            offset=insert(chain.offset, chain.offset[at]).at[at + 1].set(0.0),
-            mass=insert(chain.mass, 0.0),
-            com=insert(chain.com, jnp.zeros(3)),
-            inertia=insert(chain.inertia, jnp.zeros(6)),
-        )
+        chain = chain.with_hinge(at, axis)
         before = sum(1 for joint in robot.elastic_joints if joint < at)
         spring = robot.n_motors + before
         springs, add = robot.springs, lambda x, v: jnp.insert(jnp.asarray(x), spring, v)

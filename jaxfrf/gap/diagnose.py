@@ -12,17 +12,14 @@ from .._types import require_x64
 from ..effects import AbstractEffect
 from ..experiment import Experiment
 from ..parts import Parts
-from ..robot import Controller, Robot
-from ..robot.quantity import derivatives
+from ..robot import Robot
+from ..trajectory.following import compared
 from ..trajectory.measured import fewer, measured
 from .present import present
 from .result import Diagnosis
 from .search import Say, Search, search
 
 _EXPERIMENTS = 2  # of a position that are used: what limits the search is the model, not the noise
-
-THROUGH = "through the experiment: the robot plays the record's references under its controller"
-TRACKED = "by the torque that the model needs for the measured motion: its reference or controller is not known"
 
 
 def diagnose(
@@ -53,8 +50,8 @@ def diagnose(
 
     **Arguments:**
 
-    - `robot`: nominal, with a controller and the record's sampling frequency; without one the robot is made to follow
-      the measured motion, which compares torques only.
+    - `robot`: nominal. Where its controller or the references are not known, or where it runs at another rate than the
+      log, its motors are moved as they were measured, which compares torques only.
     - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`.
     - `own`: effects of your own, classes like those of `jaxfrf.effects`.
     - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
@@ -66,11 +63,8 @@ def diagnose(
     Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
     """
     record = joined([data] if isinstance(data, Experiment) else list(data))
-    compared = THROUGH
-    if robot.controller is None or record.r is None:
-        robot, record, compared = tracked(robot, record)
     found = investigate(robot, record, own=own, sealed=sealed, say=say, progress=progress, parts=parts)
-    return present(found, compared)
+    return present(found, compared(robot, record))
 
 
 def investigate(
@@ -141,19 +135,3 @@ def opened_positions(record: Experiment, sealed: int | None) -> np.ndarray:
     names = list(order)
     chosen = {names[int(i)] for i in np.round((np.arange(sealed) + 1) * count / max(sealed, 1)) - 1}
     return np.array([place not in chosen for place in places])
-
-
-def tracked(robot: Robot, record: Experiment) -> tuple[Robot, Experiment, str]:
-    """The robot under a controller that makes its motors follow the measured motion, which becomes the reference."""
-    if derivatives(record.y_quantity) == 2:
-        raise input_error(
-            "y", "accelerations", "positions or speeds that a motor can follow", "Give the motors' positions."
-        )
-    gain = 200.0 * np.asarray(robot.drives.motor_inertia)
-    controller = Controller(jnp.asarray(20.0), jnp.asarray(0.1), jnp.asarray(gain), True)
-    y = np.asarray(record.y)
-    reference = dataclasses.replace(
-        record, r=y, r_quantity="position" if derivatives(record.y_quantity) == 0 else "velocity"
-    )
-    limitless = dataclasses.replace(robot.drives, torque_limit=jnp.full(robot.n_axes, jnp.inf))
-    return dataclasses.replace(robot, controller=controller, drives=limitless), reference, TRACKED

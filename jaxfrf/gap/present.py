@@ -8,8 +8,9 @@ import scipy.fft
 
 from ..effects import library
 from ..experiment import Experiment
+from ..frf import LRM
 from ..graybox.through import default_method, measured_frf
-from ..robot import Robot, parameters
+from ..robot import Robot, parameter_unit, parameters
 from ..trajectory.evidence import band_edges, by_band, weigh
 from ..trajectory.signature import signature
 from .refine import refine
@@ -286,11 +287,10 @@ def _parameters(search: Search, stage: Stage, robot: Robot):
     std = deviations(stage.weighed.gram, stage.fit)
     own, given = parameters(robot), parameters(search.given)
     values, changed = {}, {}
-    units = {"stiffness": "N m/rad", "damping": "N m s/rad"}
     for i, knob in enumerate(search.knobs):
         if knob.free:
             value = float(own[knob.name])
-            values[knob.name] = Estimate(value, value * float(std[i]), units[knob.kind])
+            values[knob.name] = Estimate(value, value * float(std[i]), parameter_unit(robot, *knob.name.rsplit(".", 1)))
             changed[knob.name] = value / float(given[knob.name]) - 1.0
     return values, changed
 
@@ -351,7 +351,7 @@ def _where(search: Search, maps: Maps) -> tuple[Cell, ...]:
 def _responses(search: Search, models: Sequence[Written], sealed):
     """FRFs of measurement, base and extended model, estimated alike."""
     data = search.record.at(sealed).data
-    method = default_method()
+    method = LRM() if data.r is None else default_method()
     found = [measured_frf(data, method, "acceleration")]
     for model in models:
         found.append(measured_frf(_played(data, model, sealed), method, "acceleration"))
@@ -365,7 +365,7 @@ def _played(data: Experiment, model: Written, sealed) -> Experiment:
         data,
         u=np.stack([s.u for s in scenes]),
         y=np.stack([s.y for s in scenes]),
-        r=np.asarray(data.r)[:, :, first : first + data.period],
+        r=None if data.r is None else np.asarray(data.r)[:, :, first : first + data.period],
         y_quantity="position",
         transient_periods=0,
     )

@@ -14,7 +14,7 @@ import scipy.stats
 from .._errors import input_error
 from ..effects import library
 from ..experiment import Experiment
-from ..robot import PARAMETER_UNITS, Robot, parameters
+from ..robot import Robot, parameter_unit, parameters
 from ..trajectory.rigid_motion import COMPARED, chosen_cutoff, measured_motions
 from .torque_candidates import Candidate, candidates
 from .torque_evidence import Evidence, Fitted, State, gathered
@@ -136,8 +136,9 @@ def _reported(evidence: Evidence, fitted: Fitted, found: Search):
     final, r = fitted.state, fitted.residual
     cov = covariance(r, fitted.slopes, evidence.blocks(r))
     n = len(final.own)
+    given = final.given
     own = {
-        name: Value(value, float(np.sqrt(cov[i, i])), PARAMETER_UNITS[name.rpartition(".")[2]])
+        name: Value(value, float(np.sqrt(cov[i, i])), parameter_unit(given, *name.rsplit(".", 1)))
         for i, (name, value) in enumerate(final.own.items())
     }
     named = []

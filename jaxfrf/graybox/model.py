@@ -12,7 +12,14 @@ from jaxtyping import Complex, Float, PyTree
 
 from .._errors import input_error
 from .._types import Array
-from ..robot import Robot, ZeroOrderHold, frf_and_jacobian, parameters as robot_parameters, with_parameters
+from ..robot import (
+    Robot,
+    ZeroOrderHold,
+    frf_and_jacobian,
+    parameter_unit,
+    parameters as robot_parameters,
+    with_parameters,
+)
 from .parameter import Parameter, matching
 
 Values = Mapping[str, jax.Array]
@@ -156,11 +163,11 @@ class RobotModel(AbstractModel):
         self.hold = ZeroOrderHold(robot.sampling_frequency, "position") if hold == "sampled" else hold
         asked = {"stiffness": stiffness_spread, "damping": damping_spread, "coulomb_friction": friction_spread}
         spread = lambda name, value: _spread(robot, name, float(value), asked[name.rpartition(".")[2]])
-        units = {"stiffness": "N m/rad", "damping": "N m s/rad"}
         known = {
-            name: Parameter(max(float(value), 1e-9), units[kind], spread=spread(name, value))
+            name: Parameter(
+                max(float(value), 1e-9), parameter_unit(robot, *name.rsplit(".", 1)), spread=spread(name, value)
+            )
             for name, value in robot_parameters(robot).items()
-            for kind in (name.rpartition(".")[2],)
         }
         friction = _effective_friction(robot, slow_amplitude)
         for axis, value in zip(robot.axis_names, friction, strict=True):

@@ -9,10 +9,11 @@ from .._errors import input_error
 from ..experiment import Experiment
 from ..robot import Robot, operating_point
 from ..robot.quantity import derivatives
+from ..spectra import excited_lines
 from .model import RobotPoint
 
 _SAMPLES = 192  # of the motion that the mean is taken over
-_HIGHEST = 120.0  # Hz
+_BEYOND = 1.5  # times the highest line
 
 
 def robot_points(robot: Robot, data: Experiment) -> RobotPoint:
@@ -37,8 +38,8 @@ def swinging_points(
 def gear_torque_swing(robot: Robot, data: Experiment) -> Float[np.ndarray, "pos sample gear"]:
     """Samples of the torque in every flexible transmission about its mean, arm side, N m.
 
-    From the part of one mean period below 120 Hz, where the excitation and its slow sine are: beyond, ripple and noise
-    differentiated twice would rule."""
+    From the part of one mean period up to 1.5 times the highest line, where the excitation and its slow sine are:
+    beyond, ripple and noise differentiated twice would rule."""
     if data.q is None or data.q.shape[-1] != robot.n_axes:
         raise input_error(
             "q of the records",
@@ -54,8 +55,9 @@ def gear_torque_swing(robot: Robot, data: Experiment) -> Float[np.ndarray, "pos 
 
 
 class Motion(eqx.Module):
-    """One mean period of every experiment at a position below 120 Hz, coarsely sampled: torque command (N m), motor
-    `angle` about its mean (rad), `speed` and `acceleration`, (exp, time, axis); `step`: between spectral lines, Hz."""
+    """One mean period of every experiment up to 1.5 times the highest line, coarsely sampled: torque command (N m),
+    motor `angle` about its mean (rad), `speed` and `acceleration`, (exp, time, axis); `step`: between spectral lines,
+    Hz."""
 
     torque: Float[np.ndarray, "exp time axis"]
     angle: Float[np.ndarray, "exp time axis"]
@@ -73,7 +75,8 @@ def motion(data: Experiment, pos: int) -> Motion:
     steady = slice(data.transient_periods * data.period, (data.transient_periods + data.n_periods) * data.period)
     mean = lambda x: np.asarray(x)[pos, :, steady].reshape(data.n_exp, data.n_periods, data.period, -1).mean(axis=1)
     step = data.fs / data.period
-    count = min(int(_HIGHEST / step) + 1, data.period // 2)
+    lines = excited_lines(data) if data.lines is None else data.lines
+    count = min(int(_BEYOND * max(lines)) + 1, data.period // 2)
     U, Y = (np.fft.rfft(mean(x), axis=1)[:, :count] / data.period for x in (data.u, data.y))
     s = 2j * np.pi * np.arange(count)[:, None] * step
     per = s ** derivatives(data.y_quantity)

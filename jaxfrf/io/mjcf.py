@@ -108,7 +108,8 @@ def _check_inertia(robot: Robot, i: int) -> None:
 
 def _joint(body: ET.Element, robot: Robot, i: int, place, friction: bool) -> None:
     name = robot.joint_names[i]
-    joint = ET.SubElement(body, "joint", name=name, type="hinge", pos=_text(place), axis=_text(robot.chain.axis[i]))
+    kind = "slide" if robot.chain.sliding[i] else "hinge"
+    joint = ET.SubElement(body, "joint", name=name, type=kind, pos=_text(place), axis=_text(robot.chain.axis[i]))
     if not robot.driven[i]:
         spring = robot.spring_names.index(name)
         joint.set("stiffness", f"{float(robot.springs.stiffness[spring])!r}")

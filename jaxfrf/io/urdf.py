@@ -14,7 +14,7 @@ from ..robot.robot import Robot
 from ..robot.schema import robot_from_table
 from .robots import read_toml
 
-_MOVING = ("revolute", "continuous")
+_MOVING = ("revolute", "continuous", "prismatic")
 
 
 def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()) -> Robot:
@@ -25,7 +25,7 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike, own: Sequence[
     it is left out, `gravity` [0, 0, -9.81]. Fixed joints join their links. Limits, meshes and transmissions
     of the URDF are not read.
 
-    **Raises:** `jaxfrf.InputError` for a tree that is not a serial chain, joints that slide, links without
+    **Raises:** `jaxfrf.InputError` for a tree that is not a serial chain, joints of several freedoms, links without
     the numbers that the dynamics need, and joints that only one of the two files has.
     """
     urdf, drives = pathlib.Path(urdf), pathlib.Path(drives)
@@ -65,7 +65,7 @@ def _drive_trains(table: Mapping[str, Any], source: str) -> dict[str, Mapping[st
     for i, joint in enumerate(table.get("joint", [])):
         if not isinstance(joint.get("name"), str):
             raise input_error(f"{source}: joint {i + 1}", "no name", "the joint's name in the URDF", "Add name = ...")
-        for key in ("axis", "offset", "mass", "com", "inertia"):
+        for key in ("slides", "axis", "offset", "mass", "com", "inertia"):
             if key in joint:
                 raise input_error(
                     f"{source}: joint {joint['name']!r}",
@@ -97,10 +97,13 @@ def _links(root: ET.Element, source: str) -> list[dict[str, Any]]:
         if not ahead:
             break
         joint, rotation, offset = ahead[0]
-        rows.append({"name": joint.get("name"), "axis": tree.axis(joint, rotation), "offset": offset.tolist()})
+        row = {"name": joint.get("name"), "axis": tree.axis(joint, rotation), "offset": offset.tolist()}
+        rows.append(row | ({"slides": True} if joint.get("type") == "prismatic" else {}))
         link, place = tree.link(joint, "child"), np.zeros(3)
     if not rows:
-        raise input_error(source, "no joint that moves", "at least one revolute joint", "Check the joint types.")
+        raise input_error(
+            source, "no joint that moves", "at least one revolute or prismatic joint", "Check the joint types."
+        )
     return rows
 
 
@@ -159,8 +162,8 @@ class _Tree:
                 raise input_error(
                     f"{self.source}: joint {joint.get('name')!r}",
                     f"type {joint.get('type')!r}",
-                    "revolute, continuous or fixed",
-                    "Only revolute joints are supported: fix this one.",
+                    "revolute, continuous, prismatic or fixed",
+                    "Joints of several freedoms are not supported: fix this one, or write it as several.",
                 )
         return bodies, ahead
 

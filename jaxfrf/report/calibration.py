@@ -47,8 +47,8 @@ def _missed(found: Calibration) -> str:
     headers = ["axis", "as given", "calibrated", *(["held out, as given", "held out"] if found.heldout else [])]
     rows = [[name, *(f"{100 * float(c[i]):.3g} %" for c in columns)] for i, name in enumerate(found.given.axis_names)]
     note = (
-        "Torque that the robot misses when it plays the experiment, of the measured torque without its mean, referred "
-        "to the measured motion; rms over all lines up to the highest excited one."
+        "Torque that the robot misses, of the measured torque without its mean; where lines are compared, referred to "
+        "the measured motion, rms over all of them up to the highest excited one. Compared " + found.compared + "."
     )
     return section("What is missed", table(headers, rows), paragraph(note))
 

@@ -44,6 +44,7 @@ from .linearise import (
 )
 from .parameters import (
     PARAMETER_UNITS as PARAMETER_UNITS,
+    parameter_unit as parameter_unit,
     parameters as parameters,
     with_parameters as with_parameters,
 )

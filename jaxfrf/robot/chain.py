@@ -1,10 +1,12 @@
-"""Rigid-body dynamics of a serial chain of revolute joints.
+"""Rigid-body dynamics of a serial chain of joints that turn or slide.
 
 Everything is written in world axes about the world origin, so that sums along the chain are cumulative sums
 and only the orientations need a recursion. Inside, arrays are component first and batch last, (joint, 3, ...,
 batch): one instruction then works on many configurations. Nothing is unrolled into scalars, which XLA would
 take minutes to compile.
 """
+
+import dataclasses
 
 import equinox as eqx
 import jax
@@ -18,19 +20,22 @@ Angles = Float[Array, "*batch joint"]
 
 
 class Chain(eqx.Module):
-    """A serial chain of revolute joints, base to tip; massless links are allowed.
+    """A serial chain of joints, base to tip, each with one freedom; massless links are allowed.
+
+    Wherever angles of joints are spoken of, a sliding (prismatic) joint has its travel in m, and force in N for torque.
 
     With all joints at zero every frame is parallel to the base frame. That loses no generality: constant
     rotations between joints only turn the constants below.
 
     **Arguments:**
 
-    - `axis`: unit vector of every joint, (joint, 3).
+    - `axis`: unit vector that every joint turns about or slides along, (joint, 3).
     - `offset`: origin of the joint's frame in the frame of the joint before it, (joint, 3), m.
     - `mass`: (joint,), kg. `com`: centre of mass in the joint's frame, (joint, 3), m.
     - `inertia`: tensor elements Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass in the joint's frame,
       (joint, 6), kg m^2.
     - `gravity`: (3,), m/s^2.
+    - `slides`: whether each joint slides; none does where it is left out.
     """
 
     axis: Float[Array, "joint 3"]
@@ -39,6 +44,7 @@ class Chain(eqx.Module):
     com: Float[Array, "joint 3"]
     inertia: Float[Array, "joint 6"]
     gravity: Float[Array, "3"]
+    slides: tuple[bool, ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
         n = np.shape(self.axis)[0]
@@ -53,10 +59,32 @@ class Chain(eqx.Module):
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise ValueError(f"{name} has shape {np.shape(getattr(self, name))}; expected {shape}.")
+        if len(self.slides) not in (0, n):
+            raise ValueError(f"slides has {len(self.slides)} entries; expected one for each of {n} joints.")
 
     @property
     def n_joints(self) -> int:
         return np.shape(self.axis)[0]
+
+    @property
+    def sliding(self) -> Float[np.ndarray, "joint"]:
+        """1 for joints that slide, 0 for those that turn."""
+        return np.array(self.slides or (False,) * self.n_joints, float)
+
+    def with_hinge(self, at: int, axis: Float[Array, "3"]) -> "Chain":
+        """The same chain with one more joint before joint number `at`, with a massless link of its own: it turns about
+        `axis` where that joint was, and that joint sits at its origin."""
+        insert = lambda x, row: jnp.insert(jnp.asarray(x), at, row, axis=0)
+        axis = jnp.asarray(axis, float)
+        return dataclasses.replace(
+            self,
+            axis=insert(self.axis, axis / jnp.linalg.norm(axis)),
+            offset=insert(self.offset, self.offset[at]).at[at + 1].set(0.0),
+            mass=insert(self.mass, 0.0),
+            com=insert(self.com, jnp.zeros(3)),
+            inertia=insert(self.inertia, jnp.zeros(6)),
+            slides=(*self.slides[:at], False, *self.slides[at:]) if self.slides else (),
+        )
 
 
 class Frames(eqx.Module):
@@ -70,7 +98,8 @@ class Frames(eqx.Module):
 def forward_kinematics(chain: Chain, q: Angles) -> Frames:
     """Orientation and origin of every joint's frame in the world.
 
-    R_i = R_{i-1} exp(q_i [axis_i]x), p_i = p_{i-1} + R_{i-1} offset_i.
+    R_i = R_{i-1} exp(q_i [axis_i]x), p_i = p_{i-1} + R_{i-1} offset_i of a joint that turns,
+    R_i = R_{i-1}, p_i = p_{i-1} + R_{i-1} (offset_i + q_i axis_i) of one that slides.
 
     **Arguments:** `q`: joint angles, (*batch, joint), rad.
     """
@@ -143,8 +172,9 @@ def potential_energy(chain: Chain, q: Angles) -> Float[Array, "*batch"]:
 class _Bodies(eqx.Module):
     """Joint axes and links in world axes about the world origin, batch last.
 
-    A joint moves the world by the twist (`axis`, `moment` = position x axis); a link's momentum follows from
-    its `mass`, first moment `first` = m c and second moment `second` (3 x 3).
+    A joint moves the world by the twist (`axis`, `moment`): (a, position x a) where it turns about a, (0, a) where it
+    slides along a. A link's momentum follows from its `mass`, first moment `first` = m c and second moment `second`
+    (3 x 3).
     """
 
     axis: jax.Array
@@ -181,20 +211,24 @@ def _skew(v):
 
 def _frames(chain: Chain, q):
     """Rotation (joint, 3, 3, batch) and position (joint, 3, batch) of every frame."""
-    k = _skew(jnp.asarray(chain.axis))
+    k, offset = _skew(jnp.asarray(chain.axis)), jnp.asarray(chain.offset, q.dtype)[..., None]
+    if any(chain.slides):
+        slide = chain.sliding[:, None]
+        offset = offset + jnp.asarray(chain.axis)[..., None] * (slide * q)[:, None]
+        q = (1.0 - slide) * q
     sine, versine = jnp.sin(q)[:, None, None], 2.0 * jnp.square(jnp.sin(0.5 * q))[:, None, None]
     turns = jnp.eye(3)[..., None] + k[..., None] * sine + (k @ k)[..., None] * versine  # Rodrigues
 
     def step(frame, joint):
         rotation, position = frame
         turn, offset = joint
-        position = position + jnp.sum(rotation * offset[:, None], axis=1)
+        position = position + jnp.sum(rotation * offset[None], axis=1)
         rotation = jnp.sum(rotation[:, :, None] * turn[None], axis=1)
         return (rotation, position), (rotation, position)
 
     # The start takes its type from `turns`, so that a batch axis that vmap adds is carried along.
     start = jnp.zeros_like(turns[0]) + jnp.eye(3, dtype=turns.dtype)[..., None], jnp.zeros_like(turns[0, 0])
-    _, frames = jax.lax.scan(step, start, (turns, jnp.asarray(chain.offset, turns.dtype)))
+    _, frames = jax.lax.scan(step, start, (turns, offset))
     return frames
 
 
@@ -209,10 +243,13 @@ def _bodies(chain: Chain, q) -> _Bodies:
     spread = (
         jnp.sum(centre * centre, axis=1)[:, None, None] * jnp.eye(3)[..., None] - centre[:, :, None] * centre[:, None]
     )
-    mass = jnp.asarray(chain.mass)
+    mass, moment = jnp.asarray(chain.mass), _cross(position, axis)
+    if any(chain.slides):
+        slide = chain.sliding[:, None, None]
+        axis, moment = (1.0 - slide) * axis, (1.0 - slide) * moment + slide * axis
     return _Bodies(
         axis=axis,
-        moment=_cross(position, axis),
+        moment=moment,
         mass=mass,
         first=mass[:, None, None] * centre,
         second=about_centre + mass[:, None, None, None] * spread,

@@ -25,7 +25,15 @@ PARAMETER_UNITS: dict[str, str] = {
     "inertia": "kg m^2",
     "offset": "m",
 }
-"""Every kind of parameter that a joint can have, and its unit."""
+"""Every kind of parameter that a joint can have, and its unit where the joint turns."""
+
+_SLIDING = {"stiffness": "N/m", "damping": "N s/m", "stiffness_knee": "m", "gear_ratio": "rad/m"}
+
+
+def parameter_unit(robot: Robot, joint: str, kind: str) -> str:
+    """Unit of a kind of parameter of this joint, which may slide; kinds on the motor's side are the same then."""
+    slides = robot.chain.sliding[robot.joint_names.index(joint)]
+    return _SLIDING.get(kind, PARAMETER_UNITS[kind]) if slides else PARAMETER_UNITS[kind]
 
 
 def parameters(robot: Robot, kinds: Iterable[str] = ("stiffness", "damping")) -> dict[str, jax.Array]:

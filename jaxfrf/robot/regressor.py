@@ -21,27 +21,35 @@ def link_regressor(
     [joint that pushes, link, parameter, sample]; a joint pushes only what hangs on it. Newton and Euler in every link,
     gravity as an acceleration of the base.
 
-    **Arguments:** of all joints in chain order, rad, rad/s, rad/s^2.
+    **Arguments:** of all joints in chain order, rad, rad/s, rad/s^2 (m, ... of those that slide).
     """
     n, count = angle.shape
-    axis, offset = np.asarray(chain.axis, float), np.asarray(chain.offset, float)
+    axis, offset, slides = np.asarray(chain.axis, float), np.asarray(chain.offset, float), chain.sliding
     turn, place = np.broadcast_to(np.eye(3)[..., None], (3, 3, count)), np.zeros((3, count))
     w, dw, a = np.zeros((3, count)), np.zeros((3, count)), -np.asarray(chain.gravity, float)[:, None] * np.ones(count)
     axes, places = np.zeros((n, 3, count)), np.zeros((n, 3, count))
     Y = np.zeros((n, n, PER_LINK, count))
     for i in range(n):
         arm = np.einsum("abt,b->at", turn, offset[i])
+        axes[i] = np.einsum("abt,b->at", turn, axis[i])
+        if slides[i]:
+            arm = arm + axes[i] * angle[i]
         a = a + _cross(dw, arm) + _cross(w, _cross(w, arm))
         place = place + arm
-        axes[i], places[i] = np.einsum("abt,b->at", turn, axis[i]), place
-        dw = dw + axes[i] * acceleration[i] + _cross(w, axes[i] * rate[i])
-        w = w + axes[i] * rate[i]
-        turn = np.einsum("abt,bct->act", turn, _rotation(axis[i], angle[i]))
+        places[i] = place
+        if slides[i]:
+            a = a + axes[i] * acceleration[i] + 2.0 * _cross(w, axes[i] * rate[i])
+        else:
+            dw = dw + axes[i] * acceleration[i] + _cross(w, axes[i] * rate[i])
+            w = w + axes[i] * rate[i]
+            turn = np.einsum("abt,bct->act", turn, _rotation(axis[i], angle[i]))
         own = lambda x, turn=turn: np.einsum("bat,bt->at", turn, x)
         force, moment = _wrenches(own(w), own(dw), own(a))
         for j in range(i + 1):
-            lever = _cross(axes[j], place - places[j])
-            Y[j, i] = np.einsum("pat,at->pt", force, own(lever)) + np.einsum("pat,at->pt", moment, own(axes[j]))
+            lever = axes[j] if slides[j] else _cross(axes[j], place - places[j])
+            Y[j, i] = np.einsum("pat,at->pt", force, own(lever))
+            if not slides[j]:
+                Y[j, i] += np.einsum("pat,at->pt", moment, own(axes[j]))
     return Y
 
 

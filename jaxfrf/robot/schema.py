@@ -1,7 +1,8 @@
 """A robot as a table (TOML, or any nested dictionary): checked in, written out.
 
 Units are SI; quantities of the motor (inertia, friction, torque limit, velocity gain) on the motor side,
-`stiffness` and `damping` on the arm side. `jaxfrf/robot/r3x.toml` is the schema by example.
+`stiffness` and `damping` on the arm side. A joint that `slides` has m and N for rad and N m, and a gear ratio in rad of
+the motor per m. `jaxfrf/robot/r3x.toml` is the schema by example.
 """
 
 import difflib
@@ -23,7 +24,7 @@ from .tolerances import Tolerances, table_of, tolerances_from
 _KNEE = 2.9e-4  # rad, one minute of arc: the knee of a linear spring, where it has no effect
 
 _ROBOT_KEYS = ("name", "gravity", "sampling_frequency", "joint", "controller", "friction", "effect", "tolerance")
-_LINK_KEYS = ("name", "type", "axis", "offset", "mass", "com", "inertia")
+_LINK_KEYS = ("name", "type", "slides", "axis", "offset", "mass", "com", "inertia")
 _SPRING_KEYS = ("stiffness", "stiffness_low", "stiffness_knee", "damping")
 _DRIVE_KEYS = (
     "gear_ratio",
@@ -228,6 +229,7 @@ def _joint_keys(joint: Mapping[str, Any], i: int, source: str) -> tuple[str, ...
 
 
 def _chain(top: _Table, joints: list[_Table]) -> Chain:
+    slides = tuple(joint.flag("slides", False) for joint in joints)
     return Chain(
         axis=jnp.array([_unit_axis(joint) for joint in joints]),
         offset=jnp.array([joint.vector("offset", 3) for joint in joints]),
@@ -235,6 +237,7 @@ def _chain(top: _Table, joints: list[_Table]) -> Chain:
         com=jnp.array([joint.vector("com", 3) for joint in joints]),
         inertia=jnp.array([_physical_inertia(joint) for joint in joints]),
         gravity=jnp.array(top.vector("gravity", 3)),
+        slides=slides if any(slides) else (),
     )
 
 
@@ -348,6 +351,7 @@ def _joint_table(robot: Robot, i: int) -> dict[str, Any]:
     table = {
         "name": name,
         "type": "driven" if robot.driven[i] else "elastic",
+        **({"slides": True} if any(chain.slides) and chain.slides[i] else {}),
         **{key: _plain(getattr(chain, key)[i]) for key in ("axis", "offset", "mass", "com", "inertia")},
     }
     if robot.driven[i]:

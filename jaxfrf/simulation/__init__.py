@@ -1,7 +1,7 @@
 """Experiments on simulated robots: robot, effects and excitation in, records out."""
 
 from .experiment import replay as replay, simulate as simulate
-from .motion import Motion as Motion, replay_motion as replay_motion
+from .motion import Motion as Motion, imposed_motion as imposed_motion, replay_motion as replay_motion
 from .positions import (
     random_positions as random_positions,
     read_positions as read_positions,

@@ -61,12 +61,13 @@ def loop_at_rest(
         raise input_error("steps", f"{steps}", "a whole number, 1 or more, or None", "None finds it.")
     # Numbers of effects may be plain floats: as arrays, robots that differ in them only share what is compiled.
     robot = jax.tree.map(jnp.asarray, robot)
-    point = _equilibria(robot, positions)
+    point = equilibria(robot, positions)
     steps = fine_steps(robot, point) if steps is None else int(steps)
     return ClosedLoop.of(robot, noise=noise, steps=steps), point
 
 
-def _equilibria(robot: Robot, positions: np.ndarray) -> OperatingPoint:
+def equilibria(robot: Robot, positions: np.ndarray, limited: bool = True) -> OperatingPoint:
+    """Rest at every position; `limited`: whether the motors' limits have to allow it."""
     point = operating_point(robot, positions)
     lost = np.flatnonzero(~np.asarray(point.converged))
     if lost.size:
@@ -77,7 +78,7 @@ def _equilibria(robot: Robot, positions: np.ndarray) -> OperatingPoint:
             "Check stiffness, masses and the position.",
         )
     limit, torque = np.asarray(robot.drives.torque_limit), np.abs(np.asarray(point.torque))
-    for p, axis in np.argwhere(torque > limit)[:1]:
+    for p, axis in np.argwhere(limited & (torque > limit))[:1]:
         raise input_error(
             f"{robot.name}: {robot.axis_names[axis]}",
             f"{torque[p, axis]:.3g} N m to hold the arm at position {p}",

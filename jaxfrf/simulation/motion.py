@@ -1,16 +1,22 @@
 """All coordinates of a simulated robot while it plays the references of a record, not only what its sensors see."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jax.random as jr
 import numpy as np
 from jaxtyping import Float
 
 from ..experiment import Experiment
 from ..robot import Robot
+from .checks import check_positions, equilibria
 from .closed_loop import ClosedLoop, LoopState, Runs
 from .experiment import study_of_record
-from .runs import Progress, record
+from .imposed import Imposed, impose
+from .references import References
+from .runs import Progress, Study, record
 
 
 class Motion(eqx.Module):
@@ -43,6 +49,36 @@ def replay_motion(
     study = study_of_record(robot, data, None, 0.0, run_in, steps)
     u, y, z = record(study, chunk, progress, _play_with_coordinates)
     return Motion(u, y, z, data.fs)
+
+
+def imposed_motion(
+    robot: Robot,
+    speed: Float[np.ndarray, "run time axis"],
+    angle: Float[np.ndarray, "run time axis"],
+    data: Experiment,
+    *,
+    run_in: float = 5.0,
+    chunk: int = 32,
+    progress: Progress | None = None,
+) -> Motion:
+    """What a robot's motors need to move on given periodic courses, and what else moves with them.
+
+    No controller takes part, and no torque limit. Motors are on their courses at every sample, by cubics between;
+    `u` is the mean of the torque that acts on them from a sample to the next (of a torque T(omega): T times
+    e^{j omega/2fs} sinc(omega/2fs)).
+
+    **Arguments:** `speed`, `angle`: of the motors as their sensors show them, rad/s and rad about rest, one period,
+    for run number position * n_exp + experiment; sampled at the robot's `sampling_frequency`. `data`: arm
+    configurations, and how many experiments there are. `run_in`: s.
+
+    **Raises:** `jaxfrf.InputError` where the robot has no equilibrium, or where the arm diverges.
+    """
+    robot = jax.tree.map(jnp.asarray, robot)
+    point = equilibria(robot, check_positions(robot, data.q), limited=False)
+    fs, ahead = robot.sampling_frequency, lambda x: np.roll(x, -1, axis=1)  # a sample ends on its reference
+    references = References(ahead(speed), ahead(angle), fs, math.ceil(run_in * fs), angle.shape[1])
+    study = Study(Imposed.of(robot), references, point, jr.key(0), data.n_exp)
+    return Motion(*record(study, chunk, progress, impose), fs)
 
 
 @jax.jit

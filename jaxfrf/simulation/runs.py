@@ -16,6 +16,7 @@ from jaxtyping import Float, PRNGKeyArray
 from .._errors import InputError, input_error
 from ..robot import OperatingPoint
 from .closed_loop import ClosedLoop, LoopState, Runs, play
+from .imposed import Imposed, ImposedState
 from .references import References
 
 _SEGMENT = 2000  # samples between two looks at the runs: bounds the memory and finds divergence early
@@ -32,7 +33,7 @@ class Study(eqx.Module):
     A run's noise comes from `key`, its position's and its experiment's number.
     """
 
-    loop: ClosedLoop
+    loop: ClosedLoop | Imposed
     references: References
     point: OperatingPoint
     key: PRNGKeyArray
@@ -130,14 +131,14 @@ def _segments(study: Study, block: np.ndarray, lost: dict[int, float], player: P
             return
 
 
-def _start(study: Study, block: np.ndarray, track: np.ndarray) -> tuple[LoopState, Runs]:
+def _start(study: Study, block: np.ndarray, track: np.ndarray) -> tuple[LoopState | ImposedState, Runs]:
     position, experiment = np.divmod(block, study.n_exp)
     state = study.loop.at_rest(jax.tree.map(lambda x: x[position], study.point))
     keys = jax.vmap(lambda p, e: jr.fold_in(jr.fold_in(study.key, p), e))(position, experiment)
     return state, Runs(jnp.asarray(track), study.loop.plant.motor(state.z), keys)
 
 
-def _astray(loop: ClosedLoop, reading, references, runs: Runs) -> Float[np.ndarray, "run"]:
+def _astray(loop: ClosedLoop | Imposed, reading, references, runs: Runs) -> Float[np.ndarray, "run"]:
     """First sample at which each run has left its reference, inf where it follows."""
     expected = references[:, :, np.asarray(runs.track)] + np.asarray(runs.rest)
     limit = _ASTRAY * np.abs(np.asarray(loop.plant.gear))

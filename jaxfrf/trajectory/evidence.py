@@ -9,8 +9,8 @@ import scipy.ndimage
 from jaxtyping import Complex, Float
 
 from ..robot import Robot
-from ..simulation import replay_motion
 from ..simulation.runs import Progress, cores
+from .following import moved, torque_rate
 from .frozen import frozen
 from .measured import Measured, mean_period
 from .scene import Scene
@@ -20,6 +20,7 @@ _SLOW_MISMATCH, _MISMATCH = 0.004, 0.02
 _CORNERS = (1.5, 4.0)  # Hz, between the two
 _AROUND = 20  # lines
 _BANDS = np.array([0.0, 1.5, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 60.0])  # Hz
+_WIDER = 1.4  # from each of the bands beyond to the next
 
 
 class Evidence:
@@ -32,8 +33,8 @@ class Evidence:
 
     def __init__(self, robot: Robot, record: Measured, steps: int | None = None, progress: Progress | None = None):
         self.robot = robot
-        motion = replay_motion(robot, record.data, steps=steps, progress=progress)
-        stills = frozen(robot, motion, record.data.q, record.frequency)
+        motion = moved(robot, record.data, record.frequency[-1], steps, progress)
+        stills = frozen(robot, motion, record.data.q, record.frequency, torque_rate(robot, record.data))
         count = len(record.frequency)
         self.U, self.Y = (_lines(x, count) for x in (motion.u, motion.y))
         self.Y[..., 0, :] = 0.0
@@ -74,8 +75,11 @@ def _floor(U, noise, frequency):
 
 def band_edges(frequency) -> Float[np.ndarray, "edge"]:
     """Of the bands in which a residual is looked at, Hz; those of each hold a line."""
-    first = np.unique(np.searchsorted(_BANDS, frequency, side="right") - 1)
-    return np.append(_BANDS[first], frequency[-1])
+    more = np.arange(1, max(0.0, np.log(frequency[-1] / _BANDS[-1])) / np.log(_WIDER) + 1)
+    bands = np.concatenate([_BANDS, _BANDS[-1] * _WIDER**more])
+    bands = bands[bands < frequency[-1]]
+    first = np.unique(np.searchsorted(bands, frequency, side="right") - 1)
+    return np.append(bands[first], frequency[-1])
 
 
 def by_band(left, floor, frequency) -> Float[np.ndarray, "pos exp axis band"]:

@@ -43,9 +43,10 @@ class Frozen(eqx.Module):
     swing: Float[np.ndarray, "sample spring"]
 
 
-def frozen(robot: Robot, motion: Motion, q, frequency: Float[np.ndarray, "line"]) -> list[Frozen]:
-    """The robot linearised at every position, friction and nonlinear springs by their mean over the motion there."""
-    command = _command(robot, 2j * np.pi * np.asarray(frequency), motion.fs)
+def frozen(robot: Robot, motion: Motion, q, frequency: Float[np.ndarray, "line"], torque_rate: float) -> list[Frozen]:
+    """The robot linearised at every position, friction and nonlinear springs by their mean over the motion there;
+    `torque_rate`: at which commands change, Hz."""
+    command = torque_path(robot, frequency, torque_rate)
     result = []
     for pos in range(len(motion.z)):
         friction, swing = _means(robot, motion, np.asarray(q)[pos], pos)
@@ -92,8 +93,11 @@ def _means(robot: Robot, motion: Motion, q, pos: int):
     return np.asarray(describing_friction(robot, amplitude, point.torque)), swing
 
 
-def _command(robot: Robot, s, fs: float) -> Complex[np.ndarray, "line axis"]:
-    half = s / (2 * fs)
+def torque_path(robot: Robot, frequency, rate: float) -> Complex[np.ndarray, "line axis"]:
+    """What becomes of a torque command on its way to the motor: held between samples of this rate, Hz, then through
+    the robot's actuators."""
+    s = 2j * np.pi * np.asarray(frequency)
+    half = s / (2 * rate)
     hold = np.exp(-half) * np.sinc(half.imag / np.pi)
     factor = np.tile(hold[:, None], (1, robot.n_axes))
     for effect in robot.effects:

@@ -11,8 +11,8 @@ from jaxtyping import Complex, Float
 from .._errors import input_error
 from ..experiment import Experiment
 from ..robot.quantity import derivatives
+from ..spectra import excited_lines
 
-_HIGHEST = 80.0  # Hz, where the excitation says nothing else
 _QUIET = (0.25, 0.475)  # of the sampling frequency: beyond what moves
 _BEYOND = 1.25  # times the highest line, where the excitation reaches into that band
 _AROUND = 41  # lines over which the scatter between periods is smoothed
@@ -36,9 +36,8 @@ class Measured(eqx.Module):
         """Some of the positions."""
         positions = np.asarray(positions, int)
         d = self.data
-        data = eqx.tree_at(
-            lambda x: (x.u, x.y, x.r, x.q), d, tuple(np.asarray(x)[positions] for x in (d.u, d.y, d.r, d.q))
-        )
+        some = lambda x: None if x is None else np.asarray(x)[positions]
+        data = dataclasses.replace(d, u=some(d.u), y=some(d.y), r=some(d.r), q=some(d.q))
         return Measured(data, self.U[positions], self.Y[positions], self.noise, self.frequency)
 
 
@@ -55,7 +54,8 @@ def measured(data: Experiment) -> Measured:
             "a periodic record, whose lines can be compared",
             "Say its period (--set period=N), or compare torques of the measured motion (`diagnose_torque`).",
         )
-    highest = _HIGHEST if data.lines is None or not len(data.lines) else max(data.lines) * data.fs / data.period
+    lines = excited_lines(data) if data.lines is None else data.lines
+    highest = max(lines) * data.fs / data.period
     count = min(int(np.floor(highest * data.period / data.fs)), data.period // 2) + 1
     U, Y = (lines_of(x, data, count) for x in (data.u, data.y))
     frequency = np.arange(count) * data.fs / data.period

@@ -12,7 +12,7 @@ from ..robot import Robot
 from .scene import Scene, Signature
 
 _ORDERS = np.arange(1, 51)
-_RATE = 500.0  # Hz, enough for what lies below the highest line
+_RATE = 500.0  # Hz, of the course of a residual that orders are looked for in, at least
 _LOUD = 8e-3  # of the torque limit: above, ripple is no background
 _LOUD_RESOLVER = 6.5e-3  # rad, amplitude times order squared: 1.6 times what resolvers have
 
@@ -65,7 +65,7 @@ def strength(
 
     **Arguments:** `weighted`: residual times the inverse of its floor squared, (exp, line, axis).
     """
-    count = 2 * int(np.ceil(0.5 * _RATE * scene.period / scene.fs))
+    count = scene.samples(_RATE)
     weighted = weighted[..., axis]
     if kind == "resolver":
         weighted = weighted * -np.conj(scene.still.impedance[:, axis, axis])

@@ -1,6 +1,5 @@
 """What moves in a simulated robot at one position, and what a change of the robot would add to the motors' torque."""
 
-import dataclasses
 from functools import cached_property
 
 import equinox as eqx
@@ -93,9 +92,9 @@ class Scene:
     @cached_property
     def coarse(self) -> int:
         """Samples of a period that springs and arm have."""
-        return self._samples(_SPRINGS)
+        return self.samples(_SPRINGS)
 
-    def _samples(self, rate: float) -> int:
+    def samples(self, rate: float) -> int:
         """Of a period at this rate, Hz, or what its lines need if that is more."""
         count = max(rate * self.period / self.fs, _PER_LINE * self.lines)
         return min(self.period, 2 * int(np.ceil(0.5 * count)))
@@ -284,7 +283,7 @@ class Scene:
     @cached_property
     def _arm(self):
         """Angles, rates and accelerations of the arm, (row, exp sample)."""
-        count = self._samples(_LINKS)
+        count = self.samples(_LINKS)
         rows = slice(self.robot.n_motors, None)
         return tuple(self._coarse(n, count)[..., rows].reshape(-1, self.robot.dof - rows.start).T for n in range(3))
 
@@ -311,17 +310,7 @@ def _needed(robot: Robot, angle, rate, acceleration):
 
 def _hinge_inertia(robot: Robot, q, axis: int, direction):
     chain, at = robot.chain, robot.driven_joints[axis]
-    insert = lambda x, row: np.insert(np.asarray(x), at, row, axis=0)
-    offset = insert(chain.offset, np.asarray(chain.offset)[at])
-    offset[at + 1] = 0.0
-    longer = dataclasses.replace(
-        chain,
-        axis=insert(chain.axis, direction / np.linalg.norm(direction)),
-        offset=offset,
-        mass=insert(chain.mass, 0.0),
-        com=insert(chain.com, np.zeros(3)),
-        inertia=insert(chain.inertia, np.zeros(6)),
-    )
+    longer = chain.with_hinge(at, direction)
     angles = np.zeros(chain.n_joints)
     angles[list(robot.driven_joints)] = q
     M = np.asarray(mass_matrix(longer, np.insert(angles, at, 0.0)))
