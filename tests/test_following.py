@@ -18,6 +18,7 @@ from jaxfrf.trajectory.measured import measured
 
 ROBOTS = {
     "springs": lambda: small_robot(),
+    "an elbow that slides": lambda: small_robot(slides=True, gear_ratio=200.0, stiffness=3e5, damping=200.0),
     "rigid transmissions": lambda: small_robot(stiffness=np.inf),
     "resolver ripple, hysteresis, gear error": lambda: small_robot().with_effects(
         fx.ResolverRipple("elbow", [1e-3], [2], [0.3]),

@@ -218,9 +218,13 @@ class TestURDF:
         drives.write_text(DRIVES)
         return urdf, drives
 
-    def test_links(self, files):
+    @pytest.mark.parametrize("elbow", ["continuous", "prismatic"])
+    def test_links(self, files, elbow):
         """Turned frames, inertial frames and a fixed tool, against MuJoCo reading the same URDF."""
+        files[0].write_text(URDF.replace("continuous", elbow))
         robot = read_urdf(*files)
+        assert jr.robot_from_table(jr.table_from_robot(robot)).chain.slides == robot.chain.slides
+        assert robot.chain.sliding.tolist() == [0.0, float(elbow == "prismatic")]
         assert robot.name == "two" and robot.axis_names == ("shoulder", "elbow") and robot.n_motors == 1
         model = mujoco.MjModel.from_xml_path(str(files[0]))
         data = mujoco.MjData(model)
