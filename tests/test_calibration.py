@@ -19,6 +19,7 @@ from jaxfrf.calibration.numbers import Number, numbers, with_numbers
 from jaxfrf.robot import parameters, r3x, tolerances_from, with_parameters
 from jaxfrf.robot.regressor import link_parameters, link_regressor
 from jaxfrf.trajectory.evidence import Evidence, Gram, Weighed, precise
+from jaxfrf.trajectory.joined import joined, places
 from jaxfrf.trajectory.measured import measured
 
 WIDE = tolerances_from({"links": 0.05, "rotors": 0.05, "friction": 0.5, "smoothing": 0.7, "damping": 0.7}, ())
@@ -242,6 +243,44 @@ def test_what_cannot_be_calibrated():
         jf.calibrate(small_robot(), dataclasses.replace(data, period=0, lines=None))
     with pytest.raises(jf.InputError, match="positions 4 of 1"):
         jf.calibrate(small_robot(), data, heldout=[4])
+
+
+# --- several records
+
+HAND = jf.effects.Payload(3.0, [0.3, 0.02, 0.0])
+
+
+def test_records_with_payloads_and_other_numbers_of_experiments():
+    """A machine that is as the model says leaves nothing, whatever it carries where."""
+    robot, options = small_robot(), dict(key=jr.key(0), run_in=3.0, noise=0.0)
+    two = jf.simulate(robot, design(0), Q[:1], **options)
+    one = jf.simulate(robot.with_effects(HAND), design(1), Q[:2], **options)
+    one = dataclasses.replace(one, **{name: getattr(one, name)[:, :1] for name in ("u", "y", "r")})
+    data = joined([two, one])
+    assert (data.n_pos, data.n_exp, places(data).tolist()) == (4, 1, [1, 1, 1, 0])
+    told = Evidence(robot, measured(data, (None, None, HAND, HAND)))
+    untold = Evidence(robot, measured(data))
+    size = lambda evidence: np.sqrt(np.mean(np.abs(evidence.residual) ** 2, axis=(1, 2, 3)))
+    assert np.all(size(told) < 1e-4 * size(untold)[2:].min())
+    with pytest.raises(jf.InputError, match="payloads: found 1 of 2 records"):
+        jf.calibrate(robot, [two, one], payloads=[HAND])
+    with pytest.raises(jf.InputError, match="one without a place"):
+        jf.calibrate(robot, [two, one], payloads=[None, jf.effects.Payload(1.0)])
+
+
+@pytest.mark.slow
+def test_a_payload_tells_masses():
+    """A known weight in the hand, MuJoCo's records: the scale of all torques, which no motion tells, is told."""
+    q = np.concatenate([Q, Q[:, ::-1] + 0.2])
+    carrying = mujoco_experiment(
+        machine().with_effects(HAND), design(3), q, seed=7, run_in=3.0, noise=2e-5, ripple=None
+    )
+    found = jf.calibrate(model(), [played(), carrying], payloads=[None, HAND])
+    truth = {n.name: n.given for n in numbers(machine())}
+    for name in ("shoulder.stiffness", "elbow.stiffness", "elbow.coulomb_friction", "elbow.motor_inertia"):
+        assert abs(found.values[name] / truth[name] - 1.0) < 0.005, name
+    alone = jf.calibrate(model(), played())
+    assert found.std["elbow.torque_constant"] < 0.1 * alone.std["elbow.torque_constant"]
 
 
 # --- the command

@@ -21,7 +21,7 @@ import scipy.stats
 import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
-from jaxfrf.gap.diagnose import joined, opened_positions
+from jaxfrf.gap.diagnose import opened_positions
 from jaxfrf.gap.knobs import knobs
 from jaxfrf.gap.quantised import resolution
 from jaxfrf.gap.rounds import PART_FILES
@@ -32,6 +32,7 @@ from jaxfrf.robot import linearise, motor_directions, operating_point, parameter
 from jaxfrf.simulation import Motion, replay_motion
 from jaxfrf.trajectory.evidence import Evidence, Gram, inflated
 from jaxfrf.trajectory.frozen import frozen, other_impedance
+from jaxfrf.trajectory.joined import joined
 from jaxfrf.trajectory.measured import fewer, measured
 from jaxfrf.trajectory.ripple import Order
 from jaxfrf.trajectory.scene import Scene
@@ -133,7 +134,7 @@ class TestFrozen:
         signal = np.zeros((1, 2, 400, robot.n_axes))
         motion = Motion(signal, signal, z + move, 400.0)
         frequency = np.array([0.0, 3.0, 11.0, 19.0, 42.0])
-        return frozen(robot, motion, q[None], frequency)[0], motion
+        return frozen(robot, motion, q[None], frequency, motion.fs)[0], motion
 
     @pytest.mark.parametrize(
         "rigid",
@@ -516,12 +517,19 @@ class TestRecords:
             np.testing.assert_array_equal(getattr(both, name), expected)
         assert joined([first]) is first
 
+    def test_joined_with_different_numbers_of_experiments(self):
+        first, second = made_up(2, n_exp=4), made_up(1, seed=1, n_exp=6)
+        both = joined([first, second])
+        assert (both.n_pos, both.n_exp) == (2 * 2 + 3, 2)
+        np.testing.assert_array_equal(both.u[2], first.u[1, :2])
+        np.testing.assert_array_equal(both.u[6], second.u[0, 4:])
+        np.testing.assert_array_equal(both.q[4:], np.repeat(second.q, 3, axis=0))
+
     @pytest.mark.parametrize(
         ("others", "match"),
         [
             ([], "no record"),
             ([made_up(), made_up(fs=200.0)], "fs of the records.*100.*200"),
-            ([made_up(), made_up(n_exp=2)], "n_exp of the records"),
             ([made_up(), made_up(r=None)], "in some of the records only"),
             ([made_up(), made_up(q=None)], "arm configuration"),
         ],

@@ -57,6 +57,13 @@ def add(commands) -> None:
     )
     parser.add_argument("--direct", action="store_true", help="the direct fit alone, no simulation of the experiment")
     parser.add_argument("--rounds", type=int, default=12, metavar="N", help="of simulation, at most (default 12)")
+    parser.add_argument(
+        "--payload",
+        action="append",
+        default=[],
+        metavar="FILE:mass=KG,place=X;Y;Z",
+        help="carried in this record beside what the robot is given with, in the last link's frame, m; exactly known",
+    )
     names = {"action": "append", "default": []}
     parser.add_argument("--fix", **names, metavar="NAME,...", help="hold these at the robot's value: *.damping")
     parser.add_argument("--free", **names, metavar="NAME,...", help="fit these too: joint1.torque_gain (--direct)")
@@ -70,6 +77,7 @@ def add(commands) -> None:
 
 
 def run(given) -> dict:
+    from ..experiment import concatenate
     from ..io.fits import write_fit
     from ..parts import Parts
 
@@ -79,23 +87,27 @@ def run(given) -> dict:
     with Parts(given.output, "identify", resume=given.resume, about=about, say=say) as parts:
         robot, data, method = _read(given)
         with naming(given.data):
-            whole = _is_whole(given, robot, data)
+            whole = _is_whole(given, data)
+            if not whole and isinstance(data, list):
+                data = concatenate(data)
             found = _calibrated(given, robot, data, parts) if whole else _springs(given, robot, data, method, parts)
         contents = found.as_dict()
         write_fit(given.output, contents)
         written = [given.output, *_write_more(given, found, whole)]
-    warnings = data.warnings if whole else found.measured.warnings
-    for warning in warnings:
+    warnings = [w for record in data for w in record.warnings] if whole else found.measured.warnings
+    for warning in dict.fromkeys(warnings):
         print(f"warning: {warning}", file=sys.stderr)
     text = [*found.lines(), f"wrote {', '.join(written)}"]
     return {"text": text, "json": (contents if whole else _brief(contents)) | {"output": written}}
 
 
-def _is_whole(given, robot, data) -> bool:
+def _is_whole(given, data) -> bool:
     """Whether all of the robot can be fitted; says why, where not."""
     from ..frf import FRF
 
     if given.springs or isinstance(data, FRF):
+        if given.payload:
+            raise input_error("--payload", "springs alone", "the whole robot to be fitted", "Leave out --springs.")
         return False
     asked = next((name for name in _SPRINGS_ONLY if getattr(given, name) not in (None, False, [])), None)
     if asked is not None:
@@ -111,16 +123,50 @@ def _is_whole(given, robot, data) -> bool:
 def _calibrated(given, robot, data, parts):
     from ..calibration import calibrate
 
-    heldout = _numbers(given.heldout)
+    records, payloads = _merged(robot, data, _payloads(given))
     return calibrate(
         robot,
-        data,
-        heldout=heldout,
+        records,
+        payloads=payloads,
+        heldout=_numbers(given.heldout),
         rounds=given.rounds,
         cutoff=given.cutoff,
         parts=parts,
         say=None if given.json else say,
     )
+
+
+def _merged(robot, records, payloads):
+    """Records of one place as further experiments there, where they are alike but for their phases."""
+    from ..experiment import concatenate
+
+    rigid = not robot.n_motors and not robot.n_elastic
+    if rigid or any(p is not None for p in payloads) or len({(r.n_pos, r.n_exp) for r in records}) > 1:
+        return records, payloads
+    return [concatenate(records)], ()
+
+
+def _payloads(given):
+    """Of every file, in the order of the files."""
+    from ..effects import Payload
+
+    found = {}
+    for text in given.payload:
+        path, _, said = text.rpartition(":")
+        try:
+            table = dict(pair.split("=") for pair in said.split(","))
+            mass, place = float(table.pop("mass")), [float(x) for x in table.pop("place").split(";")]
+        except (ValueError, KeyError):
+            table, place = {"": ""}, []
+        if path not in given.data or table or len(place) != 3:
+            raise input_error(
+                "--payload",
+                repr(text),
+                f"FILE:mass=KG,place=X;Y;Z with one of {', '.join(given.data)}",
+                "Write e.g. --payload 'run2.nc:mass=2.5,place=0;0;0.12' (quoted).",
+            )
+        found[path] = Payload(mass, place)
+    return [found.get(path) for path in given.data]
 
 
 def _springs(given, robot, data, method, parts):
@@ -210,16 +256,16 @@ def _read(given):
                 raise input_error(f"--{name}", "FRF files", "records", "It was decided when the FRF was estimated.")
         return robot, read_frfs(*given.data), None
     options = options_of(given.option)
-    data = read_records(given, given.data)
+    data = [read_records(given, [path]) for path in given.data]
     chosen = None
     if given.method or options:
-        chosen = method(given.method or ("auto" if data.r is None else "lrm-jio-stacked"), options)
+        chosen = method(given.method or ("auto" if data[0].r is None else "lrm-jio-stacked"), options)
     periods = range_of("--periods", given.periods, int)
     if periods is not None:
         from ..experiment import select_periods
 
         with naming(given.data):
-            data = select_periods(data, periods[0] or 0, periods[1])
+            data = [select_periods(record, periods[0] or 0, periods[1]) for record in data]
     return robot, data, chosen
 
 

@@ -8,13 +8,15 @@ from jaxtyping import Float
 
 from .._errors import InputError, input_error
 from .._types import require_x64
+from ..effects import Payload
 from ..experiment import Experiment
 from ..identification.model import check_data
 from ..parts import Parts
 from ..robot import Robot
 from ..simulation.checks import check_fit
-from ..trajectory.evidence import Evidence, Weighed, precise, refloored, weigh
+from ..trajectory.evidence import Evidence, Weighed, placed, precise, refloored, weigh
 from ..trajectory.following import compared, why_followed
+from ..trajectory.joined import joined, places, together
 from ..trajectory.measured import Measured, measured
 from ..trajectory.ripple import Order, order_columns, ripple_effects
 from .columns import near_rest_columns, number_columns
@@ -57,8 +59,9 @@ class Look(eqx.Module):
 
 def calibrate(
     robot: Robot,
-    data: Experiment,
+    data: Experiment | Sequence[Experiment],
     *,
+    payloads: Sequence[Payload | None] = (),
     heldout: Sequence[int] = (),
     rounds: int = 12,
     cutoff: float | None = None,
@@ -88,8 +91,12 @@ def calibrate(
     **Arguments:**
 
     - `robot`: its `controller` may be unknown (`None`); `robot.tolerances` say how well its numbers are known.
-    - `data`: records with arm configurations `q`; `r` may be missing.
-    - `heldout`: numbers of positions, from 0, that are not fitted, and on which the result is judged.
+    - `data`: records with arm configurations `q`; `r` may be missing. Several records may differ in their places,
+      amplitudes and numbers of experiments.
+    - `payloads`: that the robot carries in each of several records beside what it is given with, exactly known, with
+      their `place`; `None` for nothing.
+    - `heldout`: numbers of positions, from 0 and through all records, that are not fitted, and on which the result is
+      judged.
     - `rounds`: of simulation, at most.
     - `cutoff`: of the motion's filter, Hz, of a robot with rigid transmissions.
     - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`), so that an interrupted run goes on where it was.
@@ -99,19 +106,40 @@ def calibrate(
     as given cannot be simulated.
     """
     require_x64("calibrate")
+    records = [data] if isinstance(data, Experiment) else list(data)
+    say = say or (lambda text: None)
     if not robot.n_motors and not robot.n_elastic:
-        return calibrate_from_motion(robot, data, heldout, 4 * rounds, cutoff, say or (lambda text: None))
-    _check(robot, data)
+        return calibrate_from_motion(robot, records, _carried(payloads, records), heldout, 4 * rounds, cutoff, say)
+    for record in records:
+        _check(robot, record)
+    data = joined(records)
+    each = [len(r.q) * r.n_exp // together(records) for r in records]
+    carried = [p for p, times in zip(_carried(payloads, records), each, strict=True) for _ in range(times)]
     these = numbers(robot)
     if not these:
         raise input_error(
             f"{robot.name}: tolerances", "0 for every number", "something that is not exact", "State a tolerance."
         )
-    fitted, judged = _split(measured(data), heldout)
-    kept = Rounds(parts, robot, these, data, heldout)
-    search = _Search(robot, fitted, these, say or (lambda text: None))
+    fitted, judged = _split(measured(data, carried if any(p is not None for p in carried) else ()), heldout)
+    kept = Rounds(parts, robot, these, fitted, heldout)
+    search = _Search(robot, fitted, these, say)
     look, converged = search.run(rounds, kept)
     return _result(robot, these, look, [one.round for one in kept.done], converged, fitted, judged)
+
+
+def _carried(payloads: Sequence[Payload | None], records: Sequence[Experiment]) -> list[Payload | None]:
+    """The payload of every record."""
+    found = list(payloads) or [None] * len(records)
+    if len(found) != len(records):
+        raise input_error(
+            "payloads", f"{len(found)} of {len(records)} records", "one for each record", "Give None where it is none."
+        )
+    for payload in found:
+        if payload is not None and payload.place is None:
+            raise input_error(
+                "payloads", "one without a place", "its centre in the link's frame, m", "Give place = [x, y, z]."
+            )
+    return found
 
 
 def _check(robot: Robot, data: Experiment) -> None:
@@ -186,7 +214,7 @@ class _Search:
             evidence.floor = floor
             posterior = solve(weighed.gram, self.these, x)
         runs = len(weighed.gram.A)
-        weighed = precise(weighed, _BANDS if runs < _FEW else 1)
+        weighed = precise(weighed, _BANDS) if runs < _FEW else placed(precise(weighed), places(self.record.data))
         posterior = solve(weighed.gram, self.these, x)
         self.floor = evidence.floor
         left = remainder(evidence, weighed, posterior.change)

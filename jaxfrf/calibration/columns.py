@@ -1,5 +1,6 @@
 """What every number of a robot would add to the torque that its motors need for a motion."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -29,7 +30,7 @@ def number_columns(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "
     x = np.asarray(x, float)
     now = with_numbers(robot, these, x)
     links = [i for i, number in enumerate(these) if number.kind in OF_LINKS]
-    given, linked = _OnceAScene(_Given(_heavier(now))), _OnceAScene(_Links(now, [these[i] for i in links], x[links]))
+    given, linked = _OnceAScene(_given), _OnceAScene(_Links(now, [these[i] for i in links], x[links]))
     return [
         (lambda scene, i=i: linked(scene)[links.index(i)]) if i in links else _column(robot, these, x, i, given)
         for i in range(len(these))
@@ -48,7 +49,8 @@ def _column(robot: Robot, these, x, i: int, given: "_OnceAScene") -> Column:
     moved = x.copy()
     moved[i] += step
     changed = with_numbers(robot, these, moved)
-    return lambda scene: scene.by_robot(changed) / step
+    # What a scene carries is its own.
+    return lambda scene: scene.by_robot(dataclasses.replace(changed, chain=scene.robot.chain)) / step
 
 
 def _heavier(robot: Robot) -> Robot:
@@ -93,19 +95,14 @@ class _OnceAScene:
         return self._known[id(scene)]
 
 
-class _Given:
+def _given(scene: Scene) -> Signature:
     """Torque that motors give without being asked, where their constants are larger than said.
 
     What the robot resists with, as the other columns have it: robots that are heavier by one part in all, and whose
     motors are stronger by as much, move alike, and that must not depend on how a signal was sampled. Nor is it the
     measured torque: then all of a misfit could be explained by a robot that is nothing on motors that give nothing.
     """
-
-    def __init__(self, heavier: Robot):
-        self.heavier = heavier
-
-    def __call__(self, scene: Scene) -> Signature:
-        return scene.by_robot(self.heavier) / _STEP
+    return scene.by_robot(_heavier(scene.robot)) / _STEP
 
 
 class _Links:

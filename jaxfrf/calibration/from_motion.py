@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import input_error
+from ..effects import Payload
 from ..experiment import Experiment
 from ..robot import Robot
 from ..robot.regressor import link_parameters, link_regressor
@@ -28,7 +29,8 @@ class Rows(eqx.Module):
     """One record, filtered and thinned.
 
     **Fields:** `links`: torque of every motor for each parameter of every link, (row, axis, link parameter);
-    `acceleration`, `torque`: (row, axis), motor side; `motion`: every sample, for what is not linear in it.
+    `acceleration`, `torque`: (row, axis), motor side; `motion`: every sample, for what is not linear in it. `carried`:
+    what a payload adds to the links' parameters.
     """
 
     links: Float[np.ndarray, "row axis parameter"]
@@ -36,6 +38,7 @@ class Rows(eqx.Module):
     acceleration: Float[np.ndarray, "row axis"]
     torque: Float[np.ndarray, "row axis"]
     motion: Motion
+    carried: Float[np.ndarray, "parameter"]
 
 
 def check_rigid(robot: Robot) -> None:
@@ -50,7 +53,13 @@ def check_rigid(robot: Robot) -> None:
 
 
 def calibrate_from_motion(
-    robot: Robot, data: Experiment, heldout: Sequence[int], rounds: int, cutoff: float | None, say
+    robot: Robot,
+    records: Sequence[Experiment],
+    payloads: Sequence[Payload | None],
+    heldout: Sequence[int],
+    rounds: int,
+    cutoff: float | None,
+    say,
 ) -> Calibration:
     """As `calibrate`, for a robot with rigid transmissions: the torque of the measured motion against the measured one.
 
@@ -59,12 +68,16 @@ def calibrate_from_motion(
     the records.
     """
     check_rigid(robot)
-    cutoff = chosen_cutoff(data) if cutoff is None else float(cutoff)
-    held = heldout_numbers(heldout, data.n_pos)
-    these = numbers(robot, offset_size=0.05 * np.abs(np.asarray(data.u)).max(axis=(0, 1, 2)))
+    held = heldout_numbers(heldout, sum(record.n_pos for record in records))
+    largest = np.max([np.abs(np.asarray(record.u)).max(axis=(0, 1, 2)) for record in records], axis=0)
+    these = numbers(robot, offset_size=0.05 * largest)
     these = tuple(number for number in these if number.kind != "delay")  # filters that have no phase would hide it
-    rows = [_rows(robot, motion) for motion in measured_motions(robot, data, cutoff)]
-    judge = np.isin(np.repeat(np.arange(data.n_pos), data.n_exp), held)
+    rows, owner = [], []
+    for record, payload in zip(records, payloads, strict=True):
+        motions = measured_motions(robot, record, chosen_cutoff(record) if cutoff is None else float(cutoff))
+        owner += (np.repeat(np.arange(record.n_pos), record.n_exp) + 1 + max(owner, default=-1)).tolist()
+        rows += [_rows(robot, motion, payload) for motion in motions]
+    judge = np.isin(owner, held)
     fitted = [r for r, h in zip(rows, judge, strict=True) if not h]
     judged = [r for r, h in zip(rows, judge, strict=True) if h]
     x, scale = np.zeros(len(these)), np.sqrt(_by_axis(fitted, lambda r: r.torque))
@@ -85,10 +98,10 @@ def calibrate_from_motion(
         scale = np.sqrt(_mean_square(left))
         done.append(Round(before, _square(left, scale), posterior.effect))
         say(f"round {len(done)}: torque missed {100 * _all(fitted, left):.3g} %")
-    return _result(robot, these, x, posterior, done, converged, fitted, judged, data)
+    return _result(robot, these, x, posterior, done, converged, fitted, judged, records)
 
 
-def _rows(robot: Robot, motion: Motion) -> Rows:
+def _rows(robot: Robot, motion: Motion, payload: Payload | None) -> Rows:
     gear = np.asarray(robot.drives.gear_ratio, float)
     out = _unmixed(robot) / gear  # arm = out @ motor
     zero = 0.0 if robot.drives.zero is None else np.asarray(robot.drives.zero)
@@ -99,7 +112,14 @@ def _rows(robot: Robot, motion: Motion) -> Rows:
     Y = link_regressor(robot.chain, *joints)[driven].reshape(len(driven), -1, joints.shape[-1])
     links = np.stack([thinned(motion, np.moveaxis(out.T @ Y[:, k], 0, -1)) for k in range(Y.shape[1])], axis=-1)
     thin = lambda signal: thinned(motion, signal)
-    return Rows(links, thin(motion.speed), thin(motion.acceleration), thin(motion.torque), motion)
+    carried = 0.0 if payload is None else _parameters_of(robot.with_effects(payload)) - _parameters_of(robot)
+    return Rows(links, thin(motion.speed), thin(motion.acceleration), thin(motion.torque), motion, carried)
+
+
+def _parameters_of(robot: Robot) -> Float[np.ndarray, "parameter"]:
+    """Of all links, in which the torques are linear."""
+    links = (np.asarray(getattr(robot.chain, kind)) for kind in OF_LINKS)
+    return np.concatenate([link_parameters(*link) for link in zip(*links, strict=True)])
 
 
 def _unmixed(robot: Robot):
@@ -111,11 +131,8 @@ def _unmixed(robot: Robot):
 def needed(robot: Robot, these: Sequence[Number], x, rows: Rows) -> Float[np.ndarray, "row axis"]:
     """Torque command that the robot needs at these numbers."""
     now = with_numbers(robot, these, x)
-    drives, chain = now.drives, now.chain
-    pi = np.concatenate(
-        [link_parameters(*link) for link in zip(*(np.asarray(getattr(chain, k)) for k in OF_LINKS), strict=True)]
-    )
-    torque = rows.links @ pi + np.asarray(drives.motor_inertia) * rows.acceleration
+    drives = now.drives
+    torque = rows.links @ (_parameters_of(now) + rows.carried) + np.asarray(drives.motor_inertia) * rows.acceleration
     torque = torque + thinned(rows.motion, np.asarray(drives.friction.torque(rows.motion.speed)))
     return (torque + _offsets(now, these, x)) / _gains(now, these, x)
 
@@ -184,7 +201,7 @@ def _gram(robot: Robot, these, x, records: Sequence[Rows], left, scale) -> Gram:
     return Gram(np.array(A), np.array(b), np.array(rr), np.arange(len(A)), int(left[0].size // each))
 
 
-def _result(robot, these, x, posterior: Posterior, done, converged, fitted, judged, data) -> Calibration:
+def _result(robot, these, x, posterior: Posterior, done, converged, fitted, judged, records) -> Calibration:
     zero = np.zeros(len(these))
     return Calibration(
         given=robot,
@@ -203,7 +220,7 @@ def _result(robot, these, x, posterior: Posterior, done, converged, fitted, judg
         missed_after=_missed(robot, these, x, fitted),
         heldout=tuple(_missed(robot, these, at, judged) for at in (zero, x)) if judged else None,
         compared="by the torque that the model needs for the measured motion: its transmissions are rigid",
-        sources=data.sources,
+        sources=tuple(source for record in records for source in record.sources),
     )
 
 

@@ -9,9 +9,9 @@ import jax
 import numpy as np
 
 from .._files import replacing
-from ..experiment import Experiment
 from ..parts import Parts, files_text, numbers_text
 from ..robot import Robot
+from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order
 from .numbers import Number
 from .result import Round
@@ -32,11 +32,11 @@ class Kept:
 class Rounds:
     """The finished rounds of these data and this robot; keeps nothing without `parts`."""
 
-    def __init__(self, parts: Parts | None, robot: Robot, these: Sequence[Number], data: Experiment, heldout):
+    def __init__(self, parts: Parts | None, robot: Robot, these: Sequence[Number], record: Measured, heldout):
         self.parts, self.done = parts, []
         if parts is None:
             return
-        parts.begin(_about(robot, these, data, heldout), PART_FILES)
+        parts.begin(_about(robot, these, record, heldout), PART_FILES)
         while (found := parts.read(_name(len(self.done)), _read)) is not None:
             self.done.append(found)
 
@@ -64,8 +64,9 @@ def _read(path: pathlib.Path) -> Kept:
     return Kept(np.array(said["x"], float), orders, np.array(said["floor"], float), Round(*said["round"]))
 
 
-def _about(robot: Robot, these: Sequence[Number], data: Experiment, heldout) -> dict:
+def _about(robot: Robot, these: Sequence[Number], record: Measured, heldout) -> dict:
     """What a round depends on."""
+    data = record.data
     return {
         "whole robot": True,
         "data": files_text(data.sources),
@@ -75,4 +76,5 @@ def _about(robot: Robot, these: Sequence[Number], data: Experiment, heldout) -> 
         "numbers of the robot": numbers_text(*jax.tree.leaves(robot)),
         "numbers of the data": numbers_text(*jax.tree.leaves(data)),
         "heldout": list(heldout),
+        **({"payloads": numbers_text(*jax.tree.leaves(record.payloads))} if record.payloads else {}),
     }

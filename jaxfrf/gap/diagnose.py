@@ -1,6 +1,5 @@
 """Find where a model and its measurement disagree, name what is missing, add it, and see the gap shrink."""
 
-import dataclasses
 from collections.abc import Callable, Sequence
 
 import jax
@@ -14,6 +13,7 @@ from ..experiment import Experiment
 from ..parts import Parts
 from ..robot import Robot
 from ..trajectory.following import compared
+from ..trajectory.joined import joined, places
 from ..trajectory.measured import fewer, measured
 from .present import present
 from .result import Diagnosis
@@ -84,54 +84,17 @@ def investigate(
     return search(robot, some, opened_positions(record, sealed), tuple(own), say, progress, parts)
 
 
-def joined(records: Sequence[Experiment]) -> Experiment:
-    """Several records as one: their positions one after the other.
-
-    **Raises:** `jaxfrf.InputError` where they do not belong together.
-    """
-    if not records:
-        raise input_error("data", "no record", "one or more", "Give the files of the experiment.")
-    first = records[0]
-    for other in records[1:]:
-        for name in ("fs", "period", "n_exp", "n_time", "y_quantity", "r_quantity", "transient_periods"):
-            if getattr(other, name) != getattr(first, name):
-                raise input_error(
-                    f"{name} of the records",
-                    f"{getattr(first, name)} and {getattr(other, name)}",
-                    "the same in all files",
-                    "Diagnose them one by one.",
-                )
-        if (other.r is None) != (first.r is None):
-            raise input_error("r", "in some of the records only", "in all of them, or in none", "Leave it out.")
-    for record in records:
-        if record.q is None:
-            raise input_error("q", "none", "the arm configuration of every position", "Store q with the records.")
-    if len(records) == 1:
-        return first
-    stack = lambda name: np.concatenate([np.asarray(getattr(r, name)) for r in records])
-    known = [np.asarray(r.lines) for r in records if r.lines is not None]
-    return dataclasses.replace(
-        first,
-        u=stack("u"),
-        y=stack("y"),
-        r=None if first.r is None else stack("r"),
-        q=stack("q"),
-        lines=np.unique(np.concatenate(known)) if known else None,
-        sources=tuple(s for r in records for s in r.sources),
-    )
-
-
 def opened_positions(record: Experiment, sealed: int | None) -> np.ndarray:
     """Which positions are fitted, (pos,): the sealed ones stand between them. Records of one place stay together."""
-    places = np.unique(np.round(np.asarray(record.q), 9), axis=0, return_inverse=True)[1].reshape(-1)
-    count = places.max() + 1
+    place = places(record)
+    count = place.max() + 1
     if sealed is None:
         sealed = count // 3 if count >= 3 else 0
     if not 0 <= sealed < count:
         raise input_error(
             "sealed positions", f"{sealed}", f"0 to {count - 1} of {count} positions", "Leave some for the fit."
         )
-    order = dict.fromkeys(places.tolist())
+    order = dict.fromkeys(place.tolist())
     names = list(order)
     chosen = {names[int(i)] for i in np.round((np.arange(sealed) + 1) * count / max(sealed, 1)) - 1}
-    return np.array([place not in chosen for place in places])
+    return np.array([p not in chosen for p in place])

@@ -33,25 +33,30 @@ class Evidence:
 
     def __init__(self, robot: Robot, record: Measured, steps: int | None = None, progress: Progress | None = None):
         self.robot = robot
-        motion = moved(robot, record.data, record.frequency[-1], steps, progress)
-        stills = frozen(robot, motion, record.data.q, record.frequency, torque_rate(robot, record.data))
-        count = len(record.frequency)
-        self.U, self.Y = (_lines(x, count) for x in (motion.u, motion.y))
-        self.Y[..., 0, :] = 0.0
-        self.residual = np.stack(
-            [
-                record.U[p] - self.U[p] - np.einsum("lab,elb->ela", s.impedance, record.Y[p] - self.Y[p]) / s.command
-                for p, s in enumerate(stills)
-            ]
-        )
-        self.noise = _noise(stills, record.noise)
+        self.U, self.Y = np.zeros_like(record.U), np.zeros_like(record.Y)
+        self.residual = np.zeros_like(record.U)
+        scenes: dict[int, Scene] = {}
+        for payload, here in record.by_payload():
+            carrying = robot if payload is None else robot.with_effects(payload)
+            self._simulate(carrying, record.at(here), here, scenes, steps, progress)
+        self.scenes = [scenes[p] for p in range(record.data.n_pos)]
+        self.noise = _noise([s.still for s in self.scenes], record.noise)
         self.plain = self.floor = _floor(self.U, self.noise, record.frequency)
-        data = record.data
+
+    def _simulate(self, robot: Robot, record: Measured, here, scenes, steps, progress) -> None:
+        """The positions `here`, of which `record` is."""
+        data, count = record.data, len(record.frequency)
+        motion = moved(robot, data, record.frequency[-1], steps, progress)
+        stills = frozen(robot, motion, data.q, record.frequency, torque_rate(robot, data))
+        U, Y = (_lines(x, count) for x in (motion.u, motion.y))
+        Y[..., 0, :] = 0.0
+        self.U[here], self.Y[here] = U, Y
         seen = data.y_quantity == "position"
-        self.scenes = [
-            Scene(robot, motion, p, s, mean_period(data, p), mean_period(data, p, data.y) if seen else None)
-            for p, s in enumerate(stills)
-        ]
+        for p, (at, s) in enumerate(zip(here, stills, strict=True)):
+            moving = np.einsum("lab,elb->ela", s.impedance, record.Y[p] - Y[p])
+            self.residual[at] = record.U[p] - U[p] - moving / s.command
+            reading = mean_period(data, p, data.y) if seen else None
+            scenes[int(at)] = Scene(robot, motion, p, s, mean_period(data, p), reading)
 
 
 def _lines(x, count):
@@ -195,6 +200,12 @@ def precise(weighed: Weighed, bands: int = 1) -> Weighed:
         position = np.arange(len(gram.A))
         gram = Gram(gram.A, gram.b, gram.rr, position, gram.count // bands)
     return Weighed(weighed.parts, gram)
+
+
+def placed(weighed: Weighed, place: np.ndarray) -> Weighed:
+    """The same columns, runs at positions of the same place taken together; `place`: of each position, (pos,)."""
+    g = weighed.gram
+    return Weighed(weighed.parts, Gram(g.A, g.b, g.rr, np.asarray(place)[g.position], g.count))
 
 
 def renewed(weighed: Weighed, evidence: Evidence, columns: Mapping[int, Column]) -> Weighed:

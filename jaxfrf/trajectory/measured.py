@@ -1,6 +1,7 @@
 """A record as the diagnosis uses it: lines of torque and motion of every run, and their noise."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
@@ -9,6 +10,7 @@ import scipy.ndimage
 from jaxtyping import Complex, Float
 
 from .._errors import input_error
+from ..effects import Payload
 from ..experiment import Experiment
 from ..robot.quantity import derivatives
 from ..spectra import excited_lines
@@ -23,7 +25,8 @@ class Measured(eqx.Module):
 
     **Fields:** `data`: the record. `U`: N m, `Y`: rad, (pos, exp, line, axis), amplitudes of one period; the mean motor
     position is left out. `noise`: rms amplitude of noise in every line of `Y`, rad, (line, axis), whatever was logged.
-    `frequency`: (line,), Hz.
+    `frequency`: (line,), Hz. `payloads`: what the robot carries at each position beside what it is given with, `None`
+    for nothing; empty where that is so everywhere.
     """
 
     data: Experiment
@@ -31,6 +34,7 @@ class Measured(eqx.Module):
     Y: Complex[np.ndarray, "pos exp line axis"]
     noise: Float[np.ndarray, "line axis"]
     frequency: Float[np.ndarray, "line"]
+    payloads: tuple[Payload | None, ...] = ()
 
     def at(self, positions) -> "Measured":
         """Some of the positions."""
@@ -38,11 +42,22 @@ class Measured(eqx.Module):
         d = self.data
         some = lambda x: None if x is None else np.asarray(x)[positions]
         data = dataclasses.replace(d, u=some(d.u), y=some(d.y), r=some(d.r), q=some(d.q))
-        return Measured(data, self.U[positions], self.Y[positions], self.noise, self.frequency)
+        payloads = tuple(self.payloads[p] for p in positions) if self.payloads else ()
+        return Measured(data, self.U[positions], self.Y[positions], self.noise, self.frequency, payloads)
+
+    def by_payload(self) -> list[tuple[Payload | None, np.ndarray]]:
+        """Every payload, and the positions at which it is carried."""
+        if not self.payloads:
+            return [(None, np.arange(self.data.n_pos))]
+        found = []
+        for payload in dict.fromkeys(map(id, self.payloads)):
+            here = np.flatnonzero([id(p) == payload for p in self.payloads])
+            found.append((self.payloads[here[0]], here))
+        return found
 
 
-def measured(data: Experiment) -> Measured:
-    """Lines of a periodic record.
+def measured(data: Experiment, payloads: Sequence[Payload | None] = ()) -> Measured:
+    """Lines of a periodic record; `payloads`: of its positions, as in `Measured`.
 
     **Raises:** `jaxfrf.InputError` for a record without period, and for one of a single period whose lines leave no
     band to see its noise in.
@@ -63,7 +78,7 @@ def measured(data: Experiment) -> Measured:
     order = derivatives(data.y_quantity)
     Y[..., 1:, :] /= s[1:] ** order
     Y[..., 0, :] = 0.0
-    return Measured(data, U, Y, _noise(data, order, frequency), frequency)
+    return Measured(data, U, Y, _noise(data, order, frequency), frequency, tuple(payloads))
 
 
 def fewer(data: Experiment, most: int) -> Experiment:
