@@ -13,6 +13,7 @@ from test_gap import FS, PERIOD, Q, small_robot
 
 import jaxfrf as jf
 from benchmarks._mujoco_records import mujoco_experiment
+from jaxfrf import effects as fx
 from jaxfrf.calibration.columns import number_columns
 from jaxfrf.calibration.least_squares import solve
 from jaxfrf.calibration.numbers import Number, numbers, with_numbers
@@ -93,6 +94,44 @@ def test_numbers_go_there_and_back():
         for name, value in parameters(robot, [kind]).items():
             np.testing.assert_allclose(parameters(back, [kind])[name], value, rtol=1e-12)
     assert not back.effects
+
+
+def with_effects(level, gap, lag):
+    """The small robot with effects in its file, whose numbers a data sheet may state wrongly."""
+    return model().with_effects(
+        fx.StribeckFriction("elbow", level, 3.0), fx.Backlash("shoulder", gap), fx.CurrentLoopLag("elbow", lag)
+    )
+
+
+def test_numbers_of_effects():
+    table = {"backlash": "unknown", "elbow.stribeck_friction.width": 0, "effect": 0.2}
+    robot = with_effects(0.06, 3e-4, 6e-4).with_tolerances(tolerances_from(table, robot_names()))
+    these = {n.name: n for n in numbers(robot)}
+    assert these["shoulder.backlash"].prior == 0.0 and these["shoulder.backlash"].unit == "rad"
+    assert these["elbow.current_loop_lag.time_constant"].size == pytest.approx(0.2)
+    assert "elbow.stribeck_friction.width" not in these
+    moved = with_numbers(robot, list(these.values()), np.full(len(these), 0.3))
+    again = {n.name: n.given for n in numbers(moved)}
+    for name in ("shoulder.backlash", "elbow.stribeck_friction.level", "elbow.current_loop_lag.time_constant"):
+        assert again[name] == pytest.approx(these[name].value(0.3)) != these[name].given
+    with pytest.raises(jf.InputError, match=r"unknown key 'elbow\.backlash\.gap'"):
+        tolerances_from({"elbow.backlash.gap": 0.1}, robot_names())
+
+
+@pytest.mark.slow
+def test_effects_that_a_robot_has_are_calibrated():
+    """MuJoCo's records of a machine whose effects are 20 to 30 % from what the robot's file says."""
+    q = np.concatenate([Q, Q[:, ::-1] + 0.2])
+    truth = {
+        "shoulder.backlash": 3.6e-4,
+        "elbow.stribeck_friction.level": 0.078,
+        "elbow.current_loop_lag.time_constant": 4.2e-4,
+    }
+    true = with_effects(0.078, 3.6e-4, 4.2e-4)
+    data = mujoco_experiment(true, design(0), q, seed=0, run_in=3.0, noise=2e-5, ripple=None)
+    found = jf.calibrate(with_effects(0.06, 3e-4, 6e-4), data)
+    for name, value in truth.items():
+        assert found.values[name] == pytest.approx(value, rel=0.04), name
 
 
 def test_what_nothing_is_known_of_costs_nothing():

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -13,7 +14,7 @@ from ..robot.regressor import PER_LINK, link_parameters
 from ..trajectory.evidence import Column
 from ..trajectory.scene import Scene, Signature
 from ..trajectory.signature import signature
-from .numbers import Number, with_numbers
+from .numbers import Number, effect_parameters, with_numbers
 
 _STEP = 1e-3  # of a coordinate's size, but at most this change of a logarithm
 _LATE = 1e-6  # s
@@ -46,11 +47,24 @@ def _column(robot: Robot, these, x, i: int, given: "_OnceAScene") -> Column:
     if number.kind == "delay":
         return lambda scene: signature(TorqueDelay(joint, _LATE), scene) * (number.size / _LATE)
     step = min(_STEP, _STEP / number.size) if number.positive else _STEP
+    if number.kind == "effect":
+        _, name, parameter = number.name.split(".")
+        now = next(
+            e
+            for j, e, p in effect_parameters(with_numbers(robot, these, x))
+            if (j, e.name, p) == (joint, name, parameter)
+        )
+        sides = [_with(now, parameter, number.value(x[i] + sign * step)) for sign in (1.0, -1.0)]
+        return lambda scene: (signature(sides[0], scene) - signature(sides[1], scene)) / (2 * step)
     moved = x.copy()
     moved[i] += step
     changed = with_numbers(robot, these, moved)
     # What a scene carries is its own.
     return lambda scene: scene.by_robot(dataclasses.replace(changed, chain=scene.robot.chain)) / step
+
+
+def _with(effect, parameter: str, value: float):
+    return eqx.tree_at(lambda e: getattr(e, parameter), effect, value)
 
 
 def _heavier(robot: Robot) -> Robot:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import input_error
-from ..effects import Payload
+from ..effects import FrictionAsymmetry, Payload, TorqueConstant, TorqueDelay, WristCoupling
 from ..experiment import Experiment
 from ..robot import Robot
 from ..robot.regressor import link_parameters, link_regressor
@@ -20,6 +20,7 @@ from .least_squares import Posterior, solve
 from .numbers import Number, numbers, with_numbers
 from .result import Calibration, Round
 
+_KNOWN = (WristCoupling, TorqueConstant, FrictionAsymmetry, TorqueDelay)
 _BLOCKS = 20  # of all records together, at least two of each: what their scatter is seen from
 _LONGEST = 0.7  # of a logarithm, in one step
 _STAYS = 0.05  # of its standard deviation that every number moves less
@@ -52,6 +53,18 @@ def check_rigid(robot: Robot) -> None:
         )
 
 
+def _check_effects(robot: Robot) -> None:
+    """Refuse effects that are in no inverse dynamics here."""
+    left_out = [e for e in robot.effects if not isinstance(e, _KNOWN)]
+    if left_out:
+        raise input_error(
+            f"effects of {robot.name}",
+            f"{', '.join(e.name for e in left_out)} of a robot with rigid transmissions",
+            f"{', '.join(kind.name for kind in _KNOWN)}",
+            "Leave them out here; `jaxfrf diagnose` looks for the others.",
+        )
+
+
 def calibrate_from_motion(
     robot: Robot,
     records: Sequence[Experiment],
@@ -68,10 +81,12 @@ def calibrate_from_motion(
     the records.
     """
     check_rigid(robot)
+    _check_effects(robot)
     held = heldout_numbers(heldout, sum(record.n_pos for record in records))
     largest = np.max([np.abs(np.asarray(record.u)).max(axis=(0, 1, 2)) for record in records], axis=0)
     these = numbers(robot, offset_size=0.05 * largest)
-    these = tuple(number for number in these if number.kind != "delay")  # filters that have no phase would hide it
+    # Filters that have no phase would hide a delay, and how much motors of a wrist turn each other is exact.
+    these = tuple(number for number in these if number.kind not in ("delay", "effect"))
     rows, owner = [], []
     for record, payload in zip(records, payloads, strict=True):
         motions = measured_motions(robot, record, chosen_cutoff(record) if cutoff is None else float(cutoff))

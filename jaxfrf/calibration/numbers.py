@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..effects import FrictionAsymmetry, TorqueConstant, TorqueDelay
+from ..effects import AbstractEffect, EncoderQuantisation, FrictionAsymmetry, TorqueConstant, TorqueDelay, library
 from ..effects._place import axis_of
 from ..robot import PARAMETER_UNITS, Robot, parameter_unit, parameters
 from ..robot.drive import Friction, Spring
@@ -22,6 +22,7 @@ _POSITIVE = (
     "damping",
     "stiffness_ratio",
     "stiffness_knee",
+    "backlash",
     "motor_inertia",
     "viscous_friction",
     "coulomb_friction",
@@ -33,6 +34,9 @@ _DRIVE = {
     "delay": (TorqueDelay, "delay"),
     "torque_offset": (FrictionAsymmetry, "offset"),
 }
+
+
+_OTHERWISE = (TorqueConstant, TorqueDelay, EncoderQuantisation)
 
 
 class Number(eqx.Module):
@@ -53,6 +57,8 @@ class Number(eqx.Module):
 
     @property
     def joint(self) -> str:
+        if self.kind == "effect":
+            return self.name.split(".")[0]
         return self.name[: self.name.rindex(f".{self.kind}")] if f".{self.kind}" in self.name else ""
 
     @property
@@ -84,11 +90,12 @@ def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) 
     """
     found: list[Number] = []
 
-    def add(name: str, kind: str, given: float, relative_to: float | None = None):
+    def add(name: str, kind: str, given: float, relative_to: float | None = None, unit: str | None = None):
         tolerance = robot.tolerances.of(name)
         if tolerance.exact or not math.isfinite(given):
             return
-        unit = KINDS[kind] if kind not in PARAMETER_UNITS else parameter_unit(robot, name.split(".")[0], kind)
+        if unit is None:
+            unit = KINDS[kind] if kind not in PARAMETER_UNITS else parameter_unit(robot, name.split(".")[0], kind)
         number = _number(name, kind, unit, given, tolerance, abs(given) if relative_to is None else relative_to)
         if number is not None:
             found.append(number)
@@ -106,6 +113,14 @@ def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) 
         elif kind == "torque_offset":
             for axis, name in enumerate(robot.axis_names if offset_size is not None else ()):
                 add(f"{name}.{kind}", kind, _of_drive(robot, kind, axis), float(offset_size[axis]))
+        elif kind == "effect":
+            for joint, effect, parameter in effect_parameters(robot):
+                if offset_size is None or not isinstance(effect, FrictionAsymmetry):
+                    name, value = f"{joint}.{effect.name}.{parameter}", float(getattr(effect, parameter))
+                    add(name, kind, value, unit=effect.units[parameter])
+        elif kind == "backlash":
+            for name, gap in _gaps(robot).items():
+                add(f"{name}.{kind}", kind, gap)
         elif kind in _DRIVE:
             for axis, name in enumerate(robot.axis_names):
                 add(f"{name}.{kind}", kind, _of_drive(robot, kind, axis), 1.0)
@@ -118,7 +133,7 @@ def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) 
 
 def _number(name: str, kind: str, unit: str, given: float, tolerance: Tolerance, relative_to: float) -> Number | None:
     absolute = tolerance.std if not tolerance.relative else tolerance.std * relative_to
-    positive = kind in _POSITIVE and given > 0.0
+    positive = given > 0.0 and (kind in _POSITIVE or (kind == "effect" and _is_positive(name)))
     if tolerance.unknown:
         size = _UNKNOWN if positive else relative_to
         return Number(name, kind, unit, given, size, positive, 0.0) if size > 0 else None
@@ -126,6 +141,33 @@ def _number(name: str, kind: str, unit: str, given: float, tolerance: Tolerance,
         return None
     size = absolute / given if positive else absolute
     return Number(name, kind, unit, given, size, positive, 1.0)
+
+
+def effect_parameters(robot: Robot) -> list[tuple[str, AbstractEffect, str]]:
+    """Joint, effect and name of every single number in the robot's effects that no other kind of number stands for."""
+    found = {}
+    for effect in robot.effects:
+        if effect.name in KINDS or isinstance(effect, _OTHERWISE):
+            continue
+        joint = robot.axis_names[axis_of(robot, effect.joint)]
+        for parameter in effect.units:
+            if eqx.is_array_like(getattr(effect, parameter)) and np.ndim(getattr(effect, parameter)) == 0:
+                found.setdefault((joint, effect.name, parameter), effect)
+    return [(joint, effect, parameter) for (joint, _, parameter), effect in found.items()]
+
+
+def _is_positive(name: str) -> bool:
+    """Whether a parameter of an effect of the library never changes its sign; those of one's own may."""
+    _, effect, parameter = name.split(".")
+    return effect in library() and library()[effect].bounds.get(parameter, (-1.0,))[0] >= 0.0
+
+
+def _gaps(robot: Robot) -> dict[str, float]:
+    """Play of the springs that have some, rad."""
+    gaps = getattr(robot.springs, "backlash", None)
+    if gaps is None:
+        return {}
+    return {name: float(gap) for name, gap in zip(robot.spring_names, np.asarray(gaps), strict=True) if gap > 0.0}
 
 
 def _bent(robot: Robot) -> tuple[str, ...]:
@@ -151,6 +193,11 @@ def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "nu
         value, joint = number.value(float(at)), number.joint
         if number.kind in _DRIVE:
             drives.append((number.kind, joint, value))
+        elif number.kind == "effect":
+            robot = _with_parameter(robot, number.name, value)
+        elif number.kind == "backlash":
+            row = robot.spring_names.index(joint)
+            robot = eqx.tree_at(lambda r: r.springs.backlash, robot, robot.springs.backlash.at[row].set(value))
         elif number.kind == "smoothing":
             robot = eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(value))
         else:
@@ -160,6 +207,17 @@ def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "nu
     for kind, rows in arrays.items():
         robot = eqx.tree_at(parameter_field(robot, kind)[0], robot, jnp.asarray(rows))
     return _with_drives(robot, drives)
+
+
+def _with_parameter(robot: Robot, name: str, value: float) -> Robot:
+    """The robot with another value of an effect's parameter."""
+    joint, effect, parameter = name.split(".")
+    place = next(
+        i
+        for i, e in enumerate(robot.effects)
+        if e.name == effect and robot.axis_names[axis_of(robot, e.joint)] == joint and parameter in e.units
+    )
+    return eqx.tree_at(lambda r: getattr(r.effects[place], parameter), robot, jnp.asarray(value))
 
 
 def _with_drives(robot: Robot, values) -> Robot:

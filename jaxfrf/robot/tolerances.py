@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from .._errors import input_error
+from ..effects import AbstractStructure, library
 
 KINDS: dict[str, str] = {
     "stiffness": "N m/rad",
     "damping": "N m s/rad",
     "stiffness_ratio": "1",
     "stiffness_knee": "rad",
+    "backlash": "rad",
     "motor_inertia": "kg m^2",
     "viscous_friction": "N m s/rad",
     "coulomb_friction": "N m",
@@ -27,8 +29,9 @@ KINDS: dict[str, str] = {
     "torque_offset": "N m",
     "torque_ripple": "N m",
     "resolver_ripple": "rad",
+    "effect": "",
 }
-"""Kinds of numbers that an experiment may tell, with their units."""
+"""Kinds of numbers that an experiment may tell, with their units: `effect` is any parameter of an effect."""
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "links": ("mass", "com", "inertia"),
@@ -80,6 +83,7 @@ DEFAULTS: dict[str, Tolerance] = {
     "damping": Tolerance(_FACTOR_TWO),
     "stiffness_ratio": Tolerance(0.5),
     "stiffness_knee": Tolerance(0.5),
+    "backlash": Tolerance(0.5),
     "motor_inertia": Tolerance(0.05),
     "viscous_friction": Tolerance(0.5),
     "coulomb_friction": Tolerance(0.5),
@@ -92,6 +96,7 @@ DEFAULTS: dict[str, Tolerance] = {
     "torque_offset": Tolerance(math.inf, relative=False),
     "torque_ripple": Tolerance(math.inf, relative=False),
     "resolver_ripple": Tolerance(math.inf, relative=False),
+    "effect": Tolerance(0.5),
 }
 """Of a robot that says nothing: catalogue springs, links from CAD, friction that drifts with temperature."""
 
@@ -110,7 +115,7 @@ class Tolerances:
         """Of a number by its name, `joint6.mass`; elements of vectors (`joint6.com.x`) go by the vector."""
         kind = kind_of(name)
         said = dict(self.stated)
-        vector = name[: name.index(kind) + len(kind)]
+        vector = name if kind == "effect" else name[: name.index(kind) + len(kind)]
         group = next((g for g, kinds in GROUPS.items() if kind in kinds and g in said and g != "all"), "all")
         for key in (name, vector, kind, group):
             if key in said:
@@ -125,8 +130,9 @@ class Tolerances:
 
 
 def kind_of(name: str) -> str:
-    """The kind of a number by its name: `mass` of `joint6.mass`, `com` of `joint6.com.x`."""
-    return next(part for part in reversed(name.split(".")) if part in KINDS)
+    """The kind of a number by its name: `mass` of `joint6.mass`, `com` of `joint6.com.x`, `effect` of
+    `joint4.stribeck_friction.level`."""
+    return next((part for part in reversed(name.split(".")) if part in KINDS), "effect")
 
 
 def tolerances_from(table: Mapping[str, Any], names: Iterable[str], where: str = "tolerance") -> Tolerances:
@@ -142,6 +148,10 @@ def tolerances_from(table: Mapping[str, Any], names: Iterable[str], where: str =
 def _key(key: str, joints: tuple[str, ...], where: str) -> str:
     joint, _, kind = key.rpartition(".")
     if (not joint and (kind in KINDS or kind in GROUPS)) or (joint in joints and kind in KINDS):
+        return key
+    acting, _, name = joint.rpartition(".")
+    effect = library().get(name)
+    if acting in joints and effect is not None and not issubclass(effect, AbstractStructure) and kind in effect.units:
         return key
     known = [*GROUPS, *KINDS, *(f"{joint}.{kind}" for joint in joints for kind in KINDS)]
     near = difflib.get_close_matches(key, known, n=1, cutoff=0.0)[0]
