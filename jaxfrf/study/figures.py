@@ -6,7 +6,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..experiment import Experiment
-from ..graybox import robot_points
 from ..io._optional import require
 from ..robot import Robot
 from .bias import estimates, true_response
@@ -29,7 +28,7 @@ def example_responses(robot: Robot, data: Experiment, settings: Settings) -> dic
     frequency = next(iter(found[6].values())).frequency
     diagonal = lambda G: np.diagonal(np.asarray(G)[0], axis1=-2, axis2=-1)
     arrays = {"frequency": np.asarray(frequency)}
-    arrays["true"] = diagonal(true_response(robot, robot_points(robot, data), frequency))
+    arrays["true"] = diagonal(true_response(robot, data, frequency))
     most = settings.experiments[0]
     arrays[f"LOG_{most}"] = diagonal(found[most]["LOG"].G)
     for name in SHOWN:

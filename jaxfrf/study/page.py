@@ -108,10 +108,12 @@ def _table_one(results: dict) -> list[str]:
             "Mean over positions and lines of || W o (|G| - |G_hat|) ||, rad/s² per N m (eq. (24) of the paper). W is "
             "not published; here it weighs elements, 1 on the diagonal and .2 elsewhere, scaled to a 2-norm of 1. So "
             "orders and ratios compare, not values. G is the linearised robot with the describing gain of its "
-            "friction; its springs are as stiff as over the motion of the experiment, or as at rest."
+            "friction, in the motion of the experiment: its springs as stiff as they are over it, and, since the slow "
+            "sine turns the arm by degrees, the mean over the places that the arm visits, each weighed by what the "
+            "controller makes of it."
         )
     ]
-    for truth, words in (("in motion", "stiffness over the motion"), ("at rest", "stiffness at rest")):
+    for truth, words in (("in motion", "arm in motion"), ("at rest", "same robot as if its arm were at rest")):
         bias = results["bias"]["bias"][truth]
         names = list(dict.fromkeys(name for by in bias.values() for name in by))
         rows = []
