@@ -27,6 +27,8 @@ class Settings(eqx.Module):
     - `single`: methods that are compared from a single experiment. `fitted`, `fitted_single`: estimators whose FRFs
       are fitted directly, of many experiments and of one, beside those that the fits through the experiment begin with.
       `at_rest`: whether that is repeated as if the arm were at rest.
+    - `uncertain`: numbers of experiments from which machines are calibrated of which nothing is known exactly, one
+      machine for every seed, drawn around `uncertain_robot`, "R3X" or "two axes".
     - `at_once`: all positions are simulated together and the record is kept, which is faster and takes more memory;
       the noise is another realisation. `together`: steps that are made at the same time.
     """
@@ -45,6 +47,8 @@ class Settings(eqx.Module):
     fitted: tuple[str, ...] = eqx.field(static=True, default=("LOG", "LRM, JIO", "LRM, JIO stacked", "auto"))
     fitted_single: tuple[str, ...] = eqx.field(static=True, default=("LRM, JIO", "auto"))
     at_rest: bool = eqx.field(static=True, default=True)
+    uncertain: tuple[int, ...] = eqx.field(static=True, default=(6, 1))
+    uncertain_robot: str = eqx.field(static=True, default="R3X")
     at_once: bool = eqx.field(static=True, default=False)
     together: int = eqx.field(static=True, default=1)
 
@@ -76,6 +80,8 @@ DEMO = Settings(
     fitted=(),
     fitted_single=("LRM, JIO",),
     at_rest=False,
+    uncertain=(2,),
+    uncertain_robot="two axes",
     at_once=True,
     together=2,
 )
