@@ -110,7 +110,7 @@ def estimates(data: Experiment, settings: Settings) -> dict[int, dict[str, FRF]]
 
 
 def bias_at(robot: Robot, data: Experiment, settings: Settings) -> list[dict]:
-    """Table I at every position of a record, against the robot in the motion of the record and at rest, as plain numbers."""
+    """Table I at every position of a record, against the robot as the record moved it and at rest, as plain numbers."""
     found = estimates(data, settings)
     frequency = next(iter(found[settings.experiments[0]].values())).frequency
     truths = {

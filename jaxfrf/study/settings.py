@@ -27,8 +27,8 @@ class Settings(eqx.Module):
     - `single`: methods that are compared from a single experiment. `fitted`, `fitted_single`: estimators whose FRFs
       are fitted directly, of many experiments and of one, beside those that the fits through the experiment begin with.
       `at_rest`: whether that is repeated as if the arm were at rest.
-    - `uncertain`: numbers of experiments from which machines are calibrated of which nothing is known exactly, one
-      machine for every seed, drawn around `uncertain_robot`, "R3X" or "two axes".
+    - `uncertain`: numbers of experiments from which machines are calibrated of which nothing is known exactly, drawn
+      around `uncertain_robot`, "R3X" or "two axes", one for each of the seeds `machines`.
     - `at_once`: all positions are simulated together and the record is kept, which is faster and takes more memory;
       the noise is another realisation. `together`: steps that are made at the same time.
     """
@@ -49,6 +49,7 @@ class Settings(eqx.Module):
     at_rest: bool = eqx.field(static=True, default=True)
     uncertain: tuple[int, ...] = eqx.field(static=True, default=(6, 1))
     uncertain_robot: str = eqx.field(static=True, default="R3X")
+    machines: tuple[int, ...] = eqx.field(static=True, default=(0, 1, 2, 3, 4))
     at_once: bool = eqx.field(static=True, default=False)
     together: int = eqx.field(static=True, default=1)
 
@@ -64,7 +65,9 @@ class Settings(eqx.Module):
 PAPER = Settings("paper", positions=49, fit_positions=7, blocks=4, seeds=(0, 1, 2, 3, 4), through=(6, 1))
 """The paper's study: 49 positions, 24 experiments of 28 s at each, 336 lines; parameters from 7 positions."""
 
-MEDIUM = Settings("medium", positions=6, fit_positions=3, blocks=2, seeds=(0,), through=(6, 1), ablations=False)
+MEDIUM = Settings(
+    "medium", positions=6, fit_positions=3, blocks=2, seeds=(0,), through=(6, 1), machines=(0,), ablations=False
+)
 """The same steps with fewer positions and experiments."""
 
 DEMO = Settings(
@@ -82,6 +85,7 @@ DEMO = Settings(
     at_rest=False,
     uncertain=(2,),
     uncertain_robot="two axes",
+    machines=(0, 1, 2),
     at_once=True,
     together=2,
 )

@@ -40,9 +40,9 @@ MEASURED = {
     "stiffness": "stiffness",
     "damping": "damping",
     "coulomb_friction": "Coulomb friction",
-    "payload": "mass of the last link, payload included",
+    "last_mass": "mass of the last link",
 }
-"""What errors are told of, with words for it."""
+"""What errors are told of, with words for it; the last link of R3X holds its payload."""
 SMALL_POSITIONS = 5  # of the small robot
 _DRAW = 9  # beside the seed, of the random numbers of a machine
 
@@ -67,7 +67,7 @@ def trial(settings: Settings, seed: int) -> Trial:
         plan = Multisine(2000.0, 16000, np.arange(33, 641, 2), rms=rms, slow=slow, seed=seed)
         return Trial(r3x(), r3x_ripple(), plan, candidates(PAPER)[list(fit_positions(PAPER))], 5e-5, 2.0)
     q = random_positions(SMALL_POSITIONS, jr.key(settings.position_seed), 2)
-    # As much is known of it as of any robot that says nothing: its file's own tolerances are those of the hidden effect.
+    # Its file's tolerances are those of the machine with the hidden effect; here the defaults hold.
     robot = dataclasses.replace(hidden.model(), tolerances=Tolerances())
     return Trial(robot, hidden.RIPPLE, hidden.plan(seed), np.asarray(q), hidden.NOISE, hidden.RUN_IN)
 
@@ -92,8 +92,8 @@ def uncertain_record(given: Trial, machine: Robot, seed: int) -> Experiment:
 
 
 def uncertain_row(settings: Settings, seed: int, count: int, say=None) -> dict:
-    """One machine, from so many experiments at every position: all of its numbers by `jaxfrf.calibrate`, and springs and
-    dampers by `jaxfrf.fit_through_experiment`, which takes everything else as exact."""
+    """One machine, from so many experiments at every position: all of its numbers by `jaxfrf.calibrate`, and springs
+    and dampers by `jaxfrf.fit_through_experiment`, which takes everything else as exact."""
     given = trial(settings, seed)
     machine = drawn(given.robot, seed)
     data = first_experiments(uncertain_record(given, machine, seed), count)
@@ -173,7 +173,7 @@ def _errors(kind: str, rows: list[dict]) -> dict:
 
 
 def _members(kind: str, these: list[dict]) -> list[dict]:
-    if kind == "payload":
+    if kind == "last_mass":
         return [n for n in these if n["kind"] == "mass"][-1:]
     return [n for n in these if n["kind"] == kind]
 
