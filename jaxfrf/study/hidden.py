@@ -18,7 +18,6 @@ from ..robot import Robot, parameters, robot_from_table, with_parameters
 from ..simulation import simulate
 
 HIDDEN = CoulombFriction("shoulder", 0.06)
-RIPPLE = TorqueRipple("shoulder", [0.01], [6], [0.3]), TorqueRipple("elbow", [0.006], [2], [0.3])
 OFF = {"stiffness": 1.02, "damping": 0.95, "mass": 1.006, "viscous_friction": 1.02}
 """The machine's numbers over those of its model: what a data sheet is off by."""
 POSITIONS = np.array([[0.3, 0.9], [-0.5, 1.4], [1.5, -1.1]])  # rad; the last one unloads the shoulder
@@ -37,7 +36,12 @@ def machine() -> Robot:
     """The robot as built: other springs, dampers, links and friction than stated, ripple, and the hidden effect."""
     robot = model()
     own = {name: factor * value for kind, factor in OFF.items() for name, value in parameters(robot, [kind]).items()}
-    return with_parameters(robot, own).with_effects(*RIPPLE, HIDDEN)
+    return with_parameters(robot, own).with_effects(*ripple(), HIDDEN)
+
+
+def ripple() -> tuple[TorqueRipple, ...]:
+    """Of the machine's motors."""
+    return TorqueRipple("shoulder", [0.01], [6], [0.3]), TorqueRipple("elbow", [0.006], [2], [0.3])
 
 
 def plan(seed: int = 4) -> Multisine:

@@ -69,7 +69,7 @@ def trial(settings: Settings, seed: int) -> Trial:
     q = random_positions(SMALL_POSITIONS, jr.key(settings.position_seed), 2)
     # Its file's tolerances are those of the machine with the hidden effect; here the defaults hold.
     robot = dataclasses.replace(hidden.model(), tolerances=Tolerances())
-    return Trial(robot, hidden.RIPPLE, hidden.plan(seed), np.asarray(q), hidden.NOISE, hidden.RUN_IN)
+    return Trial(robot, hidden.ripple(), hidden.plan(seed), np.asarray(q), hidden.NOISE, hidden.RUN_IN)
 
 
 def drawn(robot: Robot, seed: int) -> Robot:
