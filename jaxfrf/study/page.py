@@ -364,6 +364,7 @@ _SMALLER = {
     "uncertain": "numbers of experiments from which whole robots are calibrated",
     "uncertain_robot": "robot around which machines are drawn",
     "machines": "machines drawn",
+    "springs_alone": "their springs and dampers fitted by themselves",
     "ablations": "disturbances taken away one at a time",
 }
 

@@ -3,7 +3,7 @@
 from ..report.gap_words import plain
 from ..report.page import beside, figure, listing, paragraph, section, table
 from .figures import errors_of_numbers
-from .summary import held, machines, spread
+from .summary import has_springs, held, machines, spread
 from .uncertain import MEASURED
 
 
@@ -12,9 +12,10 @@ def in_a_sentence(entry: dict) -> str:
     told = lambda what: ", ".join(
         f"{kind} {spread(entry['errors'][kind][what])} %" for kind in ("stiffness", "damping")
     )
+    alone = f"; {told('springs')} where friction and masses are taken as exact" if has_springs(entry) else ""
     return (
         f"nothing known exactly ({entry['robot']}, n_e = {entry['experiments']}), mean error: {told('whole')} where "
-        f"the whole robot is calibrated; {told('springs')} where friction and masses are taken as exact"
+        f"the whole robot is calibrated, {told('given')} before{alone}"
     )
 
 
@@ -25,18 +26,19 @@ def uncertain_section(uncertain: dict) -> str:
         return ""
     most = max(row["experiments"] for row in uncertain["machines"])
     shown = next(row for row in uncertain["machines"] if row["experiments"] == most)
-    headers = ["n_e", "mean error, %", "as given", "all else taken as exact", "whole robot", "its largest"]
+    springs = has_springs(summary[0])
+    headers = ["n_e", "mean error, %", "as given", *(["all else taken as exact"] if springs else []), "whole robot"]
     return section(
         "When nothing is known exactly",
         paragraph(_setting(summary[0], uncertain["off"])),
-        table(headers, [row for entry in summary for row in _rows(entry)]),
+        table([*headers, "its largest"], [row for entry in summary for row in _rows(entry, springs)]),
         listing([f"95 % intervals that hold, n_e = {e['experiments']}: {held(e['intervals'])}" for e in summary]),
         beside(*(figure(drawn) for drawn in errors_of_numbers(shown["numbers"]))),
         paragraph(
-            f"Error of every number of one machine (seed {shown['seed']}, n_e = {most}): grey crosses as given, orange "
-            "squares where all else is taken as exact, blue dots where the whole robot is calibrated. Bars are half of "
-            "the 95 % interval: where a dot stands beyond its bar, the interval does not hold the truth. What is "
-            "smaller than the axis stands at its edge."
+            f"Error of every number of one machine (seed {shown['seed']}, n_e = {most}): grey crosses as given, "
+            + ("orange squares where all else is taken as exact, " if springs else "")
+            + "blue dots where the whole robot is calibrated. Bars are half of the 95 % interval: where a dot stands "
+            "beyond its bar, the interval does not hold the truth. What is smaller than the axis stands at its edge."
         ),
     )
 
@@ -61,13 +63,13 @@ def _setting(entry: dict, off: dict[str, float]) -> str:
 _WORDS = {"com": "centres of mass", "mass": "masses", "inertia": "inertias", "motor_inertia": "rotors"}
 
 
-def _rows(entry: dict) -> list[list]:
+def _rows(entry: dict, springs: bool) -> list[list]:
     cell = lambda errors: None if errors is None else spread(errors)
     return [
         [
             entry["experiments"],
             MEASURED[kind],
-            *(cell(errors[what]) for what in ("given", "springs", "whole")),
+            *(cell(errors[what]) for what in ("given", *(["springs"] if springs else []), "whole")),
             f"{100 * errors['whole']['worst']:.2f}",
         ]
         for kind, errors in entry["errors"].items()

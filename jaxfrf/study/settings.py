@@ -28,7 +28,8 @@ class Settings(eqx.Module):
       are fitted directly, of many experiments and of one, beside those that the fits through the experiment begin with.
       `at_rest`: whether that is repeated as if the arm were at rest.
     - `uncertain`: numbers of experiments from which machines are calibrated of which nothing is known exactly, drawn
-      around `uncertain_robot`, "R3X" or "two axes", one for each of the seeds `machines`.
+      around `uncertain_robot`, "R3X" or "two axes", one for each of the seeds `machines`. `springs_alone`: whether
+      springs and dampers are also fitted by themselves, all else taken as exact.
     - `at_once`: all positions are simulated together and the record is kept, which is faster and takes more memory;
       the noise is another realisation. `together`: steps that are made at the same time.
     """
@@ -50,6 +51,7 @@ class Settings(eqx.Module):
     uncertain: tuple[int, ...] = eqx.field(static=True, default=(6, 1))
     uncertain_robot: str = eqx.field(static=True, default="R3X")
     machines: tuple[int, ...] = eqx.field(static=True, default=(0, 1, 2, 3, 4))
+    springs_alone: bool = eqx.field(static=True, default=True)
     at_once: bool = eqx.field(static=True, default=False)
     together: int = eqx.field(static=True, default=1)
 
@@ -86,6 +88,7 @@ DEMO = Settings(
     uncertain=(2,),
     uncertain_robot="two axes",
     machines=(0, 1, 2),
+    springs_alone=False,
     at_once=True,
     together=2,
 )

@@ -92,14 +92,13 @@ def uncertain_record(given: Trial, machine: Robot, seed: int) -> Experiment:
 
 
 def uncertain_row(settings: Settings, seed: int, count: int, say=None) -> dict:
-    """One machine, from so many experiments at every position: all of its numbers by `jaxfrf.calibrate`, and springs
-    and dampers by `jaxfrf.fit_through_experiment`, which takes everything else as exact."""
+    """One machine, from so many experiments at every position: all of its numbers by `jaxfrf.calibrate`, and, unless
+    the study leaves it out, springs and dampers by `jaxfrf.fit_through_experiment`, which takes all else as exact."""
     given = trial(settings, seed)
     machine = drawn(given.robot, seed)
     data = first_experiments(uncertain_record(given, machine, seed), count)
     whole = calibrate(given.robot, data, say=say)
-    model = RobotModel(given.robot, slow_amplitude=np.asarray(given.plan.slow.amplitude))
-    alone = fit_through_experiment(model, data, starts=settings.starts, key=jr.key(seed), rounds=settings.rounds).fit
+    alone = _springs(settings, seed, given, data, say) if settings.springs_alone else None
     true = {number.name: number.given for number in numbers(machine)}
     return {
         "robot": given.robot.name,
@@ -113,9 +112,15 @@ def uncertain_row(settings: Settings, seed: int, count: int, say=None) -> dict:
     }
 
 
-def _number(number: Number, true: float, whole: Calibration, alone: Fit) -> dict:
+def _springs(settings: Settings, seed: int, given: Trial, data: Experiment, say) -> Fit:
+    model = RobotModel(given.robot, slow_amplitude=np.asarray(given.plan.slow.amplitude))
+    options = {"starts": settings.starts, "key": jr.key(seed), "rounds": settings.rounds}
+    return fit_through_experiment(model, data, say=say, **options).fit
+
+
+def _number(number: Number, true: float, whole: Calibration, alone: Fit | None) -> dict:
     """One number, as it is, as it was given, and as both fits say."""
-    springs = alone.interval().get(number.name)
+    springs = None if alone is None else alone.interval().get(number.name)
     return {
         "name": number.name,
         "kind": number.kind,
