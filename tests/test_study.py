@@ -7,14 +7,17 @@ import pytest
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
+from jaxfrf.robot import parameters, r3x
 from jaxfrf.study import DEMO, MEDIUM, PAPER, claims as claims_module, folder as folder_module, run as run_module
 from jaxfrf.study.bias import amplitude_bias, level_error, weights
 from jaxfrf.study.claims import claims
 from jaxfrf.study.hidden import HIDDEN, OFF, machine, model
 from jaxfrf.study.page import _made_smaller
+from jaxfrf.study.page_uncertain import in_a_sentence, uncertain_section
 from jaxfrf.study.run import Task, mean_bias, summarise, write_json
 from jaxfrf.study.settings import PUBLISHED_BIAS, PUBLISHED_PARAMETERS, design, methods
-from jaxfrf.study.summary import hidden_lines, summary_lines
+from jaxfrf.study.summary import hidden_lines, summary_lines, uncertain_lines
+from jaxfrf.study.uncertain import OFF as UNKNOWN, compared, drawn, trial
 
 
 def hidden_example():
@@ -30,6 +33,33 @@ def hidden_example():
         "gap": {"before": 8.0, "after": 0.2, "floor": 1.0, "shrink": 1.0, "on": "sealed positions"},
         "torque": {"shoulder": {"before": 0.12, "after": 0.005}},
     }
+
+
+def machines_example():
+    """Two machines: a stiffness and a damping, friction that one fit takes as exact, and two masses."""
+
+    def number(name, true, given, whole, half, springs=None):
+        found = lambda x, h: {"value": x, "low": x - h, "high": x + h, "holds": bool(abs(x - true) <= h)}
+        return {
+            "name": name,
+            "kind": name.rpartition(".")[2],
+            "true": true,
+            "given": given,
+            "whole": found(whole, half),
+            "told_by": "prior" if name == "a.mass" else "data",
+            "springs": None if springs is None else found(springs, 0.5),
+        }
+
+    numbers = lambda off: [
+        number("a.stiffness", 100.0, 110.0, 100.0 + off, 2.0, 103.0),
+        number("b.stiffness", 100.0, 90.0, 100.0 - off, 2.0, 100.1),
+        number("a.damping", 10.0, 6.0, 10.1, 0.2, 12.0),
+        number("a.coulomb_friction", 1.0, 1.3, 1.02, 0.01),
+        number("a.mass", 5.0, 5.2, 5.5, 0.1),
+        number("b.mass", 2.0, 2.1, 2.02, 0.1),
+    ]
+    about = {"robot": "two axes", "experiments": 2, "positions": 5, "period_s": 4.0}
+    return [{**about, "seed": k, "numbers": numbers(off)} for k, off in enumerate((1.0, 3.0))]
 
 
 def random_response(seed, n=4, lines=7):
@@ -97,6 +127,7 @@ def published():
         "minutes": 1.0,
         "bias": {"bias": {"in motion": bias}},
         "summary": summary,
+        "uncertain": {"off": UNKNOWN, "machines": machines_example(), "summary": compared(machines_example())},
         "hidden": hidden_example(),
     }
 
@@ -172,6 +203,68 @@ def test_means_and_spreads():
     rows = [{"experiments": 6, "method": "LOG", **dict.fromkeys(fields, x)} for x in (0.1, 0.5, 0.2)]
     (entry,) = summarise(rows)
     assert entry["mean_bias"] == {"median": 0.2, "least": 0.1, "largest": 0.5} and entry["seeds"] == 3
+
+
+def test_errors_where_nothing_is_known_exactly():
+    (entry,) = compared(machines_example())
+    stiffness = entry["errors"]["stiffness"]
+    assert stiffness["given"]["median"] == pytest.approx(0.1)
+    assert stiffness["springs"]["median"] == pytest.approx((0.03 + 0.001) / 2)
+    assert stiffness["springs"]["worst"] == pytest.approx(0.03)
+    assert [stiffness["whole"][k] for k in ("least", "median", "largest")] == pytest.approx([0.01, 0.02, 0.03])
+    assert entry["errors"]["coulomb_friction"]["springs"] is None
+    assert entry["errors"]["last_mass"]["whole"]["median"] == pytest.approx(0.01)
+    # The first mass is not told by the data: whether its interval holds does not count.
+    assert entry["intervals"] == {"whole": {"hold": 2 + 0 + 2 + 2, "of": 10}, "springs": {"hold": 2, "of": 6}}
+    assert entry["machines"] == 2 and compared([]) == []
+
+
+def test_the_page_and_the_summary_say_what_nothing_known_exactly_costs():
+    uncertain = {"off": UNKNOWN, "machines": machines_example(), "summary": compared(machines_example())}
+    page, text = uncertain_section(uncertain), "\n".join(uncertain_lines(uncertain["summary"]))
+    for said in (
+        "2 machines are drawn",
+        "40 % (damping)",
+        "all else exact 2 of 6, whole robot 6 of 10",
+        "own simulator",
+    ):
+        assert said in page, said
+    assert page.count("<img") == 4 and "2.00 [1.00-3.00]" in page
+    assert "2.00 [1.00-3.00]" in text and "Coulomb friction" in text and "6 of 10" in text
+    whole = [dict(row, numbers=[dict(n, springs=None) for n in row["numbers"]]) for row in machines_example()]
+    alone = {"off": UNKNOWN, "machines": whole, "summary": compared(whole)}
+    page, text = uncertain_section(alone), "\n".join(uncertain_lines(alone["summary"]))
+    assert "exact 2 of 6" not in page + text and "orange" not in page and "whole robot 6 of 10" in page
+    assert "springs" not in in_a_sentence(alone["summary"][0])
+    nothing = {"off": UNKNOWN, "machines": [], "summary": []}
+    assert uncertain_section(nothing) == "" and uncertain_lines([]) == []
+
+
+def test_machines_are_drawn_around_the_robot():
+    """Every number within what is said, tensors as a whole, linear springs linear; others for another seed."""
+    robot = r3x()
+    one, again, other = (drawn(robot, seed) for seed in (1, 1, 2))
+    for kind, most in UNKNOWN.items():
+        stated, own, same, else_ = (parameters(x, [kind]) for x in (robot, one, again, other))
+        off = np.concatenate([np.ravel(own[n] - v) for n, v in stated.items()])
+        size = np.concatenate([np.ravel(np.abs(v)) for v in stated.values()])
+        assert np.all(np.abs(off) <= most * size + 1e-15) and np.abs(off[size > 0] / size[size > 0]).max() > most / 2
+        assert all(np.array_equal(own[n], same[n]) for n in own)
+        assert not all(np.array_equal(own[n], else_[n]) for n in own)
+    ratio = parameters(one, ["stiffness_ratio"])
+    assert float(ratio["joint6.stiffness_ratio"]) == 1.0 != float(ratio["joint1.stiffness_ratio"])
+    for name, tensor in parameters(one, ["inertia"]).items():
+        stated = parameters(robot, ["inertia"])[name]
+        factor = tensor[stated != 0] / stated[stated != 0]
+        assert np.ptp(factor) < 1e-12 if factor.size else True
+
+
+def test_a_calibration_is_not_told_what_machines_are_drawn_from():
+    given = trial(DEMO, 0)
+    assert given.robot.tolerances.stated == () and model().tolerances.stated != ()
+    assert given.q.shape == (5, 2) and given.plan.n_exp == 2
+    assert DEMO.uncertain == (2,) and MEDIUM.uncertain == PAPER.uncertain == (6, 1)
+    assert MEDIUM.uncertain_robot == PAPER.uncertain_robot == "R3X" and PAPER.machines == PAPER.seeds
 
 
 def test_an_interrupted_study_goes_on(tmp_path, monkeypatch):
@@ -287,6 +380,11 @@ def test_the_demo_finds_what_is_true(tmp_path):
     direct, through = by[6, "LRM, JIO stacked"], by[6, "through the experiment"]
     assert direct["mean_bias"] < 0.04 and through["mean_bias"] < 0.01
     assert through["stiffness_bias"] < 0.002 and through["mean_bias"] < 0.5 * direct["mean_bias"]
+    (entry,) = results["uncertain"]["summary"]
+    for kind in ("stiffness", "damping"):
+        errors = {what: x["median"] for what, x in entry["errors"][kind].items() if x is not None}
+        assert errors["whole"] < 0.01 and errors["whole"] < 0.2 * errors["given"]
+    assert entry["intervals"]["whole"]["hold"] >= 0.9 * entry["intervals"]["whole"]["of"] >= 20
     hidden = results["hidden"]
     (named,) = hidden["effects"]
     assert hidden["verdict"] == "named" and (named["name"], named["joint"]) == (HIDDEN.name, HIDDEN.joint)
@@ -295,4 +393,7 @@ def test_the_demo_finds_what_is_true(tmp_path):
     assert hidden["sealed"] == [2] and hidden["gap"]["after"] < 0.5 * hidden["gap"]["before"]
     assert hidden["torque"]["shoulder"]["after"] < 0.5 * hidden["torque"]["shoulder"]["before"]
     text = (tmp_path / "study" / "index.html").read_text()
-    assert all(heading in text for heading in ("Table I", "Table II", "A hidden effect")) and "http://" not in text
+    assert (
+        all(heading in text for heading in ("Table I", "Table II", "When nothing is known exactly", "A hidden effect"))
+        and "http://" not in text
+    )

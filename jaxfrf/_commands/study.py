@@ -15,7 +15,8 @@ def add(commands) -> None:
         "study",
         run,
         "Reproduce the paper's study on the reference robot, from excitation to parameters, with tables and figures "
-        "beside the published ones, and find an effect that is hidden in a small robot.",
+        "beside the published ones; calibrate robots of which nothing is known exactly; find an effect that is hidden "
+        "in a small one.",
     )
     parser.add_argument("-o", "--output", required=True, metavar="DIR", help="folder to make")
     parser.add_argument(
@@ -23,7 +24,7 @@ def add(commands) -> None:
         choices=_SCALES,
         default="demo",
         help="demo: the shortest run that shows every part, three minutes (default); medium: all of the paper's "
-        "comparisons from fewer positions and experiments, a quarter of an hour; paper: everything, hours",
+        "comparisons from fewer positions and experiments, half an hour; paper: everything, hours",
     )
     parser.add_argument("--resume", action="store_true", help="go on with a study that was interrupted")
 

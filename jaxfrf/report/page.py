@@ -39,6 +39,7 @@ td.flag { color: var(--bad); white-space: normal; }
 figure { margin: 8px 0 18px; }
 figure img { max-width: 100%; height: auto; display: block; }
 figcaption { color: var(--soft); font-size: 13.5px; max-width: 92ch; margin-top: 4px; }
+@media (max-width: 640px) { section > figure { overflow-x: auto; } section > figure img { max-width: 720px; } }
 .beside { display: flex; flex-wrap: wrap; gap: 8px 36px; align-items: flex-start; }
 .beside figure { display: table; } .beside figcaption { display: table-caption; caption-side: bottom; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: 2px 18px; font-size: 14px; margin: 0; }
@@ -111,7 +112,7 @@ def table(headers: Sequence[str], rows: Sequence[Sequence[object]], flags: Seque
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>'
 
 
-_NUMBER = re.compile(r"[-+±]?\s?\d[\d.\s]*(e[-+]?\d+)?( %)?( to .*)?")
+_NUMBER = re.compile(r"[-+±]?\s?\d[\d.\s]*(e[-+]?\d+)?( %)?( (to|±) .*| \[.*\])?")
 
 
 def _is_number(x: object) -> bool:

@@ -12,7 +12,7 @@ from ..effects import ResolverRipple, TorqueRipple
 from ..experiment import Experiment
 from ..frf import FRF, estimate
 from ..graybox import Coordinates, RobotModel, RobotPoint, robot_points
-from ..graybox.slow_motion import response_at
+from ..graybox.slow_motion import response_at, response_in_motion
 from ..robot import Robot, describing_friction
 from ..simulation import simulate
 from ..spectra import dft, with_output_quantity
@@ -47,18 +47,33 @@ def level_error(G: Float[Array, "freq out in"], truth: Float[Array, "freq out in
     return [float(x) for x in np.nanmean(np.where(np.isfinite(level), level, np.nan), axis=0)]
 
 
-def true_response(robot: Robot, points: RobotPoint, frequency) -> Float[np.ndarray, "pos freq out in"]:
-    """The linearised robot at its true parameters, with the describing gain of its friction.
+def true_response(
+    robot: Robot, data: Experiment, frequency, amplitude=SLOW_AMPLITUDE
+) -> Float[np.ndarray, "pos freq out in"]:
+    """What a record would show of this robot without noise, distortion, ripple and finite length: the linearised robot
+    at its true parameters with the describing gain of its friction, springs as stiff as over the motion, and the mean
+    over the places to which the slow sine turns the arm (`jaxfrf.graybox.slow_motion`).
 
-    Springs as stiff as they are over the motion in `points`."""
-    amplitude = np.array(SLOW_AMPLITUDE)
+    **Arguments:** `frequency`: (freq,), Hz. `amplitude`: of the slow sine, motor side, (axis,), rad/s."""
+    model, values = _linear(robot, amplitude)
+    return response_in_motion(model, values, frequency, data)
+
+
+def response_at_rest(robot: Robot, data: Experiment, frequency) -> Float[np.ndarray, "pos freq out in"]:
+    """The same as if the arm were still, springs under gravity alone."""
+    model, values = _linear(robot, SLOW_AMPLITUDE)
+    return response_at(model, values, frequency, still(robot_points(robot, data)))
+
+
+def _linear(robot: Robot, amplitude) -> tuple[RobotModel, dict[str, float]]:
+    """The model whose response is the robot's, and its parameters."""
+    amplitude = np.asarray(amplitude, float)
     friction = np.asarray(describing_friction(robot, amplitude))
     # Ripple has no linear response; without it the compiled response of the fits serves here, too.
     plain = tuple(e for e in robot.effects if not isinstance(e, TorqueRipple | ResolverRipple))
     model = RobotModel(dataclasses.replace(robot, effects=plain), slow_amplitude=amplitude)
     values = Coordinates(model.parameters).values(Coordinates(model.parameters).start())
-    values |= {f"{axis}.effective_friction": f for axis, f in zip(robot.axis_names, friction, strict=True)}
-    return response_at(model, values, frequency, points)
+    return model, values | {f"{axis}.effective_friction": f for axis, f in zip(robot.axis_names, friction, strict=True)}
 
 
 def still(points: RobotPoint) -> RobotPoint:
@@ -95,13 +110,12 @@ def estimates(data: Experiment, settings: Settings) -> dict[int, dict[str, FRF]]
 
 
 def bias_at(robot: Robot, data: Experiment, settings: Settings) -> list[dict]:
-    """Table I at every position of a record, against the robot at rest and over its motion, as plain numbers."""
+    """Table I at every position of a record, against the robot as the record moved it and at rest, as plain numbers."""
     found = estimates(data, settings)
     frequency = next(iter(found[settings.experiments[0]].values())).frequency
-    points = robot_points(robot, data)
     truths = {
-        "at rest": true_response(robot, still(points), frequency),
-        "in motion": true_response(robot, points, frequency),
+        "in motion": true_response(robot, data, frequency),
+        "at rest": response_at_rest(robot, data, frequency),
     }
     measures = {"bias": amplitude_bias, "level_db": level_error}
     return [

@@ -1,12 +1,11 @@
 """Figures 3 and 4: the diagonal elements of one position by every method, and an enlargement of G33."""
 
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ..experiment import Experiment
-from ..graybox import robot_points
 from ..io._optional import require
 from ..robot import Robot
 from .bias import estimates, true_response
@@ -29,7 +28,7 @@ def example_responses(robot: Robot, data: Experiment, settings: Settings) -> dic
     frequency = next(iter(found[6].values())).frequency
     diagonal = lambda G: np.diagonal(np.asarray(G)[0], axis1=-2, axis2=-1)
     arrays = {"frequency": np.asarray(frequency)}
-    arrays["true"] = diagonal(true_response(robot, robot_points(robot, data), frequency))
+    arrays["true"] = diagonal(true_response(robot, data, frequency))
     most = settings.experiments[0]
     arrays[f"LOG_{most}"] = diagonal(found[most]["LOG"].G)
     for name in SHOWN:
@@ -83,6 +82,49 @@ def enlargement(arrays: Mapping[str, np.ndarray]):
     ax.set_ylim(level[inside].min() - 6, level[inside].max() + 6)
     ax.legend(frameon=False, fontsize=8)
     return figure
+
+
+_KINDS = ("stiffness", "damping", "coulomb_friction", "viscous_friction", "mass")
+_FITS = {"given": ("#7a7a7a", "x"), "springs": ("#D55E00", "s"), "whole": ("#0072B2", "o")}
+
+
+def errors_of_numbers(numbers: Sequence[Mapping]) -> list:
+    """Relative error of every number of a machine and half of its 95 % interval, a small figure for each kind."""
+    groups = {kind: [n for n in numbers if n["kind"] == kind] for kind in _KINDS}
+    return [_errors_of(kind, these) for kind, these in groups.items() if these]
+
+
+def _errors_of(kind: str, these: Sequence[Mapping]):
+    figure = require("matplotlib.figure", "plot").Figure(figsize=(3.1, 0.85 + 0.3 * len(these)), layout="constrained")
+    ax = figure.subplots()
+    for place, number in enumerate(these):
+        _number(ax, place, number)
+    ax.set_yticks(range(len(these)), [n["name"].removesuffix(f".{kind}").replace("_", " ") for n in these], fontsize=8)
+    ax.set_ylim(len(these) - 0.4, -0.6)
+    ax.set_xscale("log")
+    ax.set_xlim(*_ERRORS)
+    ax.set_xticks((0.01, 0.1, 1, 10, 100), (".01", ".1", "1", "10", "100"), fontsize=8)
+    ax.set_xticks([], minor=True)
+    ax.grid(True, axis="x", color="#dddddd", lw=0.4)
+    ax.set_title(kind.replace("coulomb", "Coulomb").replace("_", " "), fontsize=9.5)
+    ax.set_xlabel("error, %", fontsize=8)
+    return figure
+
+
+_ERRORS = (0.006, 160.0)  # %: smaller ones stand at the edge
+
+
+def _number(ax, place: int, number: Mapping) -> None:
+    for k, (what, (colour, marker)) in enumerate(_FITS.items()):
+        found, at = number[what], place + 0.22 * (k - 1)
+        if found is None:
+            continue
+        value = found if what == "given" else found["value"]
+        error = max(100 * abs(value / number["true"] - 1), _ERRORS[0])
+        if what != "given":
+            half = 100 * (found["high"] - found["low"]) / 2 / abs(number["true"])
+            ax.plot([_ERRORS[0], half], [at, at], color=colour, lw=3.5, alpha=0.3, solid_capstyle="butt")
+        ax.plot(error, at, marker, color=colour, ms=4.5, ls="")
 
 
 def _curves(ax, arrays, axis: int) -> None:

@@ -22,6 +22,7 @@ OFF = {"stiffness": 1.02, "damping": 0.95, "mass": 1.006, "viscous_friction": 1.
 """The machine's numbers over those of its model: what a data sheet is off by."""
 POSITIONS = np.array([[0.3, 0.9], [-0.5, 1.4], [1.5, -1.1]])  # rad; the last one unloads the shoulder
 NOISE = 1e-4  # rad
+RUN_IN = 3.0  # s
 _Z = 1.96  # of a 95 % interval
 
 
@@ -35,19 +36,23 @@ def machine() -> Robot:
     """The robot as built: other springs, dampers, links and friction than stated, ripple, and the hidden effect."""
     robot = model()
     own = {name: factor * value for kind, factor in OFF.items() for name, value in parameters(robot, [kind]).items()}
-    ripple = TorqueRipple("shoulder", [0.01], [6], [0.3]), TorqueRipple("elbow", [0.006], [2], [0.3])
-    return with_parameters(robot, own).with_effects(*ripple, HIDDEN)
+    return with_parameters(robot, own).with_effects(*ripple(), HIDDEN)
 
 
-def plan() -> Multisine:
+def ripple() -> tuple[TorqueRipple, ...]:
+    """Of the machine's motors."""
+    return TorqueRipple("shoulder", [0.01], [6], [0.3]), TorqueRipple("elbow", [0.006], [2], [0.3])
+
+
+def plan(seed: int = 4) -> Multisine:
     """112 odd lines from 4 to 60 Hz, a period of 4 s, two axes at once, on top of a slow sine."""
     slow = SlowSine([3, 5], [30.0, 30.0])
-    return Multisine(1000.0, 4000, np.arange(17, 240, 2), rms=[2.0, 3.0], slow=slow, seed=4)
+    return Multisine(1000.0, 4000, np.arange(17, 240, 2), rms=[2.0, 3.0], slow=slow, seed=seed)
 
 
 def hidden_record(seed: int) -> Experiment:
     """What the machine gives at every position; noise from `seed`."""
-    return simulate(machine(), plan(), POSITIONS, key=jr.key(2000 + seed), run_in=3.0, noise=NOISE, chunk=6)
+    return simulate(machine(), plan(), POSITIONS, key=jr.key(2000 + seed), run_in=RUN_IN, noise=NOISE, chunk=6)
 
 
 def hidden_row(data: Experiment, say=None) -> tuple[dict, dict[str, np.ndarray]]:

@@ -23,6 +23,7 @@ from ..report.page import (
 )
 from .claims import claims
 from .figures import diagonals, enlargement
+from .page_uncertain import in_a_sentence, uncertain_section
 from .parameters import STACKED
 from .settings import PAPER, PUBLISHED_BIAS, PUBLISHED_PARAMETERS, design
 from .summary import hidden_lines, interval, spread, true_parameter
@@ -49,6 +50,7 @@ def study_page(results: dict, curves: Mapping[str, np.ndarray], courses: Mapping
             section("Figures 3 and 4: estimates at one position", *_figures(results, curves)),
             section("Table II: bias of the parameters", *_table_two(results)),
             section("Parameters, one by one", *_parameters(results)),
+            uncertain_section(results["uncertain"]),
             section("The paper's conclusions", *_claims(results)),
             _why(results),
             section("A hidden effect", *_hidden(results["hidden"], courses)),
@@ -68,6 +70,7 @@ def _headline(results: dict) -> str:
             f"{spread(direct['mean_bias'])} % by the direct fit to {direct['method']} "
             f"(published, LRM, JIO: {100 * published:.1f} %)"
         )
+    said += [in_a_sentence(entry) for entry in results["uncertain"]["summary"]]
     made = claims(results)
     said.append(
         f"{sum(c.confirmed for c in made)} of {len(made)} conclusions of the paper "
@@ -108,10 +111,12 @@ def _table_one(results: dict) -> list[str]:
             "Mean over positions and lines of || W o (|G| - |G_hat|) ||, rad/s² per N m (eq. (24) of the paper). W is "
             "not published; here it weighs elements, 1 on the diagonal and .2 elsewhere, scaled to a 2-norm of 1. So "
             "orders and ratios compare, not values. G is the linearised robot with the describing gain of its "
-            "friction; its springs are as stiff as over the motion of the experiment, or as at rest."
+            "friction, in the motion of the experiment: its springs as stiff as they are over it, and, since the slow "
+            "sine turns the arm by degrees, the mean over the places that the arm visits, each weighed by what the "
+            "controller makes of it."
         )
     ]
-    for truth, words in (("in motion", "stiffness over the motion"), ("at rest", "stiffness at rest")):
+    for truth, words in (("in motion", "arm in motion"), ("at rest", "same robot as if its arm were at rest")):
         bias = results["bias"]["bias"][truth]
         names = list(dict.fromkeys(name for by in bias.values() for name in by))
         rows = []
@@ -356,6 +361,10 @@ _SMALLER = {
     "fitted": "estimators that are fitted directly, many experiments",
     "fitted_single": "estimators that are fitted directly, one experiment",
     "at_rest": "fits as if the arm were at rest",
+    "uncertain": "numbers of experiments from which whole robots are calibrated",
+    "uncertain_robot": "robot around which machines are drawn",
+    "machines": "machines drawn",
+    "springs_alone": "their springs and dampers fitted by themselves",
     "ablations": "disturbances taken away one at a time",
 }
 
@@ -370,6 +379,8 @@ def _made_smaller(settings: dict) -> list[str]:
 def _of(here, paper) -> str:
     if isinstance(paper, bool):
         return "none"
+    if isinstance(paper, str):
+        return f"{here} for {paper}"
     if isinstance(paper, list) and isinstance(paper[0], str):
         return f"{'; '.join(here) or 'none of their own'} (without {'; '.join(x for x in paper if x not in here)})"
     count = lambda x: len(x) if isinstance(x, list) else x

@@ -23,6 +23,7 @@ from .hidden import hidden_record, hidden_row
 from .page import write_study_page
 from .parameters import candidates, direct_rows, fit_positions, records, through_row
 from .settings import Settings, design, truth
+from .uncertain import OFF, compared, uncertain_row
 from .why import VARIANTS, variant_row
 
 BESIDE = "study, a step beside"  # name of the threads that make steps beside the main one
@@ -106,6 +107,16 @@ def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]
         for seed in seeds
         for n in settings.through
     ]
+    uncertain = [
+        Task(
+            parts / f"uncertain-{n}-{seed}.json",
+            f"nothing known exactly, n_e = {n}, machine {seed}",
+            80.0 if settings.uncertain_robot != "R3X" else 120.0 + 40.0 * n,
+            lambda seed=seed, n=n: uncertain_row(settings, seed, n, say),
+        )
+        for seed in settings.machines
+        for n in settings.uncertain
+    ]
     hidden = Task(parts / "hidden.json", "a hidden effect", 40.0, lambda: _hidden(settings, parts, say))
     bias = [
         Task(
@@ -136,7 +147,7 @@ def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]
         Task(parts / f"why-{name}.json", f"why: {name}", 60.0, lambda name=name: variant_row(settings, name))
         for name in (VARIANTS if settings.ablations else ())
     ]
-    return [*through, hidden, *bias, example, *direct, *why]
+    return [*through, *uncertain, hidden, *bias, example, *direct, *why]
 
 
 def _example(settings: Settings, parts: pathlib.Path, made: _Records) -> dict:
@@ -216,6 +227,7 @@ def collect(settings: Settings, parts: pathlib.Path) -> dict:
     place = lambda row: (row["experiments"], row["method"], row["seed"])
     made = {place(row) for row in rows}
     rows += [row["direct"] for row in through if place(row["direct"]) not in made] + through
+    uncertain = [read(f"uncertain-{n}-{seed}.json") for seed in settings.machines for n in settings.uncertain]
     plan = design(settings.blocks, settings.seeds[0])
     return {
         "settings": settings.as_dict(),
@@ -228,6 +240,7 @@ def collect(settings: Settings, parts: pathlib.Path) -> dict:
         "bias": mean_bias(bias),
         "parameters": rows,
         "summary": summarise(rows),
+        "uncertain": {"off": OFF, "machines": uncertain, "summary": compared(uncertain)},
         "hidden": read("hidden.json"),
         "why": {name: read(f"why-{name}.json") for name in VARIANTS} if settings.ablations else {},
     }

@@ -27,6 +27,9 @@ class Settings(eqx.Module):
     - `single`: methods that are compared from a single experiment. `fitted`, `fitted_single`: estimators whose FRFs
       are fitted directly, of many experiments and of one, beside those that the fits through the experiment begin with.
       `at_rest`: whether that is repeated as if the arm were at rest.
+    - `uncertain`: numbers of experiments from which machines are calibrated of which nothing is known exactly, drawn
+      around `uncertain_robot`, "R3X" or "two axes", one for each of the seeds `machines`. `springs_alone`: whether
+      springs and dampers are also fitted by themselves, all else taken as exact.
     - `at_once`: all positions are simulated together and the record is kept, which is faster and takes more memory;
       the noise is another realisation. `together`: steps that are made at the same time.
     """
@@ -45,6 +48,10 @@ class Settings(eqx.Module):
     fitted: tuple[str, ...] = eqx.field(static=True, default=("LOG", "LRM, JIO", "LRM, JIO stacked", "auto"))
     fitted_single: tuple[str, ...] = eqx.field(static=True, default=("LRM, JIO", "auto"))
     at_rest: bool = eqx.field(static=True, default=True)
+    uncertain: tuple[int, ...] = eqx.field(static=True, default=(6, 1))
+    uncertain_robot: str = eqx.field(static=True, default="R3X")
+    machines: tuple[int, ...] = eqx.field(static=True, default=(0, 1, 2, 3, 4))
+    springs_alone: bool = eqx.field(static=True, default=True)
     at_once: bool = eqx.field(static=True, default=False)
     together: int = eqx.field(static=True, default=1)
 
@@ -60,7 +67,9 @@ class Settings(eqx.Module):
 PAPER = Settings("paper", positions=49, fit_positions=7, blocks=4, seeds=(0, 1, 2, 3, 4), through=(6, 1))
 """The paper's study: 49 positions, 24 experiments of 28 s at each, 336 lines; parameters from 7 positions."""
 
-MEDIUM = Settings("medium", positions=6, fit_positions=3, blocks=2, seeds=(0,), through=(6, 1), ablations=False)
+MEDIUM = Settings(
+    "medium", positions=6, fit_positions=3, blocks=2, seeds=(0,), through=(6, 1), machines=(0,), ablations=False
+)
 """The same steps with fewer positions and experiments."""
 
 DEMO = Settings(
@@ -76,6 +85,10 @@ DEMO = Settings(
     fitted=(),
     fitted_single=("LRM, JIO",),
     at_rest=False,
+    uncertain=(2,),
+    uncertain_robot="two axes",
+    machines=(0, 1, 2),
+    springs_alone=False,
     at_once=True,
     together=2,
 )

@@ -3,6 +3,7 @@
 from ..report.gap_words import plain
 from .claims import claims
 from .settings import PUBLISHED_BIAS, PUBLISHED_PARAMETERS
+from .uncertain import MEASURED
 
 
 def summary_lines(results: dict) -> list[str]:
@@ -26,9 +27,49 @@ def summary_lines(results: dict) -> list[str]:
         f"{sum(c.confirmed for c in checked)} of {len(checked)} claims of the paper hold on R3X:",
         *(f"  {_word(c.confirmed)}: {c.says} (paper {c.paper}; here {c.found})" for c in checked),
         "",
+        *uncertain_lines(results["uncertain"]["summary"]),
         f"An effect hidden in a small robot ({results['hidden']['robot']}):",
         *(f"  {line}" for line in hidden_lines(results["hidden"])),
     ]
+
+
+def uncertain_lines(summary: list[dict]) -> list[str]:
+    """Errors where nothing is known exactly, as given, of springs and dampers alone, and of the whole robot."""
+    if not summary:
+        return []
+    first = summary[0]
+    columns = {"given": "as given", "springs": "all else exact", "whole": "whole robot"}
+    if not has_springs(first):
+        del columns["springs"]
+    lines = [
+        f"Nothing known exactly: {first['robot']}, {first['positions']} positions, {first['period_s']:g} s, "
+        f"{machines(first['machines'])}; mean error, %"
+        + (" (all else exact: friction and masses taken as they were given)" if has_springs(first) else ""),
+        f"  {'n_e':>3}  {'':40}" + "".join(f"{word:>20}" for word in columns.values()),
+    ]
+    for entry in summary:
+        for kind, errors in entry["errors"].items():
+            cells = "".join(f"{'-' if errors[k] is None else spread(errors[k]):>20}" for k in columns)
+            lines.append(f"  {entry['experiments']:>3}  {MEASURED[kind]:40}{cells}")
+        lines.append(f"       95 % intervals that hold: {held(entry['intervals'])}")
+    return [*lines, ""]
+
+
+def machines(count: int) -> str:
+    """How many were drawn."""
+    return "one machine" if count == 1 else f"{count} machines"
+
+
+def has_springs(entry: dict) -> bool:
+    """Whether springs and dampers were also fitted by themselves."""
+    return entry["intervals"]["springs"]["of"] > 0
+
+
+def held(intervals: dict) -> str:
+    """How many intervals hold the truth."""
+    springs, whole = intervals["springs"], intervals["whole"]
+    alone = f"all else exact {springs['hold']} of {springs['of']}, " if springs["of"] else ""
+    return f"{alone}whole robot {whole['hold']} of {whole['of']} (numbers that the data tell)"
 
 
 def hidden_lines(hidden: dict) -> list[str]:
