@@ -7,6 +7,7 @@
 With `pytest -s` the figures are printed.
 """
 
+import json
 import tomllib
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 import scipy.signal
 
 import jaxfrf as jf
+from jaxfrf.__main__ import main
 from jaxfrf.gap.coupling import diagnose_drive
 from jaxfrf.gap.deflection import diagnose_deflection
 from jaxfrf.gap.distortion_map import diagnose_distortion
@@ -89,6 +91,21 @@ def test_emps_names_its_friction(emps):
     assert all(e.p_value <= 0.01 and e.share > 0.2 for e in emps.effects)
     assert emps.ranking[0].name == "coulomb_friction"
     assert "counterbalance" in emps.effects[1].equivalent  # an offset is a spring's with its rest far away
+
+
+@pytest.mark.slow
+def test_emps_by_the_command(measured, emps, emps_robot, tmp_path):
+    """The same, from the files: `jaxfrf diagnose`, with the pulses sealed and a page."""
+    robot, gap, page = tmp_path / "emps.toml", tmp_path / "gap.json", tmp_path / "gap.html"
+    jf.io.write_robot(emps_robot, robot)
+    files = [str(measured / "emps" / f"{name}.mat") for name in ("DATA_EMPS", "DATA_EMPS_PULSES")]
+    options = ["--map", "u=vir,y=qm", "--set", "y_quantity=position", "--scale", f"u={NEWTON_PER_VOLT}"]
+    written = ["-o", str(gap), "--report", str(page), "--positions-sealed", "1"]
+    assert main(["diagnose", *files, "--robot", str(robot), *options, *written]) == 0
+    found = json.loads(gap.read_text())
+    assert [e["name"] for e in found["effects"]] == [e.name for e in emps.effects]
+    assert found["effects"][0]["parameters"]["level"]["value"] == pytest.approx(COULOMB, rel=0.02)
+    assert "coulomb" in page.read_text()
 
 
 def test_emps_gap_on_the_pulses(measured, emps):

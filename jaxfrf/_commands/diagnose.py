@@ -29,7 +29,10 @@ def add(commands) -> None:
     own_effects.add_effects_option(parser)
     add_tolerance_option(parser)
     parser.add_argument(
-        "--positions-sealed", type=int, metavar="N", help="positions that are kept to judge the result on"
+        "--positions-sealed",
+        type=int,
+        metavar="N",
+        help="positions that are kept to judge the result on (of records without a period: the last N files)",
     )
     parser.add_argument("--map", help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]")
     parser.add_argument("--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1")

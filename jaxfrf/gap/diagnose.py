@@ -18,6 +18,8 @@ from ..trajectory.measured import fewer, measured
 from .present import present
 from .result import Diagnosis
 from .search import Say, Search, search
+from .torque import diagnose_torque
+from .torque_as_diagnosis import as_diagnosis
 
 _EXPERIMENTS = 2  # of a position that are used: what limits the search is the model, not the noise
 
@@ -46,7 +48,8 @@ def diagnose(
     signature act at once, and where an effect that the library does not hold looks like one that it does: then the
     remaining misfit tells, and nothing is named. Nothing is looked for where all that is left is within its floor, and
     no effect is named whose interval holds none of it, or whose robot, simulated as it would be written, does not make
-    the gap on the sealed positions smaller (`verify`). Rigid robots of non-periodic records: `diagnose_torque`.
+    the gap on the sealed positions smaller (`verify`). Robots with rigid transmissions whose records are not periodic
+    are diagnosed by inverse dynamics (`diagnose_torque`).
 
     **Arguments:**
 
@@ -55,6 +58,7 @@ def diagnose(
     - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`.
     - `own`: effects of your own, classes like those of `jaxfrf.effects`.
     - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
+      Of records that are not periodic: so many of the last records, none by default.
     - `say`: called with a line of progress. `progress`: with the part that is done.
     - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`, begun); a run that finds some goes on behind them.
 
@@ -62,9 +66,31 @@ def diagnose(
 
     Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
     """
-    record = joined([data] if isinstance(data, Experiment) else list(data))
+    records = [data] if isinstance(data, Experiment) else list(data)
+    if not robot.n_motors and not robot.n_elastic and any(not record.period for record in records):
+        return _by_inverse_dynamics(robot, records, own, sealed, say or (lambda text: None))
+    record = joined(records)
     found = investigate(robot, record, own=own, sealed=sealed, say=say, progress=progress, parts=parts)
     return present(found, compared(robot, record))
+
+
+def _by_inverse_dynamics(robot: Robot, records, own, sealed: int | None, say: Say) -> Diagnosis:
+    """Records of any motion: the last so many are sealed."""
+    if own:
+        raise input_error(
+            "own effects",
+            ", ".join(kind.name for kind in own),
+            "effects of the library, where a record is not periodic",
+            "Leave out --effects, or measure a periodic motion.",
+        )
+    sealed = sealed or 0
+    if not 0 <= sealed < len(records):
+        raise input_error(
+            "sealed records", f"{sealed}", f"0 to {len(records) - 1} of {len(records)} records", "Leave some to fit."
+        )
+    fitted, judge = records[: len(records) - sealed], records[len(records) - sealed :]
+    say("the torque that the motion needs is compared: the records are not periodic")
+    return as_diagnosis(diagnose_torque(robot, fitted, judge or None), fitted)
 
 
 def investigate(
