@@ -2,11 +2,10 @@
 
 from collections.abc import Callable, Sequence
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from .._errors import InputError, input_error
+from .._errors import input_error
 from .._types import require_x64
 from ..effects import Payload
 from ..experiment import Experiment
@@ -14,47 +13,22 @@ from ..identification.model import check_data
 from ..parts import Parts
 from ..robot import Robot
 from ..simulation.checks import check_fit
-from ..trajectory.evidence import Evidence, Weighed, placed, precise, refloored, weigh
+from ..trajectory.evidence import Evidence
 from ..trajectory.following import compared, why_followed
-from ..trajectory.joined import joined, places, together
+from ..trajectory.joined import joined, together
 from ..trajectory.measured import Measured, measured
-from ..trajectory.ripple import Order, order_columns, ripple_effects
-from .columns import near_rest_columns, number_columns
+from ..trajectory.ripple import ripple_effects
 from .from_motion import calibrate_from_motion, check_rigid
 from .heldout import heldout_numbers
-from .least_squares import Posterior, solve
-from .numbers import Number, numbers, with_numbers
-from .remainder import remainder, usual_size
-from .result import Calibration, Round
-from .ripple import sure_orders, with_found_orders
-from .rounds import Kept, Rounds
+from .numbers import numbers, with_numbers
+from .result import Calibration
+from .ripple import sure_orders
+from .rounds import Rounds
+from .search import Look, Search
 
-_LONGEST = 0.5  # of a logarithm, in one step: columns hold no further
-_HALVINGS = 3
-_WORSE = 1.02  # of the misfit: a step that leaves more is halved
-_REWEIGHED = 2  # times in a round
-_FEW, _BANDS = 4, 8  # runs whose scatter says too little: bands of lines stand for runs then
 _NOTHING = 1e-12  # tolerances: what rounding moved
-_GAIN = 0.97  # of the misfit: a step that leaves more is of no use
-_STAYS = 0.3  # of its standard deviation that every number moves less
-_LOOKS_FOR_RIPPLE = 4  # first rounds in which more orders are looked for: far from the truth some are not there
 
 Say = Callable[[str], None]
-
-
-class Look(eqx.Module):
-    """One simulation of the robot at x, and the step that it asks for.
-
-    **Fields:** `misfit`: mean square over the plain floor that ripple alone leaves. `left`: what all columns leave.
-    """
-
-    x: Float[np.ndarray, "number"]
-    evidence: Evidence = eqx.field(static=True)
-    weighed: Weighed
-    orders: tuple[Order, ...]
-    posterior: Posterior = eqx.field(static=True)
-    misfit: float
-    left: float
 
 
 def calibrate(
@@ -122,7 +96,7 @@ def calibrate(
         )
     fitted, judged = _split(measured(data, carried if any(p is not None for p in carried) else ()), heldout)
     kept = Rounds(parts, robot, these, fitted, heldout)
-    search = _Search(robot, fitted, these, say)
+    search = Search(robot, fitted, these, say)
     look, converged = search.run(rounds, kept)
     return _result(robot, these, look, [one.round for one in kept.done], converged, fitted, judged)
 
@@ -155,115 +129,6 @@ def _split(record: Measured, heldout: Sequence[int]) -> tuple[Measured, Measured
     if not held:
         return record, None
     return record.at([p for p in range(n) if p not in held]), record.at(held)
-
-
-class _Search:
-    """What stays the same from round to round, and the floor, which follows what is left."""
-
-    def __init__(self, robot: Robot, record: Measured, these: Sequence[Number], say: Say):
-        self.robot, self.record, self.these, self.say = robot, record, these, say
-        self.floor: np.ndarray | None = None
-        self.near_rest = near_rest_columns(robot)
-
-    def run(self, rounds: int, kept: Rounds) -> tuple[Look, bool]:
-        """The last look, and whether the numbers stay; from where an earlier run was interrupted."""
-        if kept.done:
-            last = kept.done[-1]
-            self.floor = last.floor
-            look = self.look(last.x, last.orders, False)
-            self.say(f"goes on behind round {len(kept.done)}")
-        else:
-            look = self.look(np.zeros(len(self.these)), (), True)
-            self.tell(look, kept)
-        converged = self.stays(look)
-        while len(kept.done) < rounds and not converged:
-            further = self.further(look, len(kept.done) < _LOOKS_FOR_RIPPLE)
-            if further is None:
-                self.say("no step makes the misfit smaller")
-                break
-            look = further
-            self.tell(look, kept)
-            converged = self.stays(look)
-        return look, converged
-
-    def tell(self, look: Look, kept: Rounds) -> None:
-        found = Round(look.misfit, look.left, look.posterior.effect)
-        kept.keep(Kept(look.x, look.orders, look.evidence.floor, found))
-        self.say(
-            f"round {len(kept.done)}: {look.misfit**0.5:.3g} times the floor, {look.left**0.5:.3g} after its step; "
-            f"{len(look.orders)} orders of ripple, {look.posterior.effect:.3g} lines count as one"
-        )
-
-    def look(self, x, orders: tuple[Order, ...], more: bool) -> Look:
-        """Simulate, differentiate, solve; `more`: whether to look for more orders of ripple."""
-        now = with_numbers(self.robot, self.these, x)
-        evidence = Evidence(now, self.record)
-        if self.floor is not None:
-            evidence.floor = self.floor
-        own = number_columns(self.robot, self.these, x)
-        weighed = weigh(evidence, [*own, *self.near_rest, *order_columns(orders)])
-        posterior = solve(weighed.gram, self.these, x)
-        if more:
-            orders, weighed = with_found_orders(evidence, weighed, orders, posterior.change)
-            posterior = solve(weighed.gram, self.these, x)
-        misfit = _misfit(evidence, weighed, np.arange(len(self.these), weighed.gram.b.shape[1]))
-        for _ in range(_REWEIGHED):
-            left = remainder(evidence, weighed, posterior.change)
-            floor = usual_size(left, evidence.noise)
-            weighed = refloored(weighed, evidence.floor, floor)
-            evidence.floor = floor
-            posterior = solve(weighed.gram, self.these, x)
-        runs = len(weighed.gram.A)
-        weighed = precise(weighed, _BANDS) if runs < _FEW else placed(precise(weighed), places(self.record.data))
-        posterior = solve(weighed.gram, self.these, x)
-        self.floor = evidence.floor
-        left = remainder(evidence, weighed, posterior.change)
-        return Look(np.asarray(x, float), evidence, weighed, orders, posterior, misfit, _square(left / evidence.plain))
-
-    def further(self, look: Look, more: bool) -> Look | None:
-        """The next robot, by a step that is short enough to leave less."""
-        sure = sure_orders(look.orders, look.posterior)
-        orders = tuple(o for o, is_sure in zip(look.orders, sure, strict=True) if is_sure)
-        # Orders that go take nothing away any more: what they took is no reason to refuse a step.
-        kept = np.flatnonzero(np.concatenate([np.ones(len(self.near_rest), bool), np.repeat(sure, 2)]))
-        before = _misfit(look.evidence, look.weighed, len(self.these) + kept)
-        step = look.posterior.change[: len(self.these)]
-        longest = max((abs(n.size * s) for n, s in zip(self.these, step, strict=True) if n.positive), default=0.0)
-        part = min(1.0, _LONGEST / longest) if longest > 0 else 1.0
-        for _ in range(_HALVINGS):
-            try:
-                found = self.look(look.x + part * step, orders, more)
-            except InputError as error:
-                self.say(f"a step too far: {error}")
-            else:
-                if found.misfit < _WORSE * before or part * longest < 0.02:
-                    return found
-            part /= 2
-        return None
-
-    def stays(self, look: Look) -> bool:
-        """Whether the next step would be small beside what is known of every number, and take little off the misfit.
-        How Coulomb friction is smoothed has no true value where a machine's friction is another law: it may creep."""
-        step, count = look.posterior.change, len(self.these)
-        std = np.sqrt(np.diag(look.posterior.covariance))
-        counts = np.array([n.kind != "smoothing" for n in self.these])
-        small = np.abs(step[:count]) < _STAYS * std[:count]
-        return bool(np.all(small[counts])) and look.left > _GAIN * look.misfit
-
-
-def _square(z) -> float:
-    return 0.5 * float(np.mean(np.abs(z) ** 2))
-
-
-def _misfit(evidence: Evidence, weighed: Weighed, ripple) -> float:
-    """Of the robot as it was simulated, what these columns explain taken away; over the plain floor."""
-    gram = weighed.gram
-    A, b = gram.A.sum(axis=0)[np.ix_(ripple, ripple)], gram.b.sum(axis=0)[ripple]
-    change = np.zeros(gram.b.shape[1])
-    if len(b):
-        size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-        change[ripple] = np.linalg.lstsq(A / np.outer(size, size), b / size, rcond=1e-7)[0] / size
-    return _square(remainder(evidence, weighed, change) / evidence.plain)
 
 
 def _result(robot: Robot, these, look: Look, rounds, converged: bool, fitted: Measured, judged) -> Calibration:
