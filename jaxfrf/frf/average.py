@@ -14,7 +14,7 @@ from .._types import Array
 from ..spectra import Spectra, changed_signals
 from .classical import H1
 from .covariance import OuterSum, sum_over, variances
-from .inverse import inverse, product
+from .inverse import inverse
 from .matrix_functions import matrix_function
 from .method import AbstractMethod, Estimate, Signals
 
@@ -149,13 +149,13 @@ def _matrix_mean(G):
     G = jnp.where(bad, jnp.eye(G.shape[-1]), G)
     P, _, condition = matrix_function(lambda x: x.conj() / jnp.abs(x), G[0])
     P = jnp.where(jnp.isfinite(P).all(), P, jnp.eye(G.shape[-1]))
-    logs, values, conditions = jax.vmap(lambda G_m: matrix_function(jnp.log, product(P, G_m)))(G)
+    logs, values, conditions = jax.vmap(lambda G_m: matrix_function(jnp.log, P @ G_m))(G)
     log_mean = logs.mean(axis=0)
     finite = jnp.isfinite(log_mean).all()
     mean, _, _ = matrix_function(jnp.exp, jnp.where(finite, log_mean, 0))
     unsafe = jnp.any(jnp.abs(jnp.angle(values)) > jnp.pi / 2)
     unsafe |= jnp.any(conditions > _CONDITION) | (condition > _CONDITION)
-    return jnp.where(bad, jnp.nan, product(inverse(P), mean)), unsafe
+    return jnp.where(bad, jnp.nan, inverse(P) @ mean), unsafe
 
 
 def _elementwise_mean(G):

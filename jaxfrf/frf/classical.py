@@ -9,7 +9,7 @@ import numpy as np
 from .._errors import input_error
 from ..spectra import Spectra
 from .covariance import KroneckerSum
-from .inverse import adjoint, inverse, product
+from .inverse import adjoint, inverse
 from .least_squares import AbstractLeastSquares, check_periodic
 from .method import AbstractMethod, Estimate, Signals, flags
 from .window import Windows, windows
@@ -84,7 +84,7 @@ class H2(AbstractMethod):
 
     def at_point(self, signals: Signals, lines=None) -> Estimate:
         def response(U, Y):
-            return product(product(Y, adjoint(Y)), inverse(product(U, adjoint(Y))))
+            return Y @ adjoint(Y) @ inverse(U @ adjoint(Y))
 
         return _residual_estimate(signals, response, lines)
 
@@ -162,10 +162,10 @@ def _with_noise(estimate: Estimate, signals: Signals, instrument, lines) -> Esti
         return estimate
 
     def one_line(G, U, Z, noise):
-        weight = product(adjoint(Z), inverse(product(U, adjoint(Z))))
+        weight = adjoint(Z) @ inverse(U @ adjoint(Z))
         effect = jnp.concatenate([jnp.eye(G.shape[0], dtype=G.dtype), -G], axis=1)
         left = weight[:, :, None] * weight.conj()[:, None, :]
-        return KroneckerSum(left, product(product(effect, noise), adjoint(effect)))
+        return KroneckerSum(left, effect @ noise @ adjoint(effect))
 
     U, Z, noise = (_at_line(x, lines) for x in (signals.U, instrument, signals.noise))
     cov = jax.vmap(one_line)(estimate.G, U.mT, Z.mT, noise)
@@ -184,9 +184,9 @@ def _residual_estimate(signals: Signals, response, lines) -> Estimate:
 
     def one_line(U, Y):
         G = response(U, Y)
-        residual = Y - product(G, U)
-        C = product(residual, adjoint(residual)) / (dof if dof > 0 else jnp.nan)
-        return G, KroneckerSum(inverse(product(U, adjoint(U))).T[None], C[None])
+        residual = Y - G @ U
+        C = residual @ adjoint(residual) / (dof if dof > 0 else jnp.nan)
+        return G, KroneckerSum(inverse(U @ adjoint(U)).T[None], C[None])
 
     G, cov = jax.vmap(one_line)(_at_line(signals.U, lines).mT, _at_line(signals.Y, lines).mT)
     every = jnp.zeros(G.shape[0])

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .covariance import KroneckerSum
-from .inverse import adjoint, inverse, product
+from .inverse import adjoint, inverse
 from .regression import Solution
 
 _FEW = 2  # equations; between more of them the factors take more room than the covariance
@@ -26,10 +26,17 @@ def through_ratio(solution: Solution, of_target: np.ndarray, dof) -> tuple:
     """
     n_in = solution.G.shape[-1]
     W = inverse(solution.G[-n_in:]).T
-    G = product(solution.G[:-n_in], W.T)
+    G = solution.G[:-n_in] @ W.T
     M = jnp.concatenate([jnp.eye(G.shape[0], dtype=G.dtype), -G], axis=1)
-    S = product(product(W, solution.S), adjoint(W))
-    return G, _covariance(S, M, _noise(solution, dof), of_target)
+    return G, _covariance(_on_both_sides(W, solution.S), M, _noise(solution, dof), of_target)
+
+
+def _on_both_sides(W, S):
+    """W S_tu W^H of every pair of equations, as one product of the columns (t, a) and (u, b)."""
+    count, n_in = S.shape[0], S.shape[-1]
+    columns = (W @ jnp.moveaxis(S, 2, 0).reshape(n_in, -1)).reshape(n_in, count, count, n_in)
+    rows = (columns.reshape(-1, n_in) @ adjoint(W)).reshape(n_in, count, count, n_in)
+    return jnp.moveaxis(rows, 0, 2)
 
 
 def _noise(solution: Solution, dof):
@@ -41,11 +48,11 @@ def _covariance(S, M, C, of_target: np.ndarray):
     """sum_tu S_tu (x) (M_t C M_u^H), M the identity where it is not given."""
     count, n_in = S.shape[0], S.shape[-1]
     if count == 1:
-        C = C if M is None else product(product(M, C), adjoint(M))
+        C = C if M is None else M @ C @ adjoint(M)
         return KroneckerSum(left=S[0], right=C[None])
     if M is not None and count <= _FEW:
-        own = M * (np.arange(count)[:, None, None] == of_target)
-        right = product(product(own, C)[:, None], adjoint(own)[None])
+        own = (M * (np.arange(count)[:, None, None] == of_target)).reshape(-1, M.shape[-1])
+        right = (own @ C @ adjoint(own)).reshape(count, M.shape[0], count, M.shape[0]).swapaxes(1, 2)
         return KroneckerSum(left=S.reshape(-1, n_in, n_in), right=right.reshape(-1, *right.shape[-2:]))
     each = jnp.moveaxis(
         S[of_target[:, None], of_target] * C[:, :, None, None], (0, 2), (1, 0)
@@ -59,5 +66,5 @@ def _covariance(S, M, C, of_target: np.ndarray):
 def _turned(M, each):
     """M (target axes) M^H of (in, target, target, in)."""
     n_in, n_target = each.shape[:2]
-    left = product(M, each.reshape(n_in, n_target, n_target * n_in)).reshape(n_in, -1, n_target, n_in)
-    return product(M.conj(), left)
+    left = (M @ each.reshape(n_in, n_target, -1)).reshape(n_in, -1, n_target, n_in)
+    return M.conj() @ left

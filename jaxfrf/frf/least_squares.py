@@ -6,7 +6,6 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Complex
 
 from .._errors import input_error
@@ -138,8 +137,9 @@ class AbstractLeastSquares(AbstractMethod):
 
 
 class Plan(eqx.Module):
-    """Regressions of one operating point: columns, equations and windows; `spent`: unknowns of a target; `dof`: residual
-    degrees of freedom where the regressors have full rank."""
+    """Regressions of one operating point: columns, equations and windows.
+
+    `spent`: unknowns of a target. `dof`: residual degrees of freedom where the regressors have full rank."""
 
     columns: Columns
     equations: Equations
@@ -174,10 +174,10 @@ def estimate_windows(signals: Complex[Array, "exp freq sig"], plan: Plan, combin
         return *combine(solution, of_target, dofs), dofs, solution.missing > 0, ~accurate
 
     if lines is None:
-        solve = lambda A: one_window(solve_gram(A, equations))  # noqa: E731
+        solve = lambda A: one_window(solve_gram(A, equations))
         G, cov, dofs, deficient, doubtful = over_windows(solve, signals, windows, columns, of)
     else:
-        solve = lambda k: one_window(solve_rows(rows(signals, windows, columns, k), equations))  # noqa: E731
+        solve = lambda k: one_window(solve_rows(rows(signals, windows, columns, k), equations))
         G, cov, dofs, deficient, doubtful = jax.vmap(solve)(lines)
     at_edge = ~jnp.asarray(windows.centred)[slice(None) if lines is None else lines]
     return Estimate(

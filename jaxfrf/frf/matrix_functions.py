@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Complex, Float
 
 from .._types import Array
-from .inverse import inverse, product
+from .inverse import inverse
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -28,7 +28,7 @@ def _derivative(f, primals, tangents):
     values, V, V_inverse = _eigen(primals[0])
     at = f(values)
     condition = jnp.linalg.norm(V) * jnp.linalg.norm(V_inverse)
-    turned = product(product(V_inverse, tangents[0]), V)
+    turned = V_inverse @ tangents[0] @ V
     along = jnp.diagonal(turned)
     _, slope = jax.jvp(f, (values,), (jnp.ones_like(values),))
     gap = values[:, None] - values[None]
@@ -37,7 +37,7 @@ def _derivative(f, primals, tangents):
     _, own = jax.jvp(f, (values,), (along,))
     change = jnp.where(jnp.eye(len(values), dtype=bool), jnp.diag(own), divided * turned)
     result = (_composed(at, V, V_inverse), values, condition)
-    return result, (product(product(V, change), V_inverse), along, jnp.zeros_like(condition))
+    return result, (V @ change @ V_inverse, along, jnp.zeros_like(condition))
 
 
 def _eigen(A):
@@ -46,4 +46,4 @@ def _eigen(A):
 
 
 def _composed(values, V, V_inverse):
-    return product(V * values, V_inverse)
+    return (V * values) @ V_inverse

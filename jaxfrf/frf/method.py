@@ -1,7 +1,6 @@
 """What every estimation method is: a pure function of the spectra of one operating point, and how that is run."""
 
 import abc
-import dataclasses
 
 import equinox as eqx
 import jax
@@ -68,9 +67,19 @@ class AbstractMethod(eqx.Module):
     @abc.abstractmethod
     def at_point(self, signals: Signals, lines: Int[Array, "line"] | None = None) -> Estimate:
         """The estimate at one operating point, from all experiments there: a pure function of arrays, which `jax.jit`,
-        `jax.vmap` and `jax.grad` may transform. Shapes must be fit for the method (see `check`).
+        `jax.vmap` and `jax.grad` transform.
 
-        Without `lines`, at all lines by the fast solution; otherwise at these lines only, by orthogonal factorisation.
+            method = jf.JointInputOutput(jf.LRM(width=36))
+
+            def response(U, Y, R):  # (exp, freq, channel) each
+                return method.at_point(jf.frf.Signals(U, Y, R, None, frequency)).G
+
+            G = jax.jit(jax.vmap(response))(U, Y, R)  # several configurations: (pos, freq, out, in)
+
+        Shapes must be fit for the method (see `check`); what the numbers are is not looked at. `Estimate.doubtful` marks
+        lines that `jaxfrf.estimate` would solve again. Without `lines`, all lines by the fast solution (Gram matrix);
+        otherwise these lines only, by orthogonal factorisation. Derivatives of a logarithmic mean need eigenvalues that
+        differ.
         """
 
     @abc.abstractmethod

@@ -22,7 +22,7 @@ from jax.lax import linalg
 from jaxtyping import Complex, Float, Int
 
 from .._types import Array
-from .inverse import adjoint, product
+from .inverse import adjoint
 
 PIVOT = 1e-7
 """Smallest accepted pivot, relative to its column. A Gram matrix squares the condition number: the relative error of
@@ -98,9 +98,9 @@ def solve_gram(A: Complex[Array, "col col"], equations: Equations) -> Solution:
     right = jnp.concatenate([A[n:, :n], jnp.eye(n, dtype=A.dtype)[-top:]])
     half = linalg.triangular_solve(L, right, left_side=False, lower=True, transpose_a=True, conjugate_a=True)
     B, V = half[:-top], half[-top:, -top:]
-    W = A[n:, n:] - product(B, adjoint(B))
-    T = product(V, adjoint(B[:, -top:]))  # top coefficients of every other column regressed on the common ones
-    S = product(V, adjoint(V))
+    W = A[n:, n:] - B @ adjoint(B)
+    T = V @ adjoint(B[:, -top:])  # top coefficients of every other column regressed on the common ones
+    S = V @ adjoint(V)
     pivot = jnp.min(jnp.diagonal(L).real ** 2 / power[:n])
     G, S, E, own_pivot = _solve_own(W, T, S, power[n:], equations)
     slots, targets = equations.slots, _target_columns(equations)
@@ -119,7 +119,7 @@ def solve_gram(A: Complex[Array, "col col"], equations: Equations) -> Solution:
 
 def _solve_own(W, T, S, power, equations: Equations):
     """G, S, residual products (target, target) and the smallest pivot, when the common columns are eliminated."""
-    count, own = len(equations.n_own), max(equations.n_own)
+    count, own, top = len(equations.n_own), max(equations.n_own), equations.n_top
     if own == 0:
         return T.T, S[None, None], W, jnp.inf
     each = W.shape[0] // count
@@ -134,7 +134,7 @@ def _solve_own(W, T, S, power, equations: Equations):
         found = linalg.triangular_solve(L, half, left_side=True, lower=True, transpose_a=True, conjugate_a=True)
         D, F = found[:, : each - own], found[:, each - own :]
         pivots = jnp.diagonal(L).real ** 2 / jnp.where(spare, 1.0, power[:own])
-        G = (T[:, own:] - product(T[:, :own], D)).T
+        G = (T[:, own:] - T[:, :own] @ D).T
         return G, jnp.concatenate([-D, jnp.eye(each - own, dtype=D.dtype)]), F, jnp.min(pivots)
 
     on_diagonal = np.arange(count)
@@ -142,14 +142,18 @@ def _solve_own(W, T, S, power, equations: Equations):
     own_blocks = blocks[on_diagonal, on_diagonal]
     G, error, F, pivot = jax.vmap(one_equation)(own_blocks, parts, power.reshape(count, each), spare)
 
-    def between(block, error_t, error_u, F_t, F_u):
-        E = product(adjoint(error_t), product(block, error_u))
-        return E, S + product(adjoint(F_t), product(block[:own, :own], F_u))
+    errors, effects = _block_diagonal(error), _block_diagonal(F)
+    inner = blocks[:, :, :own, :own].swapaxes(1, 2).reshape(count * own, count * own)
+    E = adjoint(errors) @ (W @ errors)
+    added = (adjoint(effects) @ (inner @ effects)).reshape(count, top, count, top)
+    return G.reshape(-1, top), S + added.swapaxes(1, 2), E, jnp.min(pivot)
 
-    along = jax.vmap(between, in_axes=(0, None, 0, None, 0))
-    E, S_all = jax.vmap(along, in_axes=(0, 0, None, 0, None))(blocks, error, error, F, F)
-    size = count * (each - own)
-    return G.reshape(size, -1), S_all, jnp.swapaxes(E, 1, 2).reshape(size, size), jnp.min(pivot)
+
+def _block_diagonal(x):
+    """(block, row, col) to (block*row, block*col), zero beside the blocks."""
+    count, n_row, n_col = x.shape
+    wide = jnp.where(np.eye(count, dtype=bool)[:, None, :, None], x[:, :, None, :], 0)
+    return wide.reshape(count * n_row, count * n_col)
 
 
 def solve_rows(K: Complex[Array, "row col"], equations: Equations) -> Solution:

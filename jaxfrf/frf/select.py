@@ -81,7 +81,7 @@ class Auto(AbstractMethod):
 
     def estimate(self, spectra: Spectra) -> Estimate:
         """As everywhere; but doubtful lines are solved again before the choice, which looks at neighbours."""
-        tried = on_host(run(lambda auto, signals: auto._tried(signals), self, spectra))
+        tried = on_host(run(Auto._tried, self, spectra))
         each = [jax.tree.map(lambda x, i=i: x[:, i], tried) for i in range(tried.G.shape[1])]
         methods = [self._with_width(w, spectra) for w in self.candidates(spectra)]
         each = [solved_again(x, method, spectra) for x, method in zip(each, methods, strict=True)]

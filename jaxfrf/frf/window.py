@@ -108,15 +108,13 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], windows: Window
     One window after the other is written here; `vmap` takes it over neighbouring lines, `lax.map` over blocks of them,
     so that only what `solve` returns is ever kept of all. `of`: the signals' `products`, where they are known already.
     """
+    n_freq, span = signals.shape[1], windows.span
+    if span == 1:
+        return jax.lax.map(solve, _gram_of_lines(signals, columns), batch_size=_BLOCK)
     of = products(signals) if of is None else of
-    n_freq, span = of.shape[0], windows.span
-    every = jnp.arange(n_freq)
 
     def one_window(line, near, products):
         return solve(gram(*local_variable(windows, line, near), products, columns))
-
-    if span == 1:
-        return jax.lax.map(lambda at: one_window(*at), (every, every[:, None], of[:, None]), batch_size=_BLOCK)
 
     tile = min(_TILE, n_freq)
 
@@ -128,6 +126,14 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], windows: Window
 
     tiles = jax.lax.map(one_tile, jnp.arange(0, n_freq, tile))
     return jax.tree.map(lambda y: y.reshape(-1, *y.shape[2:])[:n_freq], tiles)
+
+
+def _gram_of_lines(signals, columns: Columns) -> Complex[Array, "freq col col"]:
+    """The Gram matrices of windows of one line, where x is zero."""
+    which, power = np.asarray(columns.signal), np.asarray(columns.power)
+    used = signals if np.array_equal(which, np.arange(signals.shape[-1])) else signals[..., which]
+    used = jnp.where((power == 0) & (which >= 0), used, 0)
+    return jnp.einsum("efa,efb->fab", used.conj(), used)
 
 
 def rows(signals: Complex[Array, "exp freq sig"], windows: Windows, columns: Columns, line):
