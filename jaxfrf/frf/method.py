@@ -76,8 +76,8 @@ class AbstractMethod(eqx.Module):
 
             G = jax.jit(jax.vmap(response))(U, Y, R)  # several configurations: (pos, freq, out, in)
 
-        Shapes must be fit for the method (see `check`); what the numbers are is not looked at. `Estimate.doubtful` marks
-        lines that `jaxfrf.estimate` would solve again. Without `lines`, all lines by the fast solution (Gram matrix);
+        Shapes must be fit for the method (see `check`); the numbers are not looked at. `Estimate.doubtful` marks lines
+        that `jaxfrf.estimate` would solve again. Without `lines`, all lines by the fast solution (Gram matrix);
         otherwise these lines only, by orthogonal factorisation. Derivatives of a logarithmic mean need eigenvalues that
         differ.
         """
