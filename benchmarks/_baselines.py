@@ -142,7 +142,7 @@ def _combined(parts):
 
 
 def classical(U, Y, R=None) -> np.ndarray:
-    """H1, or with a reference the ratio of two, all lines at once: (pos, exp, freq, channel) to (pos, freq, out, in)."""
+    """H1, or with a reference a ratio, all lines at once, (pos, exp, freq, channel) to (pos, freq, out, in)."""
     U, Y, Z = (np.moveaxis(X, 1, -1) for X in (U, Y, U if R is None else R))
     adjoint = Z.conj().swapaxes(-1, -2)
     return (Y @ adjoint) @ np.linalg.inv(U @ adjoint)

@@ -162,7 +162,7 @@ def _with_noise(estimate: Estimate, signals: Signals, instrument, lines) -> Esti
         return estimate
 
     def one_line(G, U, Z, noise):
-        weight = adjoint(Z) @ inverse(U @ adjoint(Z))
+        weight = adjoint(Z) @ inverse(_where_finite(G, U @ adjoint(Z)))
         effect = jnp.concatenate([jnp.eye(G.shape[0], dtype=G.dtype), -G], axis=1)
         left = weight[:, :, None] * weight.conj()[:, None, :]
         return KroneckerSum(left, effect @ noise @ adjoint(effect))
@@ -186,7 +186,7 @@ def _residual_estimate(signals: Signals, response, lines) -> Estimate:
         G = response(U, Y)
         residual = Y - G @ U
         C = residual @ adjoint(residual) / (dof if dof > 0 else jnp.nan)
-        return G, KroneckerSum(inverse(U @ adjoint(U)).T[None], C[None])
+        return G, KroneckerSum(inverse(_where_finite(G, U @ adjoint(U))).T[None], C[None])
 
     G, cov = jax.vmap(one_line)(_at_line(signals.U, lines).mT, _at_line(signals.Y, lines).mT)
     every = jnp.zeros(G.shape[0])
@@ -199,6 +199,12 @@ def _residual_estimate(signals: Signals, response, lines) -> Estimate:
         doubtful=every > 0,
     )
     return _with_noise(estimate, signals, signals.U, lines)
+
+
+def _where_finite(G, X):
+    """X, or NaN where there is no G: what needs an inverse of X then waits for G. Batched LAPACK calls that run at the
+    same time can wait for each other for ever."""
+    return jnp.where(jnp.isfinite(G).all(), X, jnp.nan)
 
 
 def _total_least_squares(U, y):
