@@ -354,7 +354,7 @@ def _naming(file: _File) -> Iterator[None]:
     except InputError as error:
         what, colon, rest = str(error).partition(": ")
         what = re.sub(r"\w+", lambda word: file.label(word[0]), what)
-        if "a whole number of periods" in rest:
+        if "a whole number of periods" in rest and "Cut the record" in rest:
             rest += _cut_advice(file)
         raise InputError(f"{file.path}: {what}{colon}{rest}") from error
 
