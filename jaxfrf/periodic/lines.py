@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from .._types import Array
 
 _DEEPEST_DB = 80.0  # below the strongest line a line is no excitation, gap or not
+_PLAIN_GAP_DB = 40.0  # between neighbours in order of power: no noise leaves that
 _NO_GAP_DB = 40.0  # without two levels: lines within this range of the strongest
 _APART_DB = 8.0  # excited and quiet lines are two levels if their medians differ by this much
 _ROUNDS = 12
@@ -70,6 +71,10 @@ class _Channel:
 def _of_channel(lines, level, above) -> _Channel:
     """The clearest of the splits: of the whole spectrum or by smooth levels; of all lines, or of the upper class once
     more (distortion may make a third level)."""
+    plain = _plain_gap(level)
+    if plain is not None:
+        excited = (level >= max(plain, -_DEEPEST_DB)) & above
+        return _Channel(excited, np.ones_like(excited), True)
     split = (level >= max(_best_split(level), -_DEEPEST_DB)) & above
     found = _clearest(lines, level, [split, _by_smooth_levels(level, above, split)])
     if found is None or _score(lines, level, found) < _CLEAR:
@@ -78,6 +83,16 @@ def _of_channel(lines, level, above) -> _Channel:
             again = upper & (level >= _best_split(level[upper]))
             found = _clearest(lines, level, [x for x in (again, _by_smooth_levels(level, above, again))], found)
     return _Channel(above, np.zeros_like(above), False) if found is None else found
+
+
+def _plain_gap(level) -> float | None:
+    """The level above a gap so wide that nothing else need be looked at, as in a reference without noise; the three
+    strongest lines (slow sines) are on its upper side."""
+    order = np.sort(level)[::-1]
+    if len(order) < 5:
+        return None
+    gaps = order[3:-1] - order[4:]
+    return float(order[3 + np.argmax(gaps)]) if gaps.max() >= _PLAIN_GAP_DB else None
 
 
 def _clearest(lines, level, tried, best: _Channel | None = None) -> _Channel | None:
