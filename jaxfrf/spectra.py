@@ -233,6 +233,11 @@ def _power(data: Experiment, k) -> tuple[np.ndarray, np.ndarray | None]:
     return power * weight[:, None], None if noise is None else noise * weight[:, None]
 
 
+def line_power(data: Experiment) -> np.ndarray:
+    """Power of the reference (or input) at lines 1, 2, ... of the period, summed over experiments: (freq, channel)."""
+    return _power(data, np.arange(1, (data.period - 1) // 2 + 1))[0]
+
+
 def _strength(data: Experiment, k) -> np.ndarray:
     """Power per line of the weakest channel, each channel in units of its own median-free peak: (freq,)."""
     power, _ = _power(data, k)

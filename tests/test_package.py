@@ -157,12 +157,12 @@ BASE = {"errors", "types", "status", "environment", "files"}
 EXCITATION = BASE | {"excitation", "periodic"}
 EXPERIMENT = EXCITATION | {"experiment"}
 SPECTRA = EXPERIMENT | {"spectra"}
-FRF = SPECTRA | {"frf"}
+FRF = SPECTRA | {"screening", "frf"}
 ROBOT = BASE | {"effects", "robot"}
 SIMULATION = EXPERIMENT | ROBOT | {"simulation"}
 TRAJECTORY = SIMULATION | {"trajectory"}
 GRAYBOX = FRF | SIMULATION | {"graybox"}
-IO = GRAYBOX | {"screening", "parts", "io"}
+IO = GRAYBOX | {"parts", "io"}
 WHOLE = IO | {"trajectory", "calibration", "pipeline"}
 
 MAY_IMPORT = {

@@ -1,0 +1,86 @@
+"""Period and lines as they are given, against what the signals show."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..experiment import how_to_set, seen_period
+from ..periodic import mismatch
+from .finding import Finding, Severity
+from .record import Record
+
+_LOOK = 1e-4  # mismatch after the given period from which another one is looked for
+_WORSE = 4.0  # mismatch after the given period over that after the found one
+_WORSE_BY = 0.15  # the same as a difference, where both are noisy
+_CLEAR = 0.3  # mismatch of a period that can be believed against a record of a single one
+_SURE_LINES = 0.9
+_QUIET_SHARE = 0.1  # of the given lines, that may be quiet
+
+
+def contradicted(record: Record) -> Iterator[Finding]:
+    """A given period after which the reference (or input) does not repeat though it does after another."""
+    data = record.data
+    if not data.period:
+        return
+    name, x = ("u", data.u) if data.r is None else ("r", data.r)
+    given = mismatch(x[0, 0], data.period)
+    if given < _LOOK:
+        return
+    seen = seen_period(data.r, None if data.r is not None else data.u, None)
+    if seen is None or data.period % seen[1].period == 0:
+        return
+    found = seen[1]
+    single = data.n_time < 1.5 * data.period
+    found_by = min(found.mismatch, mismatch(getattr(data, seen[0])[0, 0], found.period))
+    worse = found_by < _CLEAR if single else given > max(_WORSE * found_by, 0.01) or given > found_by + _WORSE_BY
+    if worse:
+        after = "" if single else f" (after {data.period} samples {100 * given:.2g} % of its power differ)"
+        yield Finding(
+            "period",
+            Severity.REFUSED,
+            given,
+            f"period: {data.period} samples are given, but {seen[0]} repeats every {found.period} samples{after}. "
+            f"Nothing estimated with the wrong period means anything: {how_to_set(data.n_time, found.period)}, and "
+            "leave out or correct the list of lines.",
+            sure=found.sure,
+            signal=name,
+        )
+
+
+def quiet_lines(record: Record) -> Iterator[Finding]:
+    """Lines that are said to be excited and are not; lines that were found and are not sure."""
+    data, found = record.data, record.found_lines
+    if found is None:
+        return
+    if data.lines is None:
+        if found.confidence < _SURE_LINES:
+            yield Finding(
+                "lines",
+                Severity.WARNED,
+                1 - found.confidence,
+                f"{'u' if data.r is None else 'r'}: excited and quiet lines are not clearly told apart; "
+                f"{len(found.lines)} lines from {found.lines[0]} to {found.lines[-1]} are taken (confidence "
+                f"{found.confidence:.2g}). Say which are excited: --set lines=FIRST:LAST:STEP, or give the reference.",
+            )
+        return
+    quiet = np.setdiff1d(data.lines, found.lines)
+    if found.confidence >= _SURE_LINES and len(quiet) > _QUIET_SHARE * len(data.lines) and _not_weak(record, quiet):
+        yield Finding(
+            "lines",
+            Severity.WARNED,
+            len(quiet) / len(data.lines),
+            f"lines: {len(quiet)} of the {len(data.lines)} given lines are not excited, the first {quiet[0]}; the "
+            f"spectrum shows {len(found.lines)} lines ({found.design}). Correct lines, or the period.",
+        )
+
+
+def _not_weak(record: Record, quiet) -> bool:
+    """Whether these lines carry no more than their unlisted neighbours."""
+    from ..spectra import line_power
+
+    power = line_power(record.data).sum(axis=1)
+    at = np.isin(np.arange(1, len(power) + 1), quiet)
+    others = ~np.isin(np.arange(1, len(power) + 1), record.data.lines)
+    low, high = quiet.min(), quiet.max()
+    near = others & (np.arange(1, len(power) + 1) >= low) & (np.arange(1, len(power) + 1) <= high)
+    return not near.any() or bool(np.median(power[at]) < 10 * np.median(power[near]))
