@@ -28,12 +28,12 @@ def axes(n: int, rng) -> tuple[np.ndarray, ...]:
 def simulate(M, spring, damper, r, rng, *, noise=0.0, gain=None, coulomb=0.0, hardening=0.0, ripple=0.0):
     """Motor torque and motor speed of every experiment: r (exp, time, n), a speed reference, or, without `gain`, torque.
 
-    Four Runge-Kutta steps a sample. Coulomb friction is smoothed over .02 rad/s, the hardening is cubic in the
+    One Runge-Kutta step a sample. Coulomb friction is smoothed over .02 rad/s, the hardening is cubic in the
     deflection, the ripple a torque that turns with the motor. White noise of `noise` times its rms is on y.
     """
     n = r.shape[-1]
     inverse = np.linalg.inv(M)
-    h = 1 / FS / 4
+    h = 1 / FS
 
     def rate(q, v, torque):
         force = -q @ spring.T - v @ damper.T
@@ -60,16 +60,15 @@ def simulate(M, spring, damper, r, rng, *, noise=0.0, gain=None, coulomb=0.0, ha
             error = r[:, t] - y[:, t]
             integral += error / FS
             u[:, t] = gain * (error + 5.0 * integral)
-        for _ in range(4):
-            a1 = rate(q, v, u[:, t])
-            v2 = v + h / 2 * a1
-            a2 = rate(q + h / 2 * v, v2, u[:, t])
-            v3 = v + h / 2 * a2
-            a3 = rate(q + h / 2 * v2, v3, u[:, t])
-            v4 = v + h * a3
-            a4 = rate(q + h * v3, v4, u[:, t])
-            q = q + h / 6 * (v + 2 * v2 + 2 * v3 + v4)
-            v = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        a1 = rate(q, v, u[:, t])
+        v2 = v + h / 2 * a1
+        a2 = rate(q + h / 2 * v, v2, u[:, t])
+        v3 = v + h / 2 * a2
+        a3 = rate(q + h / 2 * v2, v3, u[:, t])
+        v4 = v + h * a3
+        a4 = rate(q + h * v3, v4, u[:, t])
+        q = q + h / 6 * (v + 2 * v2 + 2 * v3 + v4)
+        v = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
     return u, y
 
 
@@ -86,8 +85,8 @@ def multisine(rng, lines, period, n_exp, n):
     return x / x.std(axis=1, keepdims=True).mean()
 
 
-def machine_record(kind: str, rng) -> dict:
-    """A clean record of ten steady periods: `loop` two axes in closed loop, `open` one axis on torque, `rough` one axis
+def machine_record(kind: str, rng, n_periods: int = 10) -> dict:
+    """A clean record of steady periods: `loop` two axes in closed loop, `open` one axis on torque, `rough` one axis
     in closed loop with friction, hardening and ripple, `weak` one axis at little excitation."""
     spec = {
         "loop": dict(n=2, n_exp=4, period=2000, lines=np.arange(7, 240, 2), noise=1e-2),
@@ -107,7 +106,7 @@ def machine_record(kind: str, rng) -> dict:
     gain = None if kind == "open" else 2 * np.pi * 6.0 * np.diag(M)[:n]
     if kind == "open":
         one = one * 30.0
-    played = np.tile(one, (1, 12, 1))
+    played = np.tile(one, (1, n_periods + 2, 1))
     ramp = np.minimum(np.arange(played.shape[1]) / (period / 2), 1.0)[:, None]
     scale = spec["noise"]
     if kind == "open":

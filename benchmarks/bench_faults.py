@@ -138,9 +138,8 @@ def main() -> None:
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for kind, seed in ((k, s) for k in KINDS for s in seeds):
-            whole = f.machine_record(kind, np.random.default_rng(seed))
             n_periods = 10 if seed == seeds[0] else 2
-            record = f.periods(whole, n_periods)
+            record = f.machine_record(kind, np.random.default_rng(seed), n_periods)
             clean, said, refused = read(record, folder)
             label = f"{kind} P={n_periods}"
             say(f"{label:16}{'none':42}{_done(said, refused):9}{'':28}  {_kinds(said, refused)}")
@@ -200,8 +199,7 @@ def _clean(seeds, folder, say) -> None:
     count, false = 0, []
     for kind in (*KINDS, "weak"):
         for seed in seeds:
-            whole = f.machine_record(kind, np.random.default_rng(seed))
-            record = f.periods(whole, (2, 3, 10)[seed % 3])
+            record = f.machine_record(kind, np.random.default_rng(seed), (2, 3, 10)[seed % 3])
             if kind == "weak":
                 record.pop("lines")
             path = os.path.join(folder, "clean.npz")

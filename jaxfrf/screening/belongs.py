@@ -10,19 +10,25 @@ from .finding import Finding, Severity
 from .record import Record
 
 _TERMS = 2  # G is taken as a straight line over a window of lines
-_DOF = 2.0  # equations over unknowns in a window, without the experiment looked at
-_MISMATCH = 0.25  # power that the others cannot predict, of an experiment's output, from which it does not belong ...
-_USUAL = 6.0  # ... and this many times what is so with the other ones
-_TWO = 6.0  # residual of two experiments together over that of each alone
+_DOF = 2.0  # equations over unknowns in a window, without the experiments looked at
+_MISMATCH = 1e-3  # power that the others do not predict, of an experiment's output, from which it can be foreign ...
+_USUAL = 2.4  # ... if this many times less is left over of four experiments without it: clean ones reach 1.7 ...
+_FAR = 4.0  # ... and it is this much farther off than they are
+_FLOOR = 1e-6  # power that is always left over
+_ONE_MORE = 3.0  # by which two outsiders must explain more than one
+_PAIRS = 10  # experiments up to which pairs are looked at
+_CONTRADICT = 2e-3  # power left over of two experiments, from which they contradict each other ...
+_TWO = 4.0  # ... if it is so many times what is left of each alone
 _CAUSE = 0.25  # of the mismatch, that a swap or a sign leaves, to be named
 _LEVEL = 1.5  # ratio of excitation from which another answer is no wonder
 
 
 def foreign(record: Record) -> Iterator[Finding]:
-    """An experiment whose output the others do not predict, with what would mend it where that is plain.
+    """Experiments whose output the others do not predict, with what would mend them where that is plain.
 
-    Over windows of neighbouring lines, Y = G U with G a straight line in frequency is fitted to the other experiments
-    and tested on the one. Of two experiments alone none can be blamed: they contradict each other.
+    Over windows of neighbouring lines, Y = G U with G a straight line in frequency is fitted to all experiments and
+    without one or two of them: foreign are those without which far less power is left over per degree of
+    freedom. Of two experiments alone none can be blamed: they contradict each other.
     """
     data = record.data
     if data.n_exp < 2 or not data.period or len(record.lines) < 8:
@@ -31,15 +37,10 @@ def foreign(record: Record) -> Iterator[Finding]:
         windows = _windows(record, pos)
         if windows is None:
             continue
-        left_out: list[int] = []
-        while data.n_exp - len(left_out) > 2 and len(left_out) < max(data.n_exp // 3, 1):
-            found = _worst(windows, left_out)
-            if found is None:
-                break
-            left_out.append(found.exp)
-            yield _does_not_belong(record, pos, windows, found, left_out)
-        if data.n_exp - len(left_out) == 2:
-            yield from _contradict(record, pos, windows, left_out)
+        outsiders = _outsiders(windows) if data.n_exp > 2 else []
+        yield from (_does_not_belong(record, pos, windows, found, len(outsiders)) for found in outsiders)
+        if not outsiders and data.n_exp < 4:
+            yield from _contradict(record, pos)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +55,13 @@ class _Windows:
         size = np.trace(normal, axis1=1, axis2=2).real[:, None, None] / normal.shape[-1]
         normal = normal + 1e-10 * np.maximum(size, 1e-300) * np.eye(normal.shape[-1])
         return np.linalg.solve(normal, np.einsum("ewlp,ewlo->wpo", A.conj(), Y))
+
+    def cost(self, exps) -> np.ndarray:
+        """Power that one response leaves over in these experiments, per degree of freedom: (out,), median of windows."""
+        rest = np.sum(np.abs(self.Y[exps] - self.A[exps] @ self.prediction(exps)) ** 2, axis=(0, 2))
+        size = np.sum(np.abs(self.Y[exps]) ** 2, axis=(0, 2))
+        free = len(exps) * self.A.shape[2] - self.A.shape[3]
+        return np.median(rest / np.maximum(size, 1e-300), axis=0) / free * len(exps) * self.A.shape[2] + _FLOOR
 
     def mismatch(self, exp: int, G, Y=None) -> np.ndarray:
         """Power of an experiment's output that G does not predict, of all its power, by channel: median of windows."""
@@ -70,11 +78,12 @@ class _Foreign:
     G: np.ndarray
 
 
-def _windows(record: Record, pos: int) -> _Windows | None:
+def _windows(record: Record, pos: int, *, each_alone: bool = False) -> _Windows | None:
     U, Y = (record.spectra[name][pos].mean(axis=1) for name in ("u", "y"))  # (exp, freq, channel)
     U, Y = (X / np.maximum(np.sqrt(np.mean(np.abs(X) ** 2, axis=(0, 1))), 1e-300) for X in (U, Y))
     n_exp, n_freq, n_in = U.shape
-    width = int(np.ceil(_DOF * _TERMS * n_in / max(n_exp - 1, 1))) + 1
+    fitted = 1 if each_alone else max(n_exp - (2 if n_exp >= 4 else 1), 1)
+    width = int(np.ceil(_DOF * _TERMS * n_in / fitted)) + 1
     count = n_freq // width
     if count < 3:
         return None
@@ -83,27 +92,34 @@ def _windows(record: Record, pos: int) -> _Windows | None:
     return _Windows(np.concatenate([U, U * place], axis=-1), Y)
 
 
-def _worst(windows: _Windows, without: list[int]) -> _Foreign | None:
-    exps = [e for e in range(len(windows.Y)) if e not in without]
-    each = {}
-    for e in exps:
-        G = windows.prediction([x for x in exps if x != e])
-        each[e] = (windows.mismatch(e, G), G)
-    worst = max(exps, key=lambda e: each[e][0].max())
-    others = [e for e in exps if e != worst]
-    # What is usual without it: each other one predicted by the rest.
-    if len(others) > 2:
-        usual = [windows.mismatch(e, windows.prediction([x for x in others if x != e])) for e in others]
-    else:
-        usual = [windows.mismatch(e, each[worst][1]) for e in others]
-    usual = float(np.median([m.max() for m in usual]))
-    size = each[worst][0]
-    if size.max() < _MISMATCH or size.max() < _USUAL * usual:
-        return None
-    return _Foreign(worst, size, usual, each[worst][1])
+def _outsiders(windows: _Windows) -> list[_Foreign]:
+    """The one or two experiments without which the others fit one response far better."""
+    n = len(windows.Y)
+    everyone = list(range(n))
+    all_in = windows.cost(everyone)
+    best: tuple[float, tuple[int, ...]] = (1.0, ())
+    for count in (1, 2) if n >= 4 else (1,):
+        tried = itertools.combinations(everyone, count) if n <= _PAIRS else [()]
+        for out in tried:
+            if not out or n - count < 2:
+                continue
+            gain = float(np.max(all_in / windows.cost([e for e in everyone if e not in out])))
+            if gain > best[0] * (_ONE_MORE if len(out) > len(best[1]) > 0 else 1.0):
+                best = gain, out
+        if n > _PAIRS and count == 1:
+            gains = [np.max(all_in / windows.cost([x for x in everyone if x != e])) for e in everyone]
+            best = float(np.max(gains)), (int(np.argmax(gains)),)
+    gain, out = best
+    if gain < 1 + (_USUAL - 1) * min(1.0, 4 / n):
+        return []
+    inside = [e for e in everyone if e not in out]
+    G = windows.prediction(inside)
+    usual = float(np.median([windows.mismatch(e, G).max() for e in inside]))
+    found = [_Foreign(e, windows.mismatch(e, G), usual, G) for e in out]
+    return [f for f in found if f.mismatch.max() > max(_MISMATCH, _FAR * usual)]
 
 
-def _does_not_belong(record: Record, pos: int, windows: _Windows, found: _Foreign, left_out: list[int]) -> Finding:
+def _does_not_belong(record: Record, pos: int, windows: _Windows, found: _Foreign, n_out: int) -> Finding:
     n = record.data.n_exp
     channel = int(np.argmax(found.mismatch))
     size = float(np.sqrt(found.mismatch[channel]))
@@ -114,7 +130,7 @@ def _does_not_belong(record: Record, pos: int, windows: _Windows, found: _Foreig
     if not cause and (level > _LEVEL or level < 1 / _LEVEL):
         severity = Severity.TOLD
         why = f" It was excited {level:.2g} times as strongly: a nonlinear machine answers differently."
-    effect = min(size / (n - len(left_out) + 1), 1.0)
+    effect = min(size * n_out / n, 1.0)
     return Finding(
         "foreign",
         severity,
@@ -179,54 +195,32 @@ def _cause(windows: _Windows, found: _Foreign) -> str:
     return ""
 
 
-def _contradict(record: Record, pos: int, windows: _Windows, left_out: list[int]) -> Iterator[Finding]:
-    """Two experiments: each smooth in frequency by itself, not both with one response."""
-    pair = [e for e in range(record.data.n_exp) if e not in left_out]
-    n_in = record.data.n_in
-    both = windows.prediction(pair)
-    together = np.max([windows.mismatch(e, both) for e in pair], axis=0)
-    if n_in > 1 or windows.A.shape[2] <= _TERMS * n_in + 1:
-        alone = np.full_like(together, np.inf)
-        wide = _wider(record, pos, pair)
-        if wide is None:
-            return
-        both = wide.prediction([0, 1])
-        together = np.max([wide.mismatch(e, both) for e in (0, 1)], axis=0)
-        alone = np.max([wide.mismatch(e, wide.prediction([e])) for e in (0, 1)], axis=0)
-    else:
-        alone = np.max([windows.mismatch(e, windows.prediction([e])) for e in pair], axis=0)
-    channel = int(np.argmax(together / np.maximum(alone, 1e-6)))
-    size = together[channel]
-    if size < _MISMATCH / 4 or size < _TWO * alone[channel]:
+def _contradict(record: Record, pos: int) -> Iterator[Finding]:
+    """Two or three experiments: one is smooth in frequency by itself, not all with one response."""
+    windows = _windows(record, pos, each_alone=True)
+    if windows is None:
         return
-    level = _level(record, pos, pair[0])
-    if level > _LEVEL or level < 1 / _LEVEL:
+    everyone = list(range(len(windows.Y)))
+    together = windows.cost(everyone)
+    alone = np.min([windows.cost([e]) for e in everyone], axis=0)  # the others may be mixed up among themselves
+    channel = int(np.argmax(together / alone))
+    size, left = float(together[channel]), float(alone[channel])
+    levels = [_level(record, pos, e) for e in everyone]
+    if size < _CONTRADICT or size < _TWO * left or max(levels) > _LEVEL or min(levels) < 1 / _LEVEL:
         return
     yield Finding(
         "foreign",
         Severity.WARNED,
         float(np.sqrt(size)),
-        f"experiments {pair[0]} and {pair[1]} (position {pos}) contradict each other: no one response gives y (channel "
-        f"{channel}) in both, {100 * np.sqrt(size):.2g} % is left over, and {100 * np.sqrt(alone[channel]):.2g} % in each "
-        "alone. Channels swapped, a sign turned, or noise in one of them? Estimate them one by one and compare.",
+        f"experiments {' and '.join(map(str, everyone))} (position {pos}) contradict each other: no one response gives y "
+        f"(channel {channel}) in all, {100 * np.sqrt(size):.2g} % is left over, and {100 * np.sqrt(left):.2g} % in "
+        "one alone. Channels swapped, a sign turned, experiments exchanged, or noise in one of them? Estimate them one by "
+        "one and compare.",
         effect=float(min(np.sqrt(size), 1.0)),
         signal="y",
         channel=channel,
         pos=pos,
     )
-
-
-def _wider(record: Record, pos: int, pair: list[int]) -> _Windows | None:
-    """Windows in which each experiment alone determines a response."""
-    U, Y = (record.spectra[name][pos][pair].mean(axis=1) for name in ("u", "y"))
-    U, Y = (X / np.maximum(np.sqrt(np.mean(np.abs(X) ** 2, axis=(0, 1))), 1e-300) for X in (U, Y))
-    width = 2 * _TERMS * U.shape[-1]
-    count = U.shape[1] // width
-    if count < 3:
-        return None
-    place = np.linspace(-1, 1, width)[:, None]
-    U, Y = (X[:, : count * width].reshape(2, count, width, -1) for X in (U, Y))
-    return _Windows(np.concatenate([U, U * place], axis=-1), Y)
 
 
 def twice(record: Record) -> Iterator[Finding]:

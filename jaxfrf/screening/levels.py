@@ -13,6 +13,8 @@ from .record import Channel, Record
 _CLIPPED_RATIO = 6.0
 _CLIPPED_SAMPLES = 8  # fewer equal samples are chance, and too few to matter
 _CLIPPED_BAND = 0.005
+_MANY_LINES = 20
+_HEAP = 3.2  # a sine has 2.4
 _TWO_LEVELS = 0.9  # a signal with this share of samples at its extremes is a designed two-level signal
 _CORNER = 0.25  # median step before a clipped stretch, in usual steps: what comes to rest there has none
 
@@ -21,15 +23,21 @@ _CORNER = 0.25  # median step before a clipped stretch, in usual steps: what com
 _COARSE_STEP = 0.5
 _COARSE_SNR_DB = 20.0  # of quantisation at the excited lines: the FRF is off by a tenth there
 
+_COARSE_FINE_DB = 50.0  # the same where its error repeats with the period: in no interval, but then below .3 %
+_LOOK = 20_000  # samples are enough
+_COARSE_NOISE = 0.2  # power of quantisation over that of the noise, where it repeats and is in no interval
+
 _HELD = 4  # equal samples in a row
 _HELD_JUMP = 6.0  # usual steps, that a held channel jumps by when it is let go
+_HELD_RARE = 1e-3  # of the samples equal to the one before, of a signal that has no levels
 _HELD_STEPS = 4.0  # quanta that it jumps by: a coarse sensor at rest jumps by one
 _HELD_OFTEN = 8  # stretches: more of them are how the signal is (stiction, a slow sensor)
 _SLOW_UPDATE = 0.45  # share of samples equal to the one before, of a signal that is sampled faster than it is updated
 
-_WRAP_RANGE = 0.5  # of the range, that a wrapped signal jumps by
-_WRAP_USUAL = 8.0  # 99 % of the steps, that it jumps by more than
-_WRAP_SMOOTH = 0.15  # of the jump: how well the signal goes on if the jump is taken out
+_WRAP_RANGE = 0.5  # of the range, that a wrapped signal jumps by in one sample ...
+_WRAP_NEAR = 0.25  # ... from this near one end to this near the other, ...
+_WRAP_USUAL = 2.0  # ... by more than this many times 99 % of the other steps ...
+_WRAP_MIDDLE = 0.2  # ... though this part of its samples stands in the middle half, as that of a square wave does not
 
 
 def clipped(record: Record) -> Iterator[Finding]:
@@ -48,6 +56,41 @@ def clipped(record: Record) -> Iterator[Finding]:
                 f"looks clipped: {share:.2g} of the samples stand at exactly {level:g}. "
                 "Lower the excitation, or expect a biased FRF.",
             )
+
+
+def saturated(record: Record) -> Iterator[Finding]:
+    """A heap of samples near one end of the range, where a limit was met before noise was added.
+
+    Only with 20 excited lines or more, whose sum is nearly Gaussian, and where the reference has no such heap (a motion
+    that rests at its ends, or runs at its highest speed).
+    """
+    if len(record.lines) < _MANY_LINES:
+        return
+    heaps = [_heap(c.x[c.first :])[0] for c in record.channels() if c.signal == "r"]
+    if heaps and max(heaps) > _HEAP / 2:
+        return
+    for c in record.channels():
+        ratio, share = _heap(c.x[c.first :])
+        if c.signal != "r" and ratio > _HEAP and len(np.unique(c.x[: 10 * _MANY_LINES])) > _MANY_LINES:
+            yield c.finding(
+                "saturated",
+                Severity.WARNED,
+                share,
+                f"looks limited: {100 * share:.2g} % of its samples crowd within 3 % of the range near one end, "
+                f"{ratio:.2g} times as many as beside them. A sensor or a drive at its limit biases the FRF: lower the "
+                "excitation.",
+            )
+
+
+def _heap(x: np.ndarray) -> tuple[float, float]:
+    """Samples in the fullest three of the five outermost hundredths of the range over those in the next three."""
+    count = np.histogram(x, 100)[0].astype(float)
+    best = (0.0, 0.0)
+    for side in (count, count[::-1]):
+        heaps = [(side[j : j + 3].sum(), side[j + 3 : j + 6].sum()) for j in range(4)]
+        top, beside = max(heaps, key=lambda h: h[0] / (h[1] + 1 + 0.001 * len(x)))
+        best = max(best, (top / (beside + 1 + 0.001 * len(x)), top / len(x)))
+    return best
 
 
 def _piled_up(x: np.ndarray, top: np.ndarray) -> float:
@@ -84,9 +127,12 @@ def coarse(record: Record) -> Iterator[Finding]:
                 "standard deviation. Excite more strongly, or log with a finer resolution.",
             )
         elif c.n_periods and record.lines.size and not two_levels:
-            power = np.abs(record.spectra[c.signal][c.pos, c.exp, ..., c.channel].mean(axis=0)) ** 2
-            snr = 10 * np.log10(max(np.median(power), 1e-300) / (step**2 / 12 / c.period))
-            if snr < _COARSE_SNR_DB and step > 1e-6 * c.x.std():
+            X = record.spectra[c.signal][c.pos, c.exp, ..., c.channel]
+            own = step**2 / 12 / c.period  # power of the quantiser at a line
+            snr = 10 * np.log10(max(np.median(np.abs(X.mean(axis=0)) ** 2), 1e-300) / own)
+            if step > 1e-6 * c.x.std() and (
+                snr < _COARSE_SNR_DB or (snr < _COARSE_FINE_DB and _repeats(c, X, step, own))
+            ):
                 yield c.finding(
                     "coarse",
                     Severity.TOLD,
@@ -96,6 +142,17 @@ def coarse(record: Record) -> Iterator[Finding]:
                     "excite more strongly, or log with a finer resolution.",
                     effect=10 ** (-snr / 20),
                 )
+
+
+def _repeats(c: Channel, X: np.ndarray, step: float, own: float) -> bool:
+    """Whether the error of the quantiser repeats with the period, for want of noise, and is not small beside the scatter
+    between periods."""
+    steps = np.abs(np.diff(c.x[c.first : c.first + _LOOK])) / step
+    whole = bool(np.mean(np.abs(steps - np.round(steps))) < 0.05)  # 1/4 where the smallest step is none of a quantiser
+    if c.n_periods < 2 or not whole:
+        return False
+    noise = np.diff(c.steady[:2], axis=0).std() / np.sqrt(2)
+    return bool(noise < 0.5 * step and own > _COARSE_NOISE * np.median(X.var(axis=0, ddof=1)) / c.n_periods)
 
 
 def _quantum(x: np.ndarray) -> float:
@@ -139,7 +196,12 @@ def _held_stretch(c: Channel, still: np.ndarray) -> Iterator[Finding]:
     into = np.where(first > 0, steps[first - 1], 0.0)
     out = np.where(last < len(steps), steps[np.minimum(last, len(steps) - 1)], 0.0)
     least = max(_HELD_JUMP * usual, _HELD_STEPS * moving.min())
-    jumps = (np.maximum(into, out) > least) & (c.x[first] != c.x.max()) & (c.x[first] != c.x.min())
+    rare = still.sum() - np.sum(last - first) < _HELD_RARE * len(still)  # else a signal that never stands still
+    jumps = (
+        ((np.maximum(into, out) > least) | (rare & (last - first + 1 >= 2 * _HELD)))
+        & (c.x[first] != c.x.max())
+        & (c.x[first] != c.x.min())
+    )
     if not c.period:  # at rest before the start and after the end
         jumps &= (first > 0) & (last < len(steps))
     if not jumps.any() or jumps.sum() > _HELD_OFTEN:
@@ -183,15 +245,14 @@ def wrapped(record: Record) -> Iterator[Finding]:
         jumps = jumps[(jumps > 1) & (jumps < len(steps) - 2)]
         if c.signal == "r" or not jumps.size or jumps.size > 0.05 * len(steps):
             continue
-        usual = np.quantile(size, 0.99 - min(jumps.size / len(steps), 0.05))
-        if size[jumps].min() <= _WRAP_USUAL * max(usual, 1e-300) and size[jumps].min() < 0.9 * np.ptp(c.x):
-            continue
+        low, high = c.x.min(), c.x.max()
+        near = _WRAP_NEAR * (high - low)
+        before, after = c.x[jumps], c.x[jumps + 1]
+        across = ((before > high - near) & (after < low + near)) | ((before < low + near) & (after > high - near))
+        middle = np.mean(np.abs(c.x - (high + low) / 2) < (high - low) / 4)
         turn = np.median(size[jumps])
-        around = (steps[jumps - 1] + steps[jumps + 1]) / 2  # how the signal moves before and after
-        rest = steps[jumps] - np.sign(steps[jumps]) * turn - around
-        opposite = np.mean(np.sign(around) == -np.sign(steps[jumps]))
-        same = np.abs(size[jumps] - turn).max() < 2 * _WRAP_SMOOTH * turn
-        if same and opposite > 0.8 and np.median(np.abs(rest)) < _WRAP_SMOOTH * turn and np.median(np.abs(around)) > 0:
+        usual = np.quantile(size, 0.99 - min(jumps.size / len(steps), 0.05))
+        if across.mean() > 0.8 and middle > _WRAP_MIDDLE and size[jumps].min() > _WRAP_USUAL * usual:
             yield c.finding(
                 "wrapped",
                 Severity.REFUSED,

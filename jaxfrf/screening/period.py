@@ -13,6 +13,8 @@ _LOOK = 1e-4  # mismatch after the given period from which another one is looked
 _WORSE = 4.0  # mismatch after the given period over that after the found one
 _WORSE_BY = 0.15  # the same as a difference, where both are noisy
 _CLEAR = 0.3  # mismatch of a period that can be believed against a record of a single one
+_BLOCKS = 16  # of a period
+_FITS = 0.25  # of them, in which the given period fits as well: it is the period, and samples are missing elsewhere
 _SURE_LINES = 0.9
 _QUIET_SHARE = 0.1  # of the given lines, that may be quiet
 
@@ -27,9 +29,11 @@ def contradicted(record: Record) -> Iterator[Finding]:
     if given < _LOOK:
         return
     seen = seen_period(data.r, None if data.r is not None else data.u, None)
-    if seen is None or data.period % seen[1].period == 0:
+    if seen is None or data.period % seen[1].period == 0 or seen[1].period % data.period == 0:
         return
     found = seen[1]
+    if _fits_in_places(x[0, 0], data.period, found.period):
+        return
     single = data.n_time < 1.5 * data.period
     found_by = min(found.mismatch, mismatch(getattr(data, seen[0])[0, 0], found.period))
     worse = found_by < _CLEAR if single else given > max(_WORSE * found_by, 0.01) or given > found_by + _WORSE_BY
@@ -41,10 +45,32 @@ def contradicted(record: Record) -> Iterator[Finding]:
             given,
             f"period: {data.period} samples are given, but {seen[0]} repeats every {found.period} samples{after}. "
             f"Nothing estimated with the wrong period means anything: {how_to_set(data.n_time, found.period)}, and "
-            "leave out or correct the list of lines.",
+            f"leave out or correct the list of lines.{_or_lost(data, found.period)}",
             sure=found.sure,
             signal=name,
         )
+
+
+def _or_lost(data, found: int) -> str:
+    by = data.period - found
+    if data.n_periods > 2 or abs(by) > 0.1 * data.period:
+        return ""
+    return f" If {data.period} is right, {abs(by)} samples are {'missing' if by > 0 else 'too many'} in one of the periods."
+
+
+def _fits_in_places(x: np.ndarray, given: int, found: int) -> bool:
+    """Whether x repeats after the given period as well as after the found one for a good part of the record: then a
+    part of it is shifted (samples lost), and the period is right."""
+    lag, n = max(given, found), len(x)
+    count = (n - lag) // max(min(given, found) // _BLOCKS, 8)
+    if count < 4:
+        return False
+    ends = np.linspace(0, n - lag, count + 1).astype(int)[:-1]
+    by_given, by_found = (
+        np.add.reduceat(np.sum((x[L : L + n - lag] - x[: n - lag]) ** 2, axis=1), ends) for L in (given, found)
+    )
+    power = np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1)) * (n - lag) / count
+    return bool(np.mean(by_given <= by_found + 1e-5 * power) > _FITS)
 
 
 def quiet_lines(record: Record) -> Iterator[Finding]:

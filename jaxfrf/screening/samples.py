@@ -27,6 +27,9 @@ _DISTURBED = 30.0  # energy of a block over that of the quieter half ...
 _DISTURBED_FEW = 300.0  # ... with two or three periods, which do not show what is usual at each place
 _DISTURBED_SHARE = 0.5  # of all difference, in ...
 _DISTURBED_PART = 0.2  # ... this part of the record
+_SPIKE = 15.0  # standard deviations of the noise between neighbours
+_SPIKES = 0.02  # of the samples: more of them are noise of another kind
+_SPIKE_SHARE = 0.2  # of all power of the differences, that the spikes hold
 _FLOOR = 1e-4  # of the rms: differences below it do not matter
 
 
@@ -81,6 +84,32 @@ def disturbed(record: Record) -> Iterator[Finding]:
             f"out ({_leave_out(c, first, first + (b - a) * width)}).",
             effect=effect,
             samples=(first, first + (b - a) * width),
+        )
+
+
+def spikes(record: Record) -> Iterator[Finding]:
+    """Single samples that stand out from the difference of successive periods, against their own neighbours."""
+    for c in record.channels():
+        if c.n_periods < 2:
+            continue
+        bend = np.abs(np.diff(np.diff(c.x[c.first + c.period :] - c.x[c.first : -c.period]), n=1))
+        usual = 1.4826 * np.median(bend) + _FLOOR * c.x.std()
+        at = np.flatnonzero(bend > _SPIKE * usual) + 1
+        count = int(np.count_nonzero(np.diff(at, prepend=-10) > 3))
+        power = np.sum(bend[at - 1] ** 2) / max(np.sum(bend**2), 1e-300)
+        if not count or count > max(_SPIKES * len(bend), 4) or power < _SPIKE_SHARE:
+            continue
+        where = c.first + int(at[0])
+        effect = float(np.sqrt(np.sum(bend[at - 1] ** 2) / 6 / np.sum(c.steady**2)))
+        yield c.finding(
+            "spikes",
+            Severity.WARNED,
+            effect,
+            f"holds single samples that stand out in {count} places, the first at sample {where} or {where + c.period}: "
+            f"up to {bend.max() / usual:.2g} times the noise between neighbours. The FRF may be off by about "
+            f"{100 * effect:.2g} %. Mend or leave out these periods.",
+            effect=effect,
+            samples=(where, where + 1),
         )
 
 

@@ -9,10 +9,10 @@ from .belongs import foreign, twice
 from .finding import Finding, Severity
 from .gain import gain_drift
 from .glitch import glitch
-from .levels import clipped, coarse, dead, held, wrapped
+from .levels import clipped, coarse, dead, held, saturated, wrapped
 from .period import contradicted, quiet_lines
 from .record import Record
-from .samples import disturbed, lost
+from .samples import disturbed, lost, spikes
 from .steadiness import drift, noise, odd_period
 from .timing import jitter, noncausal
 
@@ -26,10 +26,12 @@ CHECKS: tuple[Check, ...] = (
     held,
     lost,
     clipped,
+    saturated,
     coarse,
     glitch,
     odd_period,
     disturbed,
+    spikes,
     drift,
     gain_drift,
     jitter,
@@ -40,15 +42,31 @@ CHECKS: tuple[Check, ...] = (
 ACROSS: tuple[Check, ...] = (twice, foreign)
 """Checks that compare experiments, which may come from several files."""
 
+_ANY_CHANNEL = {"foreign", "noncausal"}  # of which another channel may be the cause
+
 # Kinds that a fault of the first kind brings along in the same channel.
 _EXPLAINS = {
-    "lost": {"odd period", "unsteady", "disturbed", "gain", "jitter", "noise", "noncausal"},
-    "held": {"odd period", "unsteady", "disturbed", "gain", "jitter", "glitch", "clipped"},
-    "wrapped": {"odd period", "unsteady", "disturbed", "gain", "jitter", "glitch", "lost"},
-    "odd period": {"disturbed", "gain", "jitter"},
-    "unsteady": {"disturbed", "gain", "jitter"},
-    "disturbed": {"gain", "jitter"},
+    "lost": {"spikes", "odd period", "unsteady", "disturbed", "gain", "jitter", "noise", "noncausal", "foreign"},
+    "held": {"spikes", "odd period", "unsteady", "disturbed", "gain", "jitter", "glitch", "clipped", "foreign"},
+    "wrapped": {
+        "spikes",
+        "odd period",
+        "unsteady",
+        "disturbed",
+        "gain",
+        "jitter",
+        "glitch",
+        "lost",
+        "foreign",
+        "noncausal",
+    },
+    "odd period": {"spikes", "disturbed", "gain", "jitter"},
+    "unsteady": {"spikes", "disturbed", "gain", "jitter"},
+    "disturbed": {"spikes", "gain", "jitter"},
     "slow update": {"coarse", "jitter"},
+    "coarse": {"jitter"},
+    "clipped": {"saturated", "noncausal", "jitter", "foreign"},
+    "saturated": {"noncausal", "jitter", "foreign"},
     "dead": {"foreign", "noise", "noncausal"},
 }
 
@@ -70,14 +88,16 @@ def examine(data: Experiment, checks: tuple[Check, ...] = CHECKS + ACROSS) -> tu
 
 
 def _explained(finding: Finding, by: Finding) -> bool:
-    same = (finding.signal, finding.channel, finding.pos) == (by.signal, by.channel, by.pos)
-    return same and finding.exp in (by.exp, None) and finding.kind in _EXPLAINS.get(by.kind, ())
+    if finding.kind not in _EXPLAINS.get(by.kind, ()):
+        return False
+    same = finding.pos == by.pos and (finding.exp is None or finding.exp == by.exp)
+    return same and (finding.kind in _ANY_CHANNEL or (finding.signal, finding.channel) == (by.signal, by.channel))
 
 
 def screen(data: Experiment) -> tuple[str, ...]:
     """What looks wrong in a record: one sentence a kind, with the worst place; `jaxfrf.examine` gives every finding.
 
-    Looks at periods and lines that the signals contradict; at clipped, coarsely quantised, held, wrapped and dead
+    Looks at periods and lines that the signals contradict; at clipped, coarsely quantised, held, saturated, wrapped and dead
     channels; at samples lost or doubled, odd or disturbed periods, drifting means and gains, jitter and low
     signal-to-noise ratios between periods; at outputs that lead their inputs; at experiments that do not belong to the
     others or are given twice.

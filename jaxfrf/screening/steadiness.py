@@ -108,6 +108,15 @@ def _drift_of_few(c: Channel) -> Iterator[Finding]:
     same_way = bool(np.all(np.sign(mean) == np.sign(mean[0])))
     if size > _DRIFT and same_way and np.abs(mean).min() > _DRIFT_STEP * error:
         yield _drifts(c, total, size, float(np.abs(mean).min() / max(error, 1e-300)))
+        return
+    # A step somewhere: blocks of the difference on two levels, and little between neighbours.
+    levels = np.concatenate(blocks)
+    usual = np.median(np.abs(np.diff(levels))) + 1e-9 * rms
+    by = np.ptp(levels)
+    at = int(np.argmax(np.abs(np.diff(levels))))
+    two = abs(np.median(levels[: at + 1]) - np.median(levels[at + 1 :]))
+    if by > _DRIFT * rms and two > 0.7 * by and two > 2 * _DRIFT_STEP * usual:
+        yield _drifts(c, two, two / max(rms, 1e-300), float(two / usual))
 
 
 def _drifts(c: Channel, by: float, size: float, sure: float) -> Finding:
