@@ -26,7 +26,7 @@ def axes(n: int, rng) -> tuple[np.ndarray, ...]:
 
 
 def simulate(M, spring, damper, r, rng, *, noise=0.0, gain=None, coulomb=0.0, hardening=0.0, ripple=0.0):
-    """Motor torque and motor speed of every experiment: r (exp, time, n), a speed reference, or, without `gain`, torque.
+    """Motor torque and motor speed of every experiment: r (exp, time, n), speed reference; torque without `gain`.
 
     One Runge-Kutta step a sample. Coulomb friction is smoothed over .02 rad/s, the hardening is cubic in the
     deflection, the ripple a torque that turns with the motor. White noise of `noise` times its rms is on y.

@@ -61,7 +61,7 @@ def find_period(x: Float[Array, "time channel"]) -> FoundPeriod | None:
 
 def mismatch(x: Float[Array, "time channel"], lag: int) -> float:
     """D(lag) of x, its strong bands levelled; 1 where the record is too short to tell."""
-    x = _usable(x)
+    x = _usable(np.asarray(x)[: 3 * lag])
     if x is None or not 0 < lag <= _LONGEST * len(x):
         return 1.0
     x, _ = _levelled(scipy.fft.rfft(x, 2 * scipy.fft.next_fast_len(len(x), real=True), axis=0), len(x))

@@ -57,7 +57,7 @@ class _Windows:
         return np.linalg.solve(normal, np.einsum("ewlp,ewlo->wpo", A.conj(), Y))
 
     def cost(self, exps) -> np.ndarray:
-        """Power that one response leaves over in these experiments, per degree of freedom: (out,), median of windows."""
+        """Power that one response leaves over in experiments, per degree of freedom, median of windows: (out,)."""
         rest = np.sum(np.abs(self.Y[exps] - self.A[exps] @ self.prediction(exps)) ** 2, axis=(0, 2))
         size = np.sum(np.abs(self.Y[exps]) ** 2, axis=(0, 2))
         free = len(exps) * self.A.shape[2] - self.A.shape[3]
@@ -135,9 +135,9 @@ def _does_not_belong(record: Record, pos: int, windows: _Windows, found: _Foreig
         "foreign",
         severity,
         size,
-        f"experiment {found.exp} (position {pos}{_file(record, found.exp)}) does not belong to the others: they predict "
-        f"its y (channel {channel}) with an error of {100 * size:.2g} %, each other with {100 * np.sqrt(found.usual):.2g} "
-        f"%.{why} The FRF may be off by {100 * effect:.2g} %; leave it out, or correct it.",
+        f"experiment {found.exp} (position {pos}{_file(record, found.exp)}) does not belong to the others: they "
+        f"predict its y (channel {channel}) with an error of {100 * size:.2g} %, each other's with "
+        f"{100 * np.sqrt(found.usual):.2g} %.{why} The FRF may be off by {100 * effect:.2g} %: mend it or leave it.",
         effect=effect,
         signal="y",
         channel=channel,
@@ -202,7 +202,8 @@ def _contradict(record: Record, pos: int) -> Iterator[Finding]:
         return
     everyone = list(range(len(windows.Y)))
     together = windows.cost(everyone)
-    alone = np.min([windows.cost([e]) for e in everyone], axis=0)  # the others may be mixed up among themselves
+    each = [windows.cost([e]) for e in everyone]
+    alone = np.max(each, axis=0) if len(each) == 2 else np.min(each, axis=0)  # two of three may be mixed up
     channel = int(np.argmax(together / alone))
     size, left = float(together[channel]), float(alone[channel])
     levels = [_level(record, pos, e) for e in everyone]
@@ -212,10 +213,10 @@ def _contradict(record: Record, pos: int) -> Iterator[Finding]:
         "foreign",
         Severity.WARNED,
         float(np.sqrt(size)),
-        f"experiments {' and '.join(map(str, everyone))} (position {pos}) contradict each other: no one response gives y "
-        f"(channel {channel}) in all, {100 * np.sqrt(size):.2g} % is left over, and {100 * np.sqrt(left):.2g} % in "
-        "one alone. Channels swapped, a sign turned, experiments exchanged, or noise in one of them? Estimate them one by "
-        "one and compare.",
+        f"experiments {' and '.join(map(str, everyone))} (position {pos}) contradict each other: no one response gives "
+        f"y (channel {channel}) in all, {100 * np.sqrt(size):.2g} % is left over, and {100 * np.sqrt(left):.2g} % in "
+        "one alone. Channels swapped, a sign turned, experiments exchanged, or noise in one of them? Estimate them one "
+        "by one and compare.",
         effect=float(min(np.sqrt(size), 1.0)),
         signal="y",
         channel=channel,
@@ -245,7 +246,7 @@ def twice(record: Record) -> Iterator[Finding]:
             len(pairs),
             f"experiment {f} (position {q}{_file(record, f)}) holds the samples of experiment {e} (position {p}) once "
             f"more, and {len(pairs) - 1} others do so too: the same data count twice, and the interval is too small "
-            f"by {np.sqrt(1 + len(pairs) / max(data.n_pos * data.n_exp - len(pairs), 1)):.2g} times. Give each only once."
+            f"by {np.sqrt(1 + len(pairs) / max(data.n_pos * data.n_exp - len(pairs), 1)):.2g} times. Give each once."
             if len(pairs) > 1
             else f"experiment {f} (position {q}{_file(record, f)}) holds the samples of experiment {e} (position {p}) "
             "once more: the same data count twice, and the interval is too small. Give each only once.",

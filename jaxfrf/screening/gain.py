@@ -17,9 +17,9 @@ _FEWEST = 12  # lines
 def gain_drift(record: Record) -> Iterator[Finding]:
     """Periods whose gain differs from the others by the same factor at all lines.
 
-    A trend, or the periods with the least and the greatest gain; in single experiments, or in the mean of all. A machine
-    that changes (warmer friction, another load) changes more at some lines than at others; that is left to the scatter
-    between periods. Nothing is said where the reference changes with the signal.
+    A trend, or the periods with the least and the greatest gain; in single experiments, or in the mean of all. A
+    machine that changes (warmer friction, another load) changes more at some lines than at others; that is left to the
+    scatter between periods. Nothing is said where the reference changes with the signal.
     """
     data = record.data
     if data.n_periods < 2 or len(record.lines) < _FEWEST:
@@ -48,9 +48,9 @@ def _changes(name, pos, exp, channel, change: float, sure: float, low: int, high
         "gain",
         Severity.WARNED,
         change,
-        f"{name}: channel {channel} ({where}) changes its gain by {100 * change:.2g} % between steady periods {low} and "
-        f"{high}, at all lines alike: a sensor, an amplifier or a supply that drifts? The FRF is off by up to "
-        f"{100 * change / 2:.2g} % for it, more than its interval says. Record again when it is warm, or use few periods.",
+        f"{name}: channel {channel} ({where}) changes its gain by {100 * change:.2g} % between steady periods {low} "
+        f"and {high}, at all lines alike: a sensor, an amplifier or a supply that drifts? The FRF is off by up to "
+        f"{100 * change / 2:.2g} % for it, more than its interval says. Record again when it is warm, or use fewer.",
         sure=sure,
         effect=change / 2,
         signal=name,

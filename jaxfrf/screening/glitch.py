@@ -5,8 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 import scipy.fft
 import scipy.linalg
-import scipy.ndimage
-import scipy.signal
 
 from .finding import Finding, Severity
 from .levels import _leave_out
@@ -55,7 +53,7 @@ def _place(c: Channel) -> tuple[int, float] | None:
         a = scipy.linalg.solve_toeplitz(together[:-1], together[1:])
     except np.linalg.LinAlgError:
         return None
-    error = np.abs(scipy.signal.lfilter(np.concatenate([[1.0], -a]), [1.0], x)[_ORDER:])
+    error = np.abs(np.convolve(x, np.concatenate([[1.0], -a]), mode="valid"))
     width = max(n // _SPAN, 4 * _ORDER)
     count = len(error) // width
     usual = np.median(error[: count * width].reshape(count, width), axis=1)

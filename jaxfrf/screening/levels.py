@@ -15,6 +15,9 @@ _CLIPPED_SAMPLES = 8  # fewer equal samples are chance, and too few to matter
 _CLIPPED_BAND = 0.005
 _MANY_LINES = 20
 _HEAP = 3.2  # a sine has 2.4
+_HEAP_FLOOR = 0.004  # of the samples: tails hold too few to compare
+_HEAP_SHARE = 0.01
+_HEAP_BESIDE, _HEAP_OF_REFERENCE = 2.5, 1.3  # where the reference has so little; multisines have less than 1
 _TWO_LEVELS = 0.9  # a signal with this share of samples at its extremes is a designed two-level signal
 _CORNER = 0.25  # median step before a clipped stretch, in usual steps: what comes to rest there has none
 
@@ -67,11 +70,17 @@ def saturated(record: Record) -> Iterator[Finding]:
     if len(record.lines) < _MANY_LINES:
         return
     heaps = [_heap(c.x[c.first :])[0] for c in record.channels() if c.signal == "r"]
-    if heaps and max(heaps) > _HEAP / 2:
+    if heaps and max(heaps) > _HEAP_OF_REFERENCE:
         return
+    least = _HEAP_BESIDE if heaps else _HEAP
     for c in record.channels():
         ratio, share = _heap(c.x[c.first :])
-        if c.signal != "r" and ratio > _HEAP and len(np.unique(c.x[: 10 * _MANY_LINES])) > _MANY_LINES:
+        if (
+            c.signal != "r"
+            and ratio > least
+            and share > _HEAP_SHARE
+            and len(np.unique(c.x[: 10 * _MANY_LINES])) > _MANY_LINES
+        ):
             yield c.finding(
                 "saturated",
                 Severity.WARNED,
@@ -88,8 +97,8 @@ def _heap(x: np.ndarray) -> tuple[float, float]:
     best = (0.0, 0.0)
     for side in (count, count[::-1]):
         heaps = [(side[j : j + 3].sum(), side[j + 3 : j + 6].sum()) for j in range(4)]
-        top, beside = max(heaps, key=lambda h: h[0] / (h[1] + 1 + 0.001 * len(x)))
-        best = max(best, (top / (beside + 1 + 0.001 * len(x)), top / len(x)))
+        top, beside = max(heaps, key=lambda h: h[0] / (h[1] + 1 + _HEAP_FLOOR * len(x)))
+        best = max(best, (top / (beside + 1 + _HEAP_FLOOR * len(x)), top / len(x)))
     return best
 
 
@@ -145,8 +154,8 @@ def coarse(record: Record) -> Iterator[Finding]:
 
 
 def _repeats(c: Channel, X: np.ndarray, step: float, own: float) -> bool:
-    """Whether the error of the quantiser repeats with the period, for want of noise, and is not small beside the scatter
-    between periods."""
+    """Whether the error of the quantiser repeats with the period, for want of noise, and is not small beside the
+    scatter between periods."""
     steps = np.abs(np.diff(c.x[c.first : c.first + _LOOK])) / step
     whole = bool(np.mean(np.abs(steps - np.round(steps))) < 0.05)  # 1/4 where the smallest step is none of a quantiser
     if c.n_periods < 2 or not whole:
@@ -196,7 +205,9 @@ def _held_stretch(c: Channel, still: np.ndarray) -> Iterator[Finding]:
     into = np.where(first > 0, steps[first - 1], 0.0)
     out = np.where(last < len(steps), steps[np.minimum(last, len(steps) - 1)], 0.0)
     least = max(_HELD_JUMP * usual, _HELD_STEPS * moving.min())
-    rare = still.sum() - np.sum(last - first) < _HELD_RARE * len(still)  # else a signal that never stands still
+    rare = c.period > 0 and still.sum() - np.sum(last - first) < _HELD_RARE * len(
+        still
+    )  # else a signal that never stands still
     jumps = (
         ((np.maximum(into, out) > least) | (rare & (last - first + 1 >= 2 * _HELD)))
         & (c.x[first] != c.x.max())
@@ -237,7 +248,7 @@ def _leave_out(c: Channel, start: int, stop: int) -> str:
 
 
 def wrapped(record: Record) -> Iterator[Finding]:
-    """Jumps from one end of the range to the other after which the signal goes on as before: a counter that overflows."""
+    """Jumps from near one end of the range to near the other, in one sample: a counter that overflows."""
     for c in record.channels():
         steps = np.diff(c.x)
         size = np.abs(steps)

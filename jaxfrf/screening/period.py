@@ -4,12 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..experiment import how_to_set, seen_period
-from ..periodic import mismatch
+from ..experiment import how_to_set
+from ..periodic import find_period, mismatch
 from .finding import Finding, Severity
 from .record import Record
 
 _LOOK = 1e-4  # mismatch after the given period from which another one is looked for
+_LOOK_PERIODS, _LOOK_SAMPLES = 4, 2**18  # whichever is more is enough to see a period
 _WORSE = 4.0  # mismatch after the given period over that after the found one
 _WORSE_BY = 0.15  # the same as a difference, where both are noisy
 _CLEAR = 0.3  # mismatch of a period that can be believed against a record of a single one
@@ -25,17 +26,17 @@ def contradicted(record: Record) -> Iterator[Finding]:
     if not data.period:
         return
     name, x = ("u", data.u) if data.r is None else ("r", data.r)
-    given = mismatch(x[0, 0], data.period)
+    x = x[0, 0, : max(_LOOK_PERIODS * data.period, _LOOK_SAMPLES)]
+    given = mismatch(x, data.period)
     if given < _LOOK:
         return
-    seen = seen_period(data.r, None if data.r is not None else data.u, None)
-    if seen is None or data.period % seen[1].period == 0 or seen[1].period % data.period == 0:
+    found = find_period(x)
+    if found is None or data.period % found.period == 0 or (found.period % data.period == 0 and given < _CLEAR):
         return
-    found = seen[1]
-    if _fits_in_places(x[0, 0], data.period, found.period):
+    if _fits_in_places(x, data.period, found.period):
         return
     single = data.n_time < 1.5 * data.period
-    found_by = min(found.mismatch, mismatch(getattr(data, seen[0])[0, 0], found.period))
+    found_by = min(found.mismatch, mismatch(x, found.period))
     worse = found_by < _CLEAR if single else given > max(_WORSE * found_by, 0.01) or given > found_by + _WORSE_BY
     if worse:
         after = "" if single else f" (after {data.period} samples {100 * given:.2g} % of its power differ)"
@@ -43,7 +44,7 @@ def contradicted(record: Record) -> Iterator[Finding]:
             "period",
             Severity.REFUSED,
             given,
-            f"period: {data.period} samples are given, but {seen[0]} repeats every {found.period} samples{after}. "
+            f"period: {data.period} samples are given, but {name} repeats every {found.period} samples{after}. "
             f"Nothing estimated with the wrong period means anything: {how_to_set(data.n_time, found.period)}, and "
             f"leave out or correct the list of lines.{_or_lost(data, found.period)}",
             sure=found.sure,
@@ -55,7 +56,8 @@ def _or_lost(data, found: int) -> str:
     by = data.period - found
     if data.n_periods > 2 or abs(by) > 0.1 * data.period:
         return ""
-    return f" If {data.period} is right, {abs(by)} samples are {'missing' if by > 0 else 'too many'} in one of the periods."
+    what = "missing from" if by > 0 else "too many in"
+    return f" If {data.period} is right, {abs(by)} samples are {what} one of the periods."
 
 
 def _fits_in_places(x: np.ndarray, given: int, found: int) -> bool:

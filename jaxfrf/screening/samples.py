@@ -29,6 +29,7 @@ _DISTURBED_SHARE = 0.5  # of all difference, in ...
 _DISTURBED_PART = 0.2  # ... this part of the record
 _SPIKE = 15.0  # standard deviations of the noise between neighbours
 _SPIKES = 0.02  # of the samples: more of them are noise of another kind
+_SPIKE_LEAST = 0.25  # of the rms; converters err by less now and then, more where the signal is strong
 _SPIKE_SHARE = 0.2  # of all power of the differences, that the spikes hold
 _FLOOR = 1e-4  # of the rms: differences below it do not matter
 
@@ -79,9 +80,9 @@ def disturbed(record: Record) -> Iterator[Finding]:
             Severity.WARNED,
             size,
             f"differs at samples {first} to {first + (b - a) * width - 1}{more} by {size:.2g} of its rms from the same "
-            f"place of the other periods, {np.sqrt(flat[a:b].max() / np.median(usual)):.2g} times as much as elsewhere: "
-            f"a spike, a blow, or samples replaced? The FRF may be off by about {100 * effect:.2g} %. Leave that period "
-            f"out ({_leave_out(c, first, first + (b - a) * width)}).",
+            f"place of the other periods, {np.sqrt(flat[a:b].max() / np.median(usual)):.2g} times as much as "
+            f"elsewhere: a spike, a blow, or samples replaced? The FRF may be off by about {100 * effect:.2g} %. Leave "
+            f"that period out ({_leave_out(c, first, first + (b - a) * width)}).",
             effect=effect,
             samples=(first, first + (b - a) * width),
         )
@@ -101,13 +102,15 @@ def spikes(record: Record) -> Iterator[Finding]:
             continue
         where = c.first + int(at[0])
         effect = float(np.sqrt(np.sum(bend[at - 1] ** 2) / 6 / np.sum(c.steady**2)))
+        if bend.max() / 2 < _SPIKE_LEAST * c.steady.std():
+            continue
         yield c.finding(
             "spikes",
             Severity.WARNED,
             effect,
-            f"holds single samples that stand out in {count} places, the first at sample {where} or {where + c.period}: "
-            f"up to {bend.max() / usual:.2g} times the noise between neighbours. The FRF may be off by about "
-            f"{100 * effect:.2g} %. Mend or leave out these periods.",
+            f"holds single samples that stand out in {count} places, the first at sample {where} or "
+            f"{where + c.period}: up to {bend.max() / usual:.2g} times the noise between neighbours. The FRF may be "
+            f"off by {100 * effect:.2g} %. Mend or leave out these periods.",
             effect=effect,
             samples=(where, where + 1),
         )

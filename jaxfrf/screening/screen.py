@@ -64,7 +64,7 @@ _EXPLAINS = {
     "unsteady": {"spikes", "disturbed", "gain", "jitter"},
     "disturbed": {"spikes", "gain", "jitter"},
     "slow update": {"coarse", "jitter"},
-    "coarse": {"jitter"},
+    "coarse": {"jitter", "foreign"},
     "clipped": {"saturated", "noncausal", "jitter", "foreign"},
     "saturated": {"noncausal", "jitter", "foreign"},
     "dead": {"foreign", "noise", "noncausal"},
@@ -97,8 +97,8 @@ def _explained(finding: Finding, by: Finding) -> bool:
 def screen(data: Experiment) -> tuple[str, ...]:
     """What looks wrong in a record: one sentence a kind, with the worst place; `jaxfrf.examine` gives every finding.
 
-    Looks at periods and lines that the signals contradict; at clipped, coarsely quantised, held, saturated, wrapped and dead
-    channels; at samples lost or doubled, odd or disturbed periods, drifting means and gains, jitter and low
+    Looks at periods and lines that the signals contradict; at clipped, limited, coarsely quantised, held, wrapped and
+    dead channels; at samples lost or doubled, odd or disturbed periods, drifting means and gains, jitter and low
     signal-to-noise ratios between periods; at outputs that lead their inputs; at experiments that do not belong to the
     others or are given twice.
     """

@@ -10,6 +10,7 @@ from .record import Channel, Record
 # A drift by d over one period leaks d/(2 pi k) into line k. Over the record, 5 % of the rms is where a
 # drifting offset (temperature, slipping) starts to be seen beside the excitation.
 _DRIFT = 0.05
+_DRIFT_FEW = 0.02  # the same of two or three periods, where an offset that moves steadily is plain to see
 _DRIFT_SIGNIFICANT = 5.0  # standard errors
 _DRIFT_STEP = 10.0  # the same from the difference of two periods, in standard errors of its mean over blocks
 _BLOCKS = 16
@@ -106,7 +107,7 @@ def _drift_of_few(c: Channel) -> Iterator[Finding]:
     total = float(mean.sum())
     size = abs(total) / max(rms, 1e-300)
     same_way = bool(np.all(np.sign(mean) == np.sign(mean[0])))
-    if size > _DRIFT and same_way and np.abs(mean).min() > _DRIFT_STEP * error:
+    if size > _DRIFT_FEW and same_way and np.abs(mean).min() > _DRIFT_STEP * error:
         yield _drifts(c, total, size, float(np.abs(mean).min() / max(error, 1e-300)))
         return
     # A step somewhere: blocks of the difference on two levels, and little between neighbours.
