@@ -29,7 +29,9 @@ _DISTURBED_SHARE = 0.5  # of all difference, in ...
 _DISTURBED_PART = 0.2  # ... this part of the record
 _SPIKE = 15.0  # standard deviations of the noise between neighbours
 _SPIKES = 0.02  # of the samples: more of them are noise of another kind
+_SAME_PLACE = 10  # samples of the period
 _SPIKE_LEAST = 0.25  # of the rms; converters err by less now and then, more where the signal is strong
+_MOST_SPIKES = 2000
 _SPIKE_SHARE = 0.2  # of all power of the differences, that the spikes hold
 _FLOOR = 1e-4  # of the rms: differences below it do not matter
 
@@ -96,6 +98,10 @@ def spikes(record: Record) -> Iterator[Finding]:
         bend = np.abs(np.diff(np.diff(c.x[c.first + c.period :] - c.x[c.first : -c.period]), n=1))
         usual = 1.4826 * np.median(bend) + _FLOOR * c.x.std()
         at = np.flatnonzero(bend > _SPIKE * usual) + 1
+        if at.size > _MOST_SPIKES:
+            continue
+        if c.n_periods > 3:
+            at = at[~_again_and_again(at % c.period, c.period)]
         count = int(np.count_nonzero(np.diff(at, prepend=-10) > 3))
         power = np.sum(bend[at - 1] ** 2) / max(np.sum(bend**2), 1e-300)
         if not count or count > max(_SPIKES * len(bend), 4) or power < _SPIKE_SHARE:
@@ -114,6 +120,16 @@ def spikes(record: Record) -> Iterator[Finding]:
             effect=effect,
             samples=(where, where + 1),
         )
+
+
+def _again_and_again(phase: np.ndarray, period: int) -> np.ndarray:
+    """Places of the period where more than two periods differ from the next: what the machine does there, no accident.
+
+    One accident shows in two differences, at up to three samples of each.
+    """
+    apart = np.abs(phase[:, None] - phase[None, :])
+    near = np.minimum(apart, period - apart) <= _SAME_PLACE
+    return near.sum(axis=1) > 6
 
 
 def _place(c: Channel, a: int, b: int, width: int, flat) -> int:
