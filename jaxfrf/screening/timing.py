@@ -70,7 +70,8 @@ def noncausal(record: Record) -> Iterator[Finding]:
 
     The phase of a response without zeros in the right half plane follows from its magnitude (Bode 1945),
     arg G(w) = 1/pi int d ln|G|/dv ln coth(|v|/2) dv, v = ln(w'/w), up to a multiple of pi/2; delays and other zeros
-    only take from it. What is left and rises with frequency is a lead, which no machine has.
+    only take from it. What is left and rises with frequency is a lead, which no machine has. Within a band a resonance
+    beyond its end does the same, so that nothing is said unless |G| runs straight over the upper half of the band.
     """
     data = record.data
     if not data.n_periods or len(record.lines) < _FEWEST or data.n_in != data.n_out:
