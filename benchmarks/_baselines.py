@@ -139,3 +139,41 @@ def _solve_batch(problem: Problem, x, X, Z, solve):
 
 def _combined(parts):
     return parts[0] if len(parts) == 1 else parts[0] @ np.linalg.inv(parts[1])
+
+
+def classical(U, Y, R=None) -> np.ndarray:
+    """H1, or with a reference a ratio, all lines at once, (pos, exp, freq, channel) to (pos, freq, out, in)."""
+    U, Y, Z = (np.moveaxis(X, 1, -1) for X in (U, Y, U if R is None else R))
+    adjoint = Z.conj().swapaxes(-1, -2)
+    return (Y @ adjoint) @ np.linalg.inv(U @ adjoint)
+
+
+def log_means(G) -> np.ndarray:
+    """Logarithmic means over the first axis of (real, freq, out, in), one line after the other."""
+    return np.stack([_log_mean(G[:, k]) for k in range(G.shape[1])])
+
+
+def log_loop(U, Y) -> np.ndarray:
+    """The logarithmic mean over blocks of as many experiments as inputs, line after line: (1, freq, out, in)."""
+    n = U.shape[-1]
+    blocks = [slice(m, m + n) for m in range(0, U.shape[1] - n + 1, n)]
+    lines = range(U.shape[2])
+    return np.stack([_log_mean(np.stack([np.linalg.solve(U[0, b, k], Y[0, b, k]).T for b in blocks])) for k in lines])[
+        None
+    ]
+
+
+def _log_mean(G):
+    values, V = np.linalg.eig(G[0])
+    P = _composed(np.exp(-1j * np.angle(values)), V)
+    logs = [_function(np.log, P @ each) for each in G]
+    return np.linalg.inv(P) @ _function(np.exp, np.mean(logs, axis=0))
+
+
+def _function(f, A):
+    values, V = np.linalg.eig(A)
+    return _composed(f(values), V)
+
+
+def _composed(values, V):
+    return (V * values) @ np.linalg.inv(V)

@@ -1,12 +1,12 @@
-"""Speed and memory of the local estimators, against least squares as users of NumPy and SciPy write it.
+"""Speed and memory of the public `jaxfrf.estimate`, against NumPy and SciPy as users write it.
 
     python benchmarks/bench_local.py [--quick] [--cases lrm lpm ...] [--cores 1 2] [--json FILE]
 
-Six inputs and outputs, R = 2, windows of 34 lines, 336 lines, 12 experiments, each estimated on its own unless the
-case says "stacked". Every measurement runs in a process of its own that is pinned to its cores and has as many BLAS
-threads. Contenders take turns, and ratios are taken turn by turn, so that other load on the machine hits all of them;
-the time of compilation is told apart. "Processor" is the same ratio in processor time, which other load hardly
-touches. The baselines compute G alone, jaxfrf its covariance too.
+Six inputs and outputs, 336 lines, 12 experiments; local methods with R = 2 and windows of 34 lines. From spectra in
+memory to an FRF with covariance; the baselines compute G alone. Every measurement runs in a process of its own that is
+pinned to its cores and has as many BLAS threads. Contenders take turns, and ratios are taken turn by turn, so that
+other load on the machine hits all of them; the time of compilation is told apart. "Processor" is the same ratio in
+processor time, which other load hardly touches.
 """
 
 import argparse
@@ -29,14 +29,24 @@ TIME_LIMIT = 900  # s, of a measuring process: batched LAPACK has been seen to h
 LEAST = 0.2  # s, that a contender runs in one turn
 
 CASES = {
-    "lrm": "LRM, full matrix fraction",
-    "lpm": "LPM",
-    "miso": "LRM-MISO",
-    "jio": "JIO-LRM",
-    "stacked": "LRM, 12 experiments stacked",
+    "h1": "H1",
+    "jio-h1": "JIO, by H1",
+    "log": "LOG, two blocks of six",
+    "lpm": "LPM, every experiment",
+    "miso": "LRM-MISO, every experiment",
+    "lrm": "LRM-MIMO, every experiment",
+    "jio": "JIO-LRM, every experiment",
+    "log-lpm": "LPM, logarithmic mean of 12",
+    "log-miso": "LRM-MISO, logarithmic mean of 12",
+    "log-lrm": "LRM-MIMO, logarithmic mean of 12",
+    "log-jio": "JIO-LRM, logarithmic mean of 12",
+    "stacked": "LRM-MIMO, 12 experiments stacked",
+    "stacked-jio": "JIO-LRM, 12 experiments stacked",
+    "auto": "auto, against JIO-LRM stacked",
 }
-LOOP, SCIPY, QR, NORMAL = "NumPy loop over lstsq", "SciPy loop, gelsy", "NumPy batched QR", "NumPy batched normal eq."
-INNER, FULL = "jaxfrf: factors of Cov", "jaxfrf.estimate: dense Cov"
+LOOP, SCIPY, QR, NORMAL = "NumPy loop", "SciPy loop, gelsy", "NumPy batched QR", "NumPy batched normal eq."
+BATCHED, STACKED = "NumPy, all lines at once", "jaxfrf.estimate, JIO-LRM"
+FULL = "jaxfrf.estimate with Cov"
 
 
 def main() -> None:
@@ -45,15 +55,16 @@ def main() -> None:
         request = json.loads(arguments.worker)
         print(json.dumps(_WORKERS[request.pop("measure")](**request)))
         return
-    result = {"machine": _machine(), "seed": SEED, "speed": [], "memory": [], "growth": {}}
-    print(_describe(result["machine"]))
+    result = {"machine": _machine(), "commit": _commit(), "seed": SEED, "speed": [], "memory": [], "growth": {}}
+    print(_describe(result["machine"]), f"commit {result['commit']}", sep="\n")
     rounds = 3 if arguments.quick else 5
     for case in arguments.cases:
         for cores in arguments.cores:
             found = _run(cores, measure="speed", case=case, rounds=rounds)
             result["speed"].append(found)
             print(_speed_table(found), flush=True)
-    for contender in (LOOP, NORMAL, INNER, FULL):
+    print(_summary_table(result["speed"]), flush=True)
+    for contender in (LOOP, NORMAL, FULL):
         result["memory"].append(_run(max(arguments.cores), measure="memory", case="lrm", contender=contender))
     print(_memory_table(result["memory"]), flush=True)
     for name, sizes in _growth_sizes(arguments.quick).items():
@@ -109,30 +120,26 @@ def _run(cores: int, **request):
 
 
 def _measure_speed(case: str, rounds: int) -> dict:
-    estimate, problem, contenders = _contenders(case)
+    n_windows, contenders = _contenders(case)
     began = time.perf_counter()
-    estimate()
+    contenders[FULL]()
     first = time.perf_counter() - began
-    reference = contenders[LOOP]()
+    base = next(iter(contenders))
+    reference = contenders[base]()
     results = {name: _difference(f(), reference) for name, f in contenders.items()}
     turns = [{name: _time(f) for name, f in contenders.items()} for _ in range(rounds)]
-    rows = [_summary(name, turns, problem.n_windows) | {"difference": results[name]} for name in contenders]
-    compile_time = first - statistics.median(turn[INNER][0] for turn in turns)
-    return {
-        "case": case,
-        "windows": problem.n_windows,
-        "rows": problem.width * problem.X.shape[1],
-        "compile_s": compile_time,
-        "contenders": rows,
-    }
+    rows = [_summary(name, base, turns, n_windows) | {"difference": results[name]} for name in contenders]
+    compile_time = first - statistics.median(turn[FULL][0] for turn in turns)
+    return {"case": case, "windows": n_windows, "baseline": base, "compile_s": compile_time, "contenders": rows}
 
 
-def _summary(name: str, turns, n_windows: int) -> dict:
+def _summary(name: str, base: str, turns, n_windows: int) -> dict:
     wall = statistics.median(turn[name][0] for turn in turns)
-    ratios = [turn[LOOP][0] / turn[name][0] for turn in turns]
-    cpu = statistics.median(turn[LOOP][1] / turn[name][1] for turn in turns)
+    ratios = [turn[base][0] / turn[name][0] for turn in turns]
+    cpu = statistics.median(turn[base][1] / turn[name][1] for turn in turns)
     return {
         "name": name,
+        "ms": wall * 1e3,
         "us_per_window": wall / n_windows * 1e6,
         "windows_per_s": n_windows / wall,
         "ratio": statistics.median(ratios),
@@ -152,10 +159,10 @@ def _time(f) -> tuple[float, float]:
 
 
 def _measure_memory(case: str, contender: str) -> dict:
-    _, problem, contenders = _contenders(case)
+    n_windows, contenders = _contenders(case)
     before = _peak_mb()
     contenders[contender]()
-    return {"name": contender, "windows": problem.n_windows, "before_mb": before, "peak_mb": _peak_mb()}
+    return {"name": contender, "windows": n_windows, "before_mb": before, "peak_mb": _peak_mb()}
 
 
 def _measure_growth(sizes) -> dict:
@@ -173,9 +180,9 @@ def _grown(spectra, n_pos: int, n_exp: int, stacked: bool) -> dict:
 
     method = jf.LRM(order=ORDER, width=WIDTH)
     began = time.perf_counter()
-    method.estimate(spectra)
+    jf.estimate(spectra, method)
     first = time.perf_counter() - began
-    wall = statistics.median(_time(lambda: method.estimate(spectra))[0] for _ in range(3))
+    wall = statistics.median(_time(lambda: jf.estimate(spectra, method))[0] for _ in range(3))
     n_windows = spectra.n_pos * len(spectra.lines)
     return {
         "positions": n_pos,
@@ -219,33 +226,46 @@ def _one_by_one(spectra):
 
 
 def _contenders(case: str):
-    """The estimate that compiles, the problem, and functions by name that return G (pos, freq, out, in)."""
+    """How many windows there are, and functions by name that return G (pos, freq, out, in), the baseline first."""
     spectra = _spectra(1, N_EXP)
-    spectra = spectra if case == "stacked" else _one_by_one(spectra)
     import _baselines as baselines
-    import numpy as np
 
     import jaxfrf as jf
 
-    options = {"order": ORDER, "width": WIDTH}
-    method = {
-        "lrm": jf.LRM(**options),
-        "lpm": jf.LPM(**options),
-        "miso": jf.MisoLRM(**options),
-        "jio": jf.JointInputOutput(jf.LRM(**options)),
-        "stacked": jf.LRM(**options),
-    }[case]
-    X, targets = (spectra.R, (spectra.Y, spectra.U)) if case == "jio" else (spectra.U, (spectra.Y,))
-    problem = baselines.Problem(X, targets, WIDTH, ORDER, rational=case != "lpm", shared=case != "miso")
-    contenders = {
+    U, Y, R = spectra.U, spectra.Y, spectra.R
+    local = {"order": ORDER, "width": WIDTH}
+    joint = jf.JointInputOutput(jf.LRM(**local))
+    kind = case.removeprefix("log-").removeprefix("stacked-")
+    method = {"lpm": jf.LPM(**local), "miso": jf.MisoLRM(**local), "jio": joint}.get(kind, jf.LRM(**local))
+
+    def public(spectra, method):
+        return lambda: jf.estimate(spectra, method).G
+
+    n_lines = len(spectra.lines)
+    if case == "h1":
+        return n_lines, {BATCHED: lambda: baselines.classical(U, Y), FULL: public(spectra, jf.H1())}
+    if case == "jio-h1":
+        found = public(spectra, jf.JointInputOutput())
+        return n_lines, {BATCHED: lambda: baselines.classical(U, Y, R), FULL: found}
+    if case == "log":
+        return n_lines, {LOOP: lambda: baselines.log_loop(U, Y), FULL: public(spectra, jf.LogMean())}
+    if case == "auto":
+        stacked = jf.JointInputOutput(jf.LRM())
+        return n_lines, {STACKED: public(spectra, stacked), FULL: public(spectra, jf.Auto())}
+
+    each = spectra if case.startswith("stacked") else _one_by_one(spectra)
+    X, targets = (each.R, (each.Y, each.U)) if kind == "jio" else (each.U, (each.Y,))
+    problem = baselines.Problem(X, targets, WIDTH, ORDER, rational=kind != "lpm", shared=kind != "miso")
+    if case.startswith("log-"):
+        found = public(spectra, jf.LogMean(method))
+        return problem.n_windows, {LOOP: lambda: baselines.log_means(baselines.loop(problem))[None], FULL: found}
+    return problem.n_windows, {
         LOOP: lambda: baselines.loop(problem),
         SCIPY: lambda: baselines.scipy_loop(problem),
         QR: lambda: baselines.batched_qr(problem),
         NORMAL: lambda: baselines.batched_normal(problem),
-        INNER: lambda: np.asarray(method.estimate(spectra).G),
-        FULL: lambda: jf.estimate(spectra, method).G,
+        FULL: public(each, method),
     }
-    return contenders[INNER], problem, contenders
 
 
 def _difference(G, reference) -> float:
@@ -276,6 +296,12 @@ def _machine() -> dict:
     }
 
 
+def _commit() -> str:
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
+    found = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, check=False)
+    return found.stdout.strip() or "unknown"
+
+
 def _processor() -> str:
     info = pathlib.Path("/proc/cpuinfo")
     names = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
@@ -297,16 +323,27 @@ def _load(load) -> str:
 def _speed_table(found: dict) -> str:
     cores = f"{found['cores']} core{'s' if found['cores'] > 1 else ''}"
     lines = [
-        f"\n{CASES[found['case']]}: {found['windows']} windows of {found['rows']} rows, {cores}; "
-        f"compiled in {found['compile_s']:.1f} s",
-        f"  {'':28}{'us/window':>10}{'windows/s':>11}{'times the loop (min-max)':>27}"
-        f"{'processor':>11}{'difference':>12}",
+        f"\n{CASES[found['case']]}: {found['windows']} windows, {cores}; compiled in {found['compile_s']:.1f} s",
+        f"  {'':28}{'ms':>9}{'us/window':>11}{'times the first (min-max)':>27}{'processor':>11}{'difference':>12}",
     ]
     for row in found["contenders"]:
         ratio = f"{row['ratio']:.2f} ({row['ratio_min']:.2f}-{row['ratio_max']:.2f})"
         lines.append(
-            f"  {row['name']:28}{row['us_per_window']:10.1f}{row['windows_per_s']:11.0f}{ratio:>27}"
+            f"  {row['name']:28}{row['ms']:9.1f}{row['us_per_window']:11.1f}{ratio:>27}"
             f"{row['ratio_of_cpu_time']:11.2f}{row['difference']:12.0e}"
+        )
+    return "\n".join(lines)
+
+
+def _summary_table(found) -> str:
+    """The public call of every method beside its baseline."""
+    lines = [f"\n{FULL}, times its baseline: median (min-max), in processor time", ""]
+    for case in found:
+        row = next(row for row in case["contenders"] if row["name"] == FULL)
+        ratio = f"{row['ratio']:.2f} ({row['ratio_min']:.2f}-{row['ratio_max']:.2f})"
+        lines.append(
+            f"  {CASES[case['case']]:36}{case['baseline']:28}{case['cores']} core{'s' if case['cores'] > 1 else ' '}"
+            f"{row['ms']:9.1f} ms{ratio:>22}{row['ratio_of_cpu_time']:8.2f}"
         )
     return "\n".join(lines)
 

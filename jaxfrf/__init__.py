@@ -30,6 +30,8 @@ _PUBLIC = {
     "concatenate": "experiment",
     "select_periods": "experiment",
     "screen": "screening",
+    "examine": "screening",
+    "Finding": "screening",
     "example": "examples",
     "example_response": "examples",
     "Spectra": "spectra",
@@ -210,6 +212,8 @@ if TYPE_CHECKING:
         identify as identify,
     )
     from .screening import (
+        Finding as Finding,
+        examine as examine,
         screen as screen,
     )
     from .simulation import (

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from ._errors import input_error
 from ._types import Array
+from .periodic import FoundPeriod, find_period
 
 QUANTITIES = {"position": 0, "velocity": 1, "acceleration": 2}
 """How many times each quantity is the time derivative of a position."""
@@ -105,7 +106,7 @@ class Experiment(eqx.Module):
                 "Check the order of axes.",
             )
         if self.period:
-            _check_periods(n_time, self.period, self.transient_periods)
+            _check_periods(self)
         if self.lines is not None:
             _check_lines(self.lines, self.period or n_time)
 
@@ -348,13 +349,19 @@ def _quantity(name: str, value) -> str:
     return value
 
 
-def _check_periods(n_time: int, period: int, transient: int) -> None:
+def _check_periods(data: Experiment) -> None:
+    n_time, period, transient = data.n_time, data.period, data.transient_periods
     if n_time % period:
+        seen = seen_period(data.r, data.u, data.y)
+        if seen is None or seen[1].period == period:
+            do = f"Cut the record to {n_time // period} periods, or correct the period."
+        else:
+            do = f"{seen[0]} repeats every {seen[1].period} samples: {how_to_set(n_time, seen[1].period)}."
         raise input_error(
             "period",
             f"{n_time} samples, {n_time / period:.4g} periods of {period}",
             "a whole number of periods",
-            f"Cut the record to {n_time // period} periods, or correct the period.",
+            do,
         )
     if n_time // period <= transient:
         raise input_error(
@@ -363,6 +370,24 @@ def _check_periods(n_time: int, period: int, transient: int) -> None:
             "at least one period left after them",
             "Lower transient_periods, or record longer.",
         )
+
+
+def seen_period(r, u, y) -> tuple[str, FoundPeriod] | None:
+    """The period that a record shows, in the reference where there is one, and in which signal; `None` if none.
+
+    **Arguments:** signals (pos, exp, time, channel) or `None`. The first experiment speaks for all.
+    """
+    for name, x in (("r", r), ("u", u), ("y", y)):
+        found = None if x is None else find_period(np.asarray(x)[0, 0])
+        if found is not None:
+            return name, found
+    return None
+
+
+def how_to_set(n_time: int, period: int) -> str:
+    """The option that sets a period, and cuts the record to whole ones where it has to."""
+    whole = n_time // period * period
+    return f"--set period={period}" + ("" if whole == n_time else f",samples=0:{whole}")
 
 
 def _check_lines(lines: np.ndarray, period: int) -> None:

@@ -10,11 +10,9 @@ from jaxtyping import Complex, Float, Int
 
 from ._errors import input_error
 from ._types import Array
-from .experiment import QUANTITIES, Experiment, Source
+from .experiment import QUANTITIES, Experiment, Source, how_to_set, seen_period
+from .periodic import FoundLines, find_lines
 
-_FOUND_GAP_DB = 10.0  # excited and other lines are told apart by a gap of at least this much
-_FOUND_DEEPEST_DB = 80.0  # below the strongest line a line is no excitation, gap or not
-_FOUND_RANGE_DB = 40.0  # without such a gap: lines within this range of the strongest
 _SILENT = 1e-14  # power, relative to the median line, below which a line carries nothing (rounding)
 _SILENT_SHARE = 1e-24  # the same relative to the whole signal, for when the median line is rounding itself
 
@@ -92,13 +90,21 @@ def dft(data: Experiment) -> Spectra:
             _where(data, "period"),
             "0: the record is not periodic",
             "whole steady periods, which this method needs (the DFT of anything else leaks)",
-            "Say the period if there is one (--set period=N). Otherwise use a local method with a transient term "
-            "(--method lpm --option transient=2), which takes the record whole.",
+            f"{period_advice(data)} Otherwise use a local method with a transient term (--method lpm --option "
+            "transient=2), which takes the record whole.",
         )
     lines = excited_lines(data) if data.lines is None else np.asarray(data.lines)
     spectra = _at_lines(data, lines)
     _check_power(data, spectra)
     return spectra
+
+
+def period_advice(data: Experiment) -> str:
+    """What to set for the period of a record that is said to have none: what its signals show."""
+    seen = seen_period(data.r, data.u, data.y)
+    if seen is None:
+        return "No period is seen in the record; say it if there is one (--set period=N)."
+    return f"{seen[0]} repeats every {seen[1].period} samples: {how_to_set(data.n_time, seen[1].period)}."
 
 
 def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None) -> Spectra:
@@ -183,42 +189,58 @@ def _rebuild_whole(data: Experiment) -> Experiment:
 
 
 def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
-    """The lines that the reference (or, without one, the input) excites, found from its power.
+    """The lines that the reference (or, without one, the input) excites, found from its spectrum.
 
-    A line counts when *every* channel carries power there (a slow sine on one axis does not make a line), and when it
-    stands above the largest gap in the sorted power of all lines (at most 80 dB below the strongest), or, where there
-    is no gap of 10 dB, within 40 dB of the strongest line. The gap can be wrong for weak or smoothly decaying spectra:
-    give `lines` then.
+    A line counts when *every* channel is excited there (a slow sine on one axis does not make a line); of zippered
+    designs, where each channel has lines of its own, those of all channels count. `found_lines` says how sure that is,
+    `jaxfrf.periodic.find_lines` how it is done. Give `lines` where they are known.
+
+    **Raises:** `jaxfrf.InputError` if a channel carries no power.
     """
+    return found_lines(data).lines
+
+
+def found_lines(data: Experiment) -> FoundLines:
+    """`excited_lines` with the design they fit, in words, and a confidence from 0 to 1."""
     k = np.arange(1, (data.period - 1) // 2 + 1)
-    strength = _strength(data, k)
-    if strength.max() <= 0:
+    power, noise = _power(data, k)
+    found = find_lines(k, power, noise)
+    if found is None:
         raise input_error(
             _where(data, "u" if data.r is None else "r"),
             "no power at any line",
             "an excitation in every channel",
             "Check the names in --map, and that every channel was excited.",
         )
-    level = 10 * np.log10(np.maximum(strength / strength.max(), 1e-30))
-    order = np.sort(level)[::-1]
-    gaps = order[:-1] - order[1:]
-    fewest = min(3, len(order) - 2)
-    cut = fewest + int(np.argmax(gaps[fewest:])) if len(gaps) > fewest >= 0 else 0
-    found_gap = gaps[cut] >= _FOUND_GAP_DB
-    threshold = max(order[cut] if found_gap else order[-1], -_FOUND_DEEPEST_DB if found_gap else -_FOUND_RANGE_DB)
-    return k[level >= threshold]
+    return found
+
+
+def _power(data: Experiment, k) -> tuple[np.ndarray, np.ndarray | None]:
+    """Power per line and channel of the reference (or input) over all experiments, and what of it is noise as far as
+    the scatter between periods shows: (freq, channel). A position counts by its speed."""
+    x = data.u if data.r is None else data.r
+    power = np.zeros((len(k), x.shape[-1]))
+    noise = np.zeros_like(power) if data.n_periods > 1 else None
+    for pos in range(data.n_pos):
+        for exp in range(data.n_exp):
+            mean, variance = _mean_and_variance(x[pos, exp], data.period, data.transient_periods, k)
+            power += np.abs(mean) ** 2
+            if noise is not None:
+                noise += variance
+    weight = np.ones(len(k))
+    if data.r is not None and data.r_quantity == "position":
+        weight = k.astype(float) ** 2
+    return power * weight[:, None], None if noise is None else noise * weight[:, None]
+
+
+def line_power(data: Experiment) -> np.ndarray:
+    """Power of the reference (or input) at lines 1, 2, ... of the period, summed over experiments: (freq, channel)."""
+    return _power(data, np.arange(1, (data.period - 1) // 2 + 1))[0]
 
 
 def _strength(data: Experiment, k) -> np.ndarray:
     """Power per line of the weakest channel, each channel in units of its own median-free peak: (freq,)."""
-    x = data.u if data.r is None else data.r
-    power = np.zeros((len(k), x.shape[-1]))
-    for pos in range(data.n_pos):
-        for exp in range(data.n_exp):
-            mean, _ = _coefficients(x[pos, exp], data.period, data.transient_periods, k)
-            power += np.abs(mean) ** 2
-    if data.r is not None and data.r_quantity == "position":
-        power = power * k[:, None].astype(float) ** 2
+    power, _ = _power(data, k)
     peak = np.sort(power, axis=0)[-min(4, len(k))]
     if np.any(peak <= 0):
         return np.zeros(len(k))
@@ -257,6 +279,14 @@ def _at_lines(data: Experiment, lines) -> Spectra:
         sources=data.sources,
         warnings=data.warnings,
     )
+
+
+def _mean_and_variance(x, period: int, transient: int, lines) -> tuple[np.ndarray, np.ndarray | None]:
+    """Mean over the periods of the Fourier coefficients of x (time, channel), and the variance of that mean."""
+    x = x[transient * period :].reshape(-1, period, x.shape[-1])
+    per_period = scipy.fft.rfft(x, axis=1, workers=-1)[:, lines] / period
+    n = len(per_period)
+    return per_period.mean(axis=0), per_period.var(axis=0, ddof=1) / n if n > 1 else None
 
 
 def _coefficients(x, period: int, transient: int, lines) -> tuple[np.ndarray, np.ndarray | None]:

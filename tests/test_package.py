@@ -154,24 +154,25 @@ def test_names_open_no_device_and_change_no_setting():
 # --- directions of the imports
 
 BASE = {"errors", "types", "status", "environment", "files"}
-EXCITATION = BASE | {"excitation"}
+EXCITATION = BASE | {"excitation", "periodic"}
 EXPERIMENT = EXCITATION | {"experiment"}
 SPECTRA = EXPERIMENT | {"spectra"}
-FRF = SPECTRA | {"frf"}
+FRF = SPECTRA | {"screening", "frf"}
 ROBOT = BASE | {"effects", "robot"}
 SIMULATION = EXPERIMENT | ROBOT | {"simulation"}
 TRAJECTORY = SIMULATION | {"trajectory"}
 GRAYBOX = FRF | SIMULATION | {"graybox"}
-IO = GRAYBOX | {"screening", "parts", "io"}
+IO = GRAYBOX | {"parts", "io"}
 WHOLE = IO | {"trajectory", "calibration", "pipeline"}
 
 MAY_IMPORT = {
     **{name: {"errors"} for name in BASE},
     "parts": {"errors", "files", "parts"},
-    "excitation": EXCITATION,
-    "experiment": BASE | {"experiment"},
-    "spectra": BASE | {"experiment", "spectra"},
-    "screening": BASE | {"experiment", "spectra"},
+    "excitation": BASE | {"excitation"},
+    "periodic": BASE | {"periodic"},
+    "experiment": BASE | {"periodic", "experiment"},
+    "spectra": BASE | {"periodic", "experiment", "spectra"},
+    "screening": BASE | {"periodic", "experiment", "spectra", "screening"},
     "frf": FRF - {"excitation"},
     "examples": EXPERIMENT,
     "effects": BASE | {"effects"},

@@ -34,10 +34,17 @@ def add_record_options(parser: argparse.ArgumentParser, method: str | None, defa
         "--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720"
     )
     parser.add_argument("--scale", help="factors to SI units: y=0.0174532925")
+    add_anyway_option(parser)
     parser.add_argument(
         "--periods", metavar="A:B", help="use only these steady periods, counted from 0, B not included"
     )
     parser.add_argument("--band", metavar="LOW:HIGH", help="use only the lines in this band, Hz")
+
+
+def add_anyway_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--anyway", action="store_true", help="use records that were found useless, e.g. with a period they contradict"
+    )
 
 
 def add_resume_option(parser: argparse.ArgumentParser) -> None:
@@ -63,6 +70,7 @@ def read_records(given: argparse.Namespace, files: Sequence[str]):
         names=io.parse_map(given.map) if given.map else None,
         values=io.parse_values(given.set) if given.set else None,
         scale=io.parse_scale(given.scale) if given.scale else None,
+        anyway=given.anyway,
     )
 
 

@@ -6,6 +6,7 @@ from .._errors import InputError, OutputError, input_error
 from . import own_effects
 from .arguments import (
     Percent,
+    add_anyway_option,
     add_resume_option,
     add_tolerance_option,
     check_result,
@@ -37,6 +38,7 @@ def add(commands) -> None:
     parser.add_argument("--map", help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]")
     parser.add_argument("--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1")
     parser.add_argument("--scale", help="factors to SI units: y=0.0174532925")
+    add_anyway_option(parser)
     add_resume_option(parser)
 
 

@@ -1,15 +1,25 @@
 """Averages over blocks of experiments: arithmetic and logarithmic."""
 
+import abc
+import dataclasses
+
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Complex
 
 from .._errors import input_error
 from .._status import Status
-from ..spectra import Spectra
+from .._types import Array
+from ..spectra import Spectra, changed_signals
 from .classical import H1
+from .covariance import OuterSum, sum_over, variances
 from .inverse import inverse
-from .method import AbstractMethod, Estimate, KroneckerSum, dense, split_blocks, variances
+from .matrix_functions import matrix_function
+from .method import AbstractMethod, Estimate, Signals
 
 _CONDITION = 1e6  # of the eigenvectors: above it the matrix logarithm loses half of the digits
+_BLOCK = 512  # lines that are averaged together
 
 
 class AbstractAverage(AbstractMethod):
@@ -24,40 +34,53 @@ class AbstractAverage(AbstractMethod):
     paper divides by M^2, which is too small by (M-1)/M. `cov_total` holds the scatter in either case.
     """
 
-    def block_size(self, spectra: Spectra) -> int:
-        return self._inner.block_size(spectra)
+    @property
+    @abc.abstractmethod
+    def inner(self) -> AbstractMethod:
+        """What estimates every block."""
+
+    @abc.abstractmethod
+    def mean(self, G: Complex[Array, "block out in"]) -> tuple[Complex[Array, "out in"], Bool[Array, ""]]:
+        """The mean of the blocks' responses at one line, and whether the branch of a logarithm is unsafe."""
+
+    def block_size(self, spectra: Spectra | Signals) -> int:
+        return self.inner.block_size(spectra)
 
     def check(self, spectra: Spectra) -> None:
         size = self.block_size(spectra)
-        self._inner.check(split_blocks(spectra, size) if spectra.n_exp >= size else spectra)
+        self.inner.check(_block_by_block(spectra, size) if spectra.n_exp >= size else spectra)
 
-    @property
-    def _inner(self) -> AbstractMethod:
-        return H1() if self.method is None else self.method
+    def residual_dof(self, signals: Signals) -> float:
+        size = self.block_size(signals)
+        own = self.inner.residual_dof(_first(signals, size))
+        return own * (signals.n_exp // size) if own > 0 else signals.n_exp // size - 1.0
 
-    def estimate(self, spectra: Spectra) -> Estimate:
-        size = self.block_size(spectra)
-        n_block = spectra.n_exp // size
-        each = self._inner.estimate(split_blocks(spectra, size))
-
-        def blocks(x):
-            return np.asarray(x).reshape(spectra.n_pos, n_block, *x.shape[1:])
-
-        G, flags = self._mean(blocks(each.G))
-        scatter = _scatter(blocks(each.G), G)
-        dof = blocks(each.dof)
-        own = bool(np.all(dof > 0))
-        status = np.bitwise_or.reduce(blocks(each.status), axis=1) | flags
+    def at_point(self, signals: Signals, lines=None) -> Estimate:
+        size = self.block_size(signals)
+        n_block = signals.n_exp // size
+        blocks = jax.tree.map(
+            lambda x: x[: n_block * size].reshape(n_block, size, *x.shape[1:]), _by_experiment(signals)
+        )
+        if n_block == 1:
+            one = self.inner.at_point(_first(signals, size), lines)
+            each = jax.tree.map(lambda x: x[None], one)
+        else:
+            each = jax.lax.map(lambda b: self.inner.at_point(dataclasses.replace(signals, **b), lines), blocks)
+        G, unsafe = jax.lax.map(self.mean, jnp.swapaxes(each.G, 0, 1), batch_size=_BLOCK)
+        scatter = _scatter(each.G, G)
+        status = jnp.bitwise_or.reduce(each.status, axis=0) | jnp.where(unsafe, int(Status.LOG_BRANCH), 0)
+        own = self.inner.residual_dof(_first(signals, size)) > 0
         if not own:
             known = int(Status.NO_COVARIANCE)
             status = status & ~known if n_block > 1 else status | known
         return Estimate(
             G=G,
-            cov=_mean_covariance(each.cov, spectra.n_pos, n_block) if own else scatter,
-            dof=_joint_dof(each.cov, dof) if own else np.full(G.shape[:2], n_block - 1.0),
+            cov=sum_over(each.cov, 1 / n_block**2) if own else scatter,
+            dof=_joint_dof(each.cov, each.dof) if own else jnp.full(status.shape, n_block - 1.0),
             status=status,
-            window=blocks(each.window).mean(axis=1),
-            cov_noise=None if each.cov_noise is None else blocks(each.cov_noise).sum(axis=1) / n_block**2,
+            window=each.window.mean(axis=0),
+            doubtful=each.doubtful.any(axis=0),
+            cov_noise=None if each.cov_noise is None else sum_over(each.cov_noise, 1 / n_block**2),
             cov_total=scatter if n_block > 1 else None,
         )
 
@@ -72,8 +95,12 @@ class ArithmeticMean(AbstractAverage):
 
     method: AbstractMethod | None = None
 
-    def _mean(self, G):
-        return G.mean(axis=1), np.zeros((G.shape[0], G.shape[2]), int)
+    @property
+    def inner(self) -> AbstractMethod:
+        return H1() if self.method is None else self.method
+
+    def mean(self, G):
+        return G.mean(axis=0), jnp.zeros((), bool)
 
 
 class LogMean(AbstractAverage):
@@ -95,6 +122,10 @@ class LogMean(AbstractAverage):
     method: AbstractMethod | None = None
     elementwise: bool = False
 
+    @property
+    def inner(self) -> AbstractMethod:
+        return H1() if self.method is None else self.method
+
     def check(self, spectra: Spectra) -> None:
         averages = spectra.n_exp // self.block_size(spectra) > 1
         if averages and spectra.n_out != spectra.n_in and not self.elementwise:
@@ -106,68 +137,66 @@ class LogMean(AbstractAverage):
             )
         super().check(spectra)
 
-    def _mean(self, G):
-        if G.shape[1] == 1:
-            return G[:, 0], np.zeros((G.shape[0], G.shape[2]), int)
+    def mean(self, G):
+        if G.shape[0] == 1:
+            return G[0], jnp.zeros((), bool)
         return _elementwise_mean(G) if self.elementwise else _matrix_mean(G)
 
 
 def _matrix_mean(G):
-    """Logarithmic mean over axis 1 of (pos, block, freq, n, n), and the flags; NaN where a block is not finite."""
-    bad = ~np.isfinite(G).all(axis=(1, 3, 4))[:, None, :, None, None]
-    G = np.where(bad, np.eye(G.shape[-1]), G)
-    values, V = np.linalg.eig(G[:, 0])
-    P = _similar(np.exp(-1j * np.angle(values)), V)
-    turned_values, vectors = np.linalg.eig(np.nan_to_num(P)[:, None] @ G)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        logs = _similar(np.log(turned_values), vectors)
-        mean_values, mean_vectors = np.linalg.eig(np.nan_to_num(logs.mean(axis=1)))
-        mean = inverse(P) @ _similar(np.exp(mean_values), mean_vectors)
-        unsafe = np.any(np.abs(np.angle(turned_values)) > np.pi / 2, axis=(1, 3))
-        unsafe |= np.any(np.linalg.cond(vectors) > _CONDITION, axis=1) | (np.linalg.cond(V) > _CONDITION)
-    return np.where(bad[:, 0], np.nan, mean), np.where(unsafe, int(Status.LOG_BRANCH), 0)
+    """P^-1 exp(1/M sum_m log(P G_m)) of (block, n, n), and whether it is unsafe; NaN where a block is not finite."""
+    bad = ~jnp.isfinite(G).all()
+    G = jnp.where(bad, jnp.eye(G.shape[-1]), G)
+    P, _, condition = matrix_function(lambda x: x.conj() / jnp.abs(x), G[0])
+    P = jnp.where(jnp.isfinite(P).all(), P, jnp.eye(G.shape[-1]))
+    logs, values, conditions = jax.vmap(lambda G_m: matrix_function(jnp.log, P @ G_m))(G)
+    log_mean = logs.mean(axis=0)
+    finite = jnp.isfinite(log_mean).all()
+    mean, _, _ = matrix_function(jnp.exp, jnp.where(finite, log_mean, 0))
+    unsafe = jnp.any(jnp.abs(jnp.angle(values)) > jnp.pi / 2)
+    unsafe |= jnp.any(conditions > _CONDITION) | (condition > _CONDITION)
+    return jnp.where(bad, jnp.nan, inverse(P) @ mean), unsafe
 
 
 def _elementwise_mean(G):
-    turned = G * np.exp(-1j * np.angle(G[:, :1]))
-    with np.errstate(divide="ignore"):
-        mean = np.exp(np.log(turned).mean(axis=1)) * np.exp(1j * np.angle(G[:, 0]))
-    unsafe = np.any(np.abs(np.angle(turned)) > np.pi / 2, axis=(1, 3, 4))
-    return mean, np.where(unsafe, int(Status.LOG_BRANCH), 0)
+    turned = G * jnp.exp(-1j * jnp.angle(G[:1]))
+    mean = jnp.exp(jnp.log(turned).mean(axis=0)) * jnp.exp(1j * jnp.angle(G[0]))
+    return mean, jnp.any(jnp.abs(jnp.angle(turned)) > jnp.pi / 2)
 
 
-def _similar(values, V):
-    """V diag(values) V^-1."""
-    return (V * values[..., None, :]) @ inverse(V)
-
-
-def _scatter(blocks, mean):
-    """Covariance of the mean from the scatter of (pos, block, freq, out, in) about it; NaN for one block."""
-    n_pos, n_block, n_freq, n_out, n_in = blocks.shape
-    deviation = (blocks - mean[:, None]).swapaxes(-1, -2).reshape(n_pos, n_block, n_freq, n_in * n_out)
-    deviation = np.moveaxis(deviation, 1, -1)
-    factor = 1 / (n_block * (n_block - 1)) if n_block > 1 else np.nan
-    return (deviation @ deviation.conj().swapaxes(-1, -2)) * factor
+def _scatter(blocks, mean) -> OuterSum:
+    """Covariance of the mean from the scatter of (block, freq, out, in) about it; NaN for one block."""
+    n_block, n_freq = blocks.shape[:2]
+    factor = np.sqrt(1 / (n_block * (n_block - 1))) if n_block > 1 else np.nan
+    deviation = jnp.swapaxes(blocks - mean, -1, -2).reshape(n_block, n_freq, -1)
+    return OuterSum(jnp.moveaxis(deviation, 0, -1) * factor)
 
 
 def _joint_dof(cov, dof):
     """Degrees of freedom of a mean of variances of unequal size, the size of a block being its mean share in the
-    variance of an element (Welch-Satterthwaite): (pos, freq)."""
-    n_pos, n_block = dof.shape[:2]
-    each = np.asarray(variances(cov)).reshape(n_pos, n_block, dof.shape[2], -1)
-    whole = each.sum(axis=1, keepdims=True)
-    share = np.divide(each, whole, out=np.full_like(each, 1 / n_block), where=whole > 0).mean(axis=-1)
-    return 1 / (share**2 / dof).sum(axis=1)
+    variance of an element (Welch-Satterthwaite): (freq,)."""
+    each = variances(cov)
+    whole = each.sum(axis=0)
+    share = jnp.where(whole > 0, each / jnp.where(whole > 0, whole, 1.0), 1 / each.shape[0]).mean(axis=-1)
+    return 1 / (share**2 / dof).sum(axis=0)
 
 
-def _mean_covariance(cov, n_pos: int, n_block: int):
-    """Covariance of the mean of independent estimates: their covariances' sum over n_block^2."""
-    if not isinstance(cov, KroneckerSum):
-        return dense(cov).reshape(n_pos, n_block, *cov.shape[1:]).sum(axis=1) / n_block**2
+def _by_experiment(signals: Signals) -> dict:
+    names = [name for name in ("U", "Y", "R", "noise") if getattr(signals, name) is not None]
+    return {name: getattr(signals, name) for name in names}
 
-    def terms(x):
-        x = np.asarray(x).reshape(n_pos, n_block, *x.shape[1:])
-        x = np.moveaxis(x, 1, 2)
-        return x.reshape(n_pos, x.shape[1], -1, *x.shape[4:])
 
-    return KroneckerSum(left=terms(cov.left) / n_block**2, right=terms(cov.right))
+def _first(signals: Signals, size: int) -> Signals:
+    """The first experiments."""
+    return dataclasses.replace(signals, **{name: x[:size] for name, x in _by_experiment(signals).items()})
+
+
+def _block_by_block(spectra: Spectra, size: int) -> Spectra:
+    """Blocks of `size` experiments as operating points of their own: (pos*block, size, freq, channel)."""
+    n_block = spectra.n_exp // size
+
+    def split(x):
+        x = np.asarray(x)[:, : n_block * size]
+        return x.reshape(-1, size, *x.shape[2:])
+
+    return dataclasses.replace(spectra, **changed_signals(spectra, split), q=None)

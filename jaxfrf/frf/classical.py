@@ -2,17 +2,20 @@
 
 import dataclasses
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from .._errors import input_error
-from .._status import Status
 from ..spectra import Spectra
-from .inverse import inverse
+from .covariance import KroneckerSum
+from .inverse import adjoint, inverse
 from .least_squares import AbstractLeastSquares, check_periodic
-from .method import AbstractMethod, Estimate, KroneckerSum
-from .window import Windows
+from .method import AbstractMethod, Estimate, Signals, flags
+from .window import Windows, windows
 
 _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
+_AT_ONCE = 16  # lines whose rank is looked at together
 
 
 class H1(AbstractLeastSquares):
@@ -38,22 +41,20 @@ class H1(AbstractLeastSquares):
     def fractions(self, n_target: int):
         return (tuple(range(n_target)),)
 
-    def windows(self, spectra: Spectra, n_parameters: int) -> Windows:
+    def windows(self, spectra: Spectra | Signals, n_parameters: int) -> Windows:
         check_experiments(spectra, n_parameters)
-        return Windows(np.arange(len(spectra.lines)), 1)
+        return windows(np.arange(len(spectra.frequency)), 1)
 
-    def block_size(self, spectra: Spectra) -> int:
+    def block_size(self, spectra: Spectra | Signals) -> int:
         return spectra.n_in
 
     def check(self, spectra: Spectra) -> None:
         super().check(spectra)
         check_independent("u", spectra.U)
 
-    def estimate(self, spectra: Spectra) -> Estimate:
-        return with_noise(super().estimate(spectra), spectra, spectra.U)
-
-    def joint(self, spectra: Spectra) -> Estimate:
-        return with_noise(super().joint(spectra), spectra, spectra.R)
+    def regressed(self, signals: Signals, joint: bool, lines=None) -> Estimate:
+        estimate = super().regressed(signals, joint, lines)
+        return _with_noise(estimate, signals, signals.R if joint else signals.U, lines)
 
 
 class H2(AbstractMethod):
@@ -63,7 +64,7 @@ class H2(AbstractMethod):
     to first order.
     """
 
-    def block_size(self, spectra: Spectra) -> int:
+    def block_size(self, spectra: Spectra | Signals) -> int:
         return spectra.n_in
 
     def check(self, spectra: Spectra) -> None:
@@ -78,9 +79,14 @@ class H2(AbstractMethod):
                 "Use h1 or hv, or choose as many outputs as inputs.",
             )
 
-    def estimate(self, spectra: Spectra) -> Estimate:
-        U, Y = by_line(spectra.U), by_line(spectra.Y)
-        return _residual_estimate(spectra, Y @ _h(Y) @ inverse(U @ _h(Y)))
+    def residual_dof(self, signals: Signals) -> float:
+        return float(signals.n_exp - signals.n_in)
+
+    def at_point(self, signals: Signals, lines=None) -> Estimate:
+        def response(U, Y):
+            return Y @ adjoint(Y) @ inverse(U @ adjoint(Y))
+
+        return _residual_estimate(signals, response, lines)
 
 
 class Hv(AbstractMethod):
@@ -91,7 +97,7 @@ class Hv(AbstractMethod):
     H1's, to first order.
     """
 
-    def block_size(self, spectra: Spectra) -> int:
+    def block_size(self, spectra: Spectra | Signals) -> int:
         return spectra.n_in
 
     def check(self, spectra: Spectra) -> None:
@@ -99,10 +105,14 @@ class Hv(AbstractMethod):
         check_experiments(spectra, spectra.n_in)
         check_independent("u", spectra.U)
 
-    def estimate(self, spectra: Spectra) -> Estimate:
-        U, Y = by_line(spectra.U), by_line(spectra.Y)
-        G = np.stack([_total_least_squares(U, Y[..., [i], :]) for i in range(spectra.n_out)], axis=-2)
-        return _residual_estimate(spectra, G)
+    def residual_dof(self, signals: Signals) -> float:
+        return float(signals.n_exp - signals.n_in)
+
+    def at_point(self, signals: Signals, lines=None) -> Estimate:
+        def response(U, Y):
+            return jax.vmap(lambda y: _total_least_squares(U, y))(Y)
+
+        return _residual_estimate(signals, response, lines)
 
 
 def check_experiments(spectra: Spectra, needed: int) -> None:
@@ -117,10 +127,9 @@ def check_experiments(spectra: Spectra, needed: int) -> None:
 
 def check_independent(name: str, X) -> None:
     """Raise if the experiments are linearly dependent at every line, as when one record is repeated."""
-    singular = np.linalg.svd(by_line(X), compute_uv=False)
-    rank = (singular > _DEPENDENT * singular[..., :1]).sum(axis=-1)
+    X = np.asarray(X)
     n = X.shape[-1]
-    worst = rank.max(axis=1)
+    worst = np.array([_best_rank(np.moveaxis(x, 0, -1)) for x in X])
     if worst.min() < n:
         pos = int(np.argmin(worst))
         raise input_error(
@@ -131,51 +140,77 @@ def check_independent(name: str, X) -> None:
         )
 
 
+def _best_rank(X) -> int:
+    """The largest rank at any line of (freq, channel, exp): looking at the lines only until one has full rank."""
+    n, best = X.shape[1], 0
+    for first in range(0, len(X), _AT_ONCE):
+        singular = np.linalg.svd(X[first : first + _AT_ONCE], compute_uv=False)
+        best = max(best, int((singular > _DEPENDENT * singular[..., :1]).sum(axis=-1).max()))
+        if best == n:
+            break
+    return best
+
+
 def by_line(X) -> np.ndarray:
     """Experiments side by side as columns: (pos, exp, freq, channel) -> (pos, freq, channel, exp)."""
     return np.moveaxis(np.asarray(X), 1, -1)
 
 
-def with_noise(estimate: Estimate, spectra: Spectra, instrument) -> Estimate:
+def _with_noise(estimate: Estimate, signals: Signals, instrument, lines) -> Estimate:
     """Add what the scatter between periods says of the covariance of G = Y Z^H (U Z^H)^-1, Z the instrument."""
-    if spectra.noise is None:
+    if signals.noise is None:
         return estimate
-    Z = by_line(instrument)
-    weight = _h(Z) @ np.linalg.pinv(by_line(spectra.U) @ _h(Z))
-    G = np.asarray(estimate.G)
-    effect = np.concatenate([np.broadcast_to(np.eye(spectra.n_out), (*G.shape[:-1], spectra.n_out)), -G], axis=-1)
-    effect = effect[:, None]
-    error = np.moveaxis(effect @ np.asarray(spectra.noise) @ _h(effect), 1, 2)
-    left = weight[..., :, :, None] * weight.conj()[..., :, None, :]
-    return dataclasses.replace(estimate, cov_noise=KroneckerSum(left=left, right=error).dense())
+
+    def one_line(G, U, Z, noise):
+        weight = adjoint(Z) @ inverse(_where_finite(G, U @ adjoint(Z)))
+        effect = jnp.concatenate([jnp.eye(G.shape[0], dtype=G.dtype), -G], axis=1)
+        left = weight[:, :, None] * weight.conj()[:, None, :]
+        return KroneckerSum(left, effect @ noise @ adjoint(effect))
+
+    U, Z, noise = (_at_line(x, lines) for x in (signals.U, instrument, signals.noise))
+    cov = jax.vmap(one_line)(estimate.G, U.mT, Z.mT, noise)
+    return dataclasses.replace(estimate, cov_noise=cov)
 
 
-def _residual_estimate(spectra: Spectra, G) -> Estimate:
-    """An estimate given G: covariance from the residuals over experiments, as for H1."""
-    U, Y = by_line(spectra.U), by_line(spectra.Y)
-    dof = spectra.n_exp - spectra.n_in
-    shape = G.shape[:2]
-    residual = Y - G @ U
-    with np.errstate(invalid="ignore", divide="ignore"):
-        C = residual @ _h(residual) / dof if dof else np.full((*shape, spectra.n_out, spectra.n_out), np.nan + 0j)
-    S = np.linalg.pinv(U @ _h(U)).swapaxes(-1, -2)
+def _at_line(X, lines):
+    """(exp, freq, ...) to (freq, exp, ...), at some lines."""
+    X = jnp.moveaxis(jnp.asarray(X), 1, 0)
+    return X if lines is None else X[lines]
+
+
+def _residual_estimate(signals: Signals, response, lines) -> Estimate:
+    """G by `response(U, Y)` of one line, (channel, exp); its covariance from the residuals, as for H1."""
+    dof = signals.n_exp - signals.n_in
+
+    def one_line(U, Y):
+        G = response(U, Y)
+        residual = Y - G @ U
+        C = residual @ adjoint(residual) / (dof if dof > 0 else jnp.nan)
+        return G, KroneckerSum(inverse(_where_finite(G, U @ adjoint(U))).T[None], C[None])
+
+    G, cov = jax.vmap(one_line)(_at_line(signals.U, lines).mT, _at_line(signals.Y, lines).mT)
+    every = jnp.zeros(G.shape[0])
     estimate = Estimate(
         G=G,
-        cov=KroneckerSum(left=S[..., None, :, :], right=C[..., None, :, :]),
-        dof=np.full(shape, float(dof)),
-        status=np.full(shape, 0 if dof else int(Status.NO_COVARIANCE)),
-        window=np.ones(shape),
+        cov=cov,
+        dof=every + dof,
+        status=flags(NO_COVARIANCE=every + dof <= 0),
+        window=every + 1,
+        doubtful=every > 0,
     )
-    return with_noise(estimate, spectra, spectra.U)
+    return _with_noise(estimate, signals, signals.U, lines)
+
+
+def _where_finite(G, X):
+    """X, or NaN where there is no G: what needs an inverse of X then waits for G. Batched LAPACK calls that run at the
+    same time can wait for each other for ever."""
+    return jnp.where(jnp.isfinite(G).all(), X, jnp.nan)
 
 
 def _total_least_squares(U, y):
-    scale_u, scale_y = (np.sqrt(np.mean(np.abs(x) ** 2, axis=-1, keepdims=True)) for x in (U, y))
-    both = np.concatenate([U / scale_u, y / scale_y], axis=-2)
-    _, vectors = np.linalg.eigh(both @ _h(both))
-    v = vectors[..., :, 0].conj()
-    return -v[..., :-1] / v[..., -1:] * scale_y[..., 0] / scale_u[..., 0]
-
-
-def _h(x):
-    return x.conj().swapaxes(-1, -2)
+    """One row of G from the inputs (in, exp) and an output (exp,)."""
+    scale_u, scale_y = (jnp.sqrt(jnp.mean(jnp.abs(x) ** 2, axis=-1, keepdims=True)) for x in (U, y))
+    both = jnp.concatenate([U / scale_u, (y / scale_y)[None]])
+    _, vectors = jnp.linalg.eigh(both @ adjoint(both))
+    v = vectors[:, 0].conj()
+    return -v[:-1] / v[-1] * scale_y / scale_u[:, 0]

@@ -1,58 +1,70 @@
-"""From solved regressions to G and the covariance of vec(G): directly, or as the ratio of two responses.
+"""From a solved window to G and the covariance of vec(G): directly, or as the ratio of two responses.
 
-On the host, in NumPy: what is left to do is small, and the inverses of a compiled function would be batched LAPACK
-calls, which can wait for each other for ever when XLA runs two of them at the same time.
+Of one window; `jax.vmap` takes it over lines.
 """
 
+import jax.numpy as jnp
 import numpy as np
 
-from .inverse import inverse
-from .method import KroneckerSum
+from .covariance import KroneckerSum
+from .inverse import adjoint, inverse
 from .regression import Solution
 
-_MANY = 8  # terms; above this the factors take more room than the covariance
+_FEW = 2  # equations; between more of them the factors take more room than the covariance
 
 
-def direct(solution: Solution, of_target: tuple[int, ...], dof) -> tuple:
-    """G and Cov(vec G) when the regressors are the inputs themselves.
-
-    `of_target` says to which equation each target belongs; `dof` has the batch's axes or none.
-    """
-    effects = _split(np.eye(len(of_target)), of_target, solution)
-    return solution.G, _covariance(solution.S, effects, solution.E, dof)
+def direct(solution: Solution, of_target: np.ndarray, dof) -> tuple:
+    """G and Cov(vec G) when the regressors are the inputs themselves; `of_target`: the equation of each target."""
+    return solution.G, _covariance(solution.S, None, _noise(solution, dof), of_target)
 
 
-def through_ratio(solution: Solution, of_target: tuple[int, ...], dof) -> tuple:
-    """G = G_ry G_ru^-1 and Cov(vec G) from targets that are first y, then u.
+def through_ratio(solution: Solution, of_target: np.ndarray, dof) -> tuple:
+    """G = G_ry G_ru^-1 and Cov(vec G) from targets that are first y, then u (Zimmermann & Moberg, Section II.C.3).
 
     To first order dG = (dG_ry - G dG_ru) G_ru^-1, so with W = G_ru^-T every pair (t, u) of equations adds
     (W S_tu W^H) (x) (M_t C M_u^H), M_t = [I, -G] in the columns of equation t and zero elsewhere.
     """
     n_in = solution.G.shape[-1]
-    W = inverse(solution.G[..., -n_in:, :]).mT
-    G = solution.G[..., :-n_in, :] @ W.mT
-    eye = np.broadcast_to(np.eye(G.shape[-2], dtype=G.dtype), (*G.shape[:-1], G.shape[-2]))
-    effects = _split(np.concat([eye, -G], axis=-1), of_target, solution)
-    turned = W[..., None, None, :, :]
-    return G, _covariance(turned @ solution.S @ turned.conj().mT, effects, solution.E, dof)
+    W = inverse(solution.G[-n_in:]).T
+    G = solution.G[:-n_in] @ W.T
+    M = jnp.concatenate([jnp.eye(G.shape[0], dtype=G.dtype), -G], axis=1)
+    return G, _covariance(_on_both_sides(W, solution.S), M, _noise(solution, dof), of_target)
 
 
-def _split(effect, of_target, solution: Solution):
-    """(*batch, eq, out, target): the columns of each equation, zero elsewhere."""
-    own = np.arange(solution.S.shape[-3])[:, None, None] == np.asarray(of_target)
-    return effect[..., None, :, :] * own
+def _on_both_sides(W, S):
+    """W S_tu W^H of every pair of equations, as one product of the columns (t, a) and (u, b)."""
+    count, n_in = S.shape[0], S.shape[-1]
+    columns = (W @ jnp.moveaxis(S, 2, 0).reshape(n_in, -1)).reshape(n_in, count, count, n_in)
+    rows = (columns.reshape(-1, n_in) @ adjoint(W)).reshape(n_in, count, count, n_in)
+    return jnp.moveaxis(rows, 0, 2)
 
 
-def _covariance(S, effects, E, dof):
-    """sum_tu S_tu (x) (M_t E M_u^H) / dof; NaN without degrees of freedom."""
-    right = effects[..., :, None, :, :] @ (E[..., None, None, :, :] @ effects.conj().mT[..., None, :, :, :])
-    dof = np.asarray(dof)[..., None, None, None, None]
-    with np.errstate(invalid="ignore"):
-        right = right / np.where(dof > 0, dof, np.nan)
-    terms = KroneckerSum(*(x.reshape(*x.shape[:-4], -1, *x.shape[-2:]) for x in (_hermitian(S), _hermitian(right))))
-    return terms if terms.left.shape[-3] <= _MANY else terms.dense()
+def _noise(solution: Solution, dof):
+    """C; NaN without degrees of freedom."""
+    return solution.E / jnp.where(dof > 0, dof, jnp.nan)
 
 
-def _hermitian(x):
-    """Without the rounding by which blocks (t, u) and (u, t) are not each other's adjoint: (*batch, t, u, i, j)."""
-    return (x + x.conj().swapaxes(-4, -3).mT) / 2
+def _covariance(S, M, C, of_target: np.ndarray):
+    """sum_tu S_tu (x) (M_t C M_u^H), M the identity where it is not given."""
+    count, n_in = S.shape[0], S.shape[-1]
+    if count == 1:
+        C = C if M is None else M @ C @ adjoint(M)
+        return KroneckerSum(left=S[0], right=C[None])
+    if M is not None and count <= _FEW:
+        own = (M * (np.arange(count)[:, None, None] == of_target)).reshape(-1, M.shape[-1])
+        right = (own @ C @ adjoint(own)).reshape(count, M.shape[0], count, M.shape[0]).swapaxes(1, 2)
+        return KroneckerSum(left=S.reshape(-1, n_in, n_in), right=right.reshape(-1, *right.shape[-2:]))
+    each = jnp.moveaxis(
+        S[of_target[:, None], of_target] * C[:, :, None, None], (0, 2), (1, 0)
+    )  # (in, target, target, in)
+    if M is not None:
+        each = _turned(M, each)
+    n_out = each.shape[1]
+    return jnp.moveaxis(each, 3, 2).reshape(n_in * n_out, n_in * n_out)
+
+
+def _turned(M, each):
+    """M (target axes) M^H of (in, target, target, in)."""
+    n_in, n_target = each.shape[:2]
+    left = (M @ each.reshape(n_in, n_target, -1)).reshape(n_in, -1, n_target, n_in)
+    return M.conj() @ left

@@ -1,15 +1,17 @@
 """Local rational method with one scalar denominator shared by all outputs."""
 
+import dataclasses
+
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from ..spectra import Spectra
-from .combine import direct, through_ratio
-from .inverse import inverse
-from .least_squares import regress
+from .covariance import dense
+from .inverse import adjoint, inverse
 from .local import AbstractLocal
-from .method import Estimate, dense
-from .regression import Equation, Solution
+from .method import Signals
+from .regression import Equations, Solution
 from .window import Columns
 
 
@@ -33,49 +35,44 @@ class CommonDenominatorLRM(AbstractLocal):
     def fractions(self, n_target: int):
         return (tuple(range(n_target)),)
 
-    def n_parameters(self, spectra: Spectra, n_top: int, n_target: int) -> int:
+    def n_parameters(self, spectra: Spectra | Signals, n_top: int, n_target: int) -> int:
         return super().n_parameters(spectra, n_top, n_target) + -(-self.order // n_target)
 
     def shared_parameters(self, n_target: int) -> float:
         return self.order / n_target
 
-    def model(self, n_exp: int, n_top: int, n_targets: list[int]) -> tuple[Columns, tuple[Equation, ...]]:
+    def model(self, n_exp: int, n_top: int, n_targets: list[int]) -> tuple[Columns, Equations]:
         """One equation: the numerator columns explain every x^s z, s = 0..R (s by s)."""
-        columns, (numerator,) = super().model(n_exp, n_top, [sum(n_targets)])
-        kept = len(numerator.regressors)
+        columns, numerator = super().model(n_exp, n_top, [sum(n_targets)])
+        kept = numerator.n_common
         target = range(n_top, n_top + sum(n_targets))
         power = columns.power[:kept] + tuple(s for s in range(self.order + 1) for _ in target)
         signal = columns.signal[:kept] + tuple(i for _ in range(self.order + 1) for i in target)
-        equation = Equation(numerator.regressors, tuple(range(kept, len(power))), n_top)
-        return Columns(power, signal), (equation,)
+        every = tuple(range(len(power) - kept))
+        return Columns(power, signal), Equations(kept, n_top, (0,), (every,))
 
-    def estimate(self, spectra: Spectra) -> Estimate:
-        return regress(self, spectra, spectra.U, (spectra.Y,), _SharedDenominator(self.order, direct))
-
-    def joint(self, spectra: Spectra) -> Estimate:
-        return regress(self, spectra, spectra.R, (spectra.Y, spectra.U), _SharedDenominator(self.order, through_ratio))
+    def combined(self, joint: bool):
+        return _SharedDenominator(self.order, joint, super().combined(joint))
 
 
 class _SharedDenominator(eqx.Module):
     """Fit the denominator to what the numerators leave of every x^s z, then combine as usual."""
 
     order: int = eqx.field(static=True)
+    joint: bool = eqx.field(static=True)
     combine: object = eqx.field(static=True)
 
     def __call__(self, solution: Solution, of_target, dof):
-        terms, n_target = self.order + 1, solution.G.shape[-2] // (self.order + 1)
-        batch = solution.G.shape[:-2]
-        G = solution.G.reshape(*batch, terms, n_target, -1)
-        E = solution.E.reshape(*batch, terms, n_target, terms, n_target)
-        weight = 1 / solution.power[..., :n_target]
+        terms, n_target = self.order + 1, solution.G.shape[0] // (self.order + 1)
+        G = solution.G.reshape(terms, n_target, -1)
+        E = solution.E.reshape(terms, n_target, terms, n_target)
+        weight = 1 / solution.power[:n_target]
         d = _denominator(E, weight)
-        whole = Solution(
-            G=np.sum(d[..., :, None, None] * G, axis=-3),
-            S=solution.S,
-            E=np.sum(d[..., :, None, None, None] * d.conj()[..., None, None, :, None] * E, axis=(-4, -2)),
-            power=solution.power[..., :n_target],
-            pivot=solution.pivot,
-            residual=solution.residual,
+        whole = dataclasses.replace(
+            solution,
+            G=jnp.einsum("s,sia->ia", d, G),
+            E=jnp.einsum("s,sitj,t->ij", d, E, d.conj()),
+            power=solution.power[:n_target],
         )
         result, cov = self.combine(whole, of_target[:n_target], dof)
         if self.order == 0:
@@ -84,37 +81,31 @@ class _SharedDenominator(eqx.Module):
 
     def _from_denominator(self, whole: Solution, G, E, weight, dof):
         """The part of Cov(vec G) that comes from the uncertain denominator."""
-        C = whole.E / np.where(dof > 0, dof, np.nan)[..., None, None]
-        weighted = C * weight[..., :, None] * weight[..., None, :]
-        normal = _normal(E, weight)[..., 1:, 1:]
-        noise = np.einsum("...tjsi,...ij->...st", E, weighted)[..., 1:, 1:]
+        C = whole.E / jnp.where(dof > 0, dof, jnp.nan)
+        normal = _normal(E, weight)[1:, 1:]
+        noise = jnp.einsum("tjsi,ij->st", E, C * weight[:, None] * weight)[1:, 1:]
         solved = inverse(normal)
-        cov_d = solved @ noise @ solved.conj().mT
-        effect = self._effect(whole, G[..., 1:, :, :])
-        columns = np.moveaxis(effect.mT.reshape(*effect.shape[:-2], -1), -2, -1)
-        return columns @ cov_d @ columns.conj().mT
+        effect = self._effect(whole, G[1:])
+        columns = effect.mT.reshape(self.order, -1).T
+        return columns @ (solved @ noise @ adjoint(solved)) @ adjoint(columns)
 
     def _effect(self, whole: Solution, G):
-        """dG/dd_s: (*batch, s, out, in)."""
-        if self.combine is direct:
+        """dG/dd_s: (s, out, in)."""
+        if not self.joint:
             return G
         n_in = whole.G.shape[-1]
-        W = inverse(whole.G[..., -n_in:, :])
-        ratio = whole.G[..., :-n_in, :] @ W
-        through = G[..., :-n_in, :] - ratio[..., None, :, :] @ G[..., -n_in:, :]
-        return through @ W[..., None, :, :]
+        W = inverse(whole.G[-n_in:])
+        ratio = whole.G[:-n_in] @ W
+        return (G[:, :-n_in] - ratio @ G[:, -n_in:]) @ W
 
 
 def _normal(E, weight):
-    """sum_i e_(s,i)^H e_(t,i) / power_i: (*batch, s, t), from E = sum_rows e conj(e)^T."""
-    return np.einsum("...tisi,...i->...st", E, weight)
+    """sum_i e_(s,i)^H e_(t,i) / power_i: (s, t), from E = sum_rows e conj(e)^T."""
+    return jnp.einsum("tisi,i->st", E, weight)
 
 
 def _denominator(E, weight):
-    """(1, d_1, ..., d_R) that leave the least: (*batch, R+1)."""
+    """(1, d_1, ..., d_R) that leave the least: (R+1,)."""
     normal = _normal(E, weight)
-    one = np.ones((*normal.shape[:-2], 1), dtype=normal.dtype)
-    if normal.shape[-1] == 1:
-        return one
-    d = -(inverse(normal[..., 1:, 1:]) @ normal[..., 1:, :1])[..., 0]
-    return np.concat([one, d], axis=-1)
+    d = -(inverse(normal[1:, 1:]) @ normal[1:, :1])[:, 0] if normal.shape[0] > 1 else np.zeros(0)
+    return jnp.concatenate([jnp.ones(1, dtype=normal.dtype), d])

@@ -8,6 +8,7 @@ from .._errors import input_error
 from .._types import Array
 from ..spectra import Spectra
 from .average import ArithmeticMean
+from .covariance import variances
 from .response import FRF
 
 
@@ -39,7 +40,7 @@ def levels(spectra: Spectra) -> Levels:
             "Repeat with new phases, or look at the unexcited lines (jaxfrf.distortion).",
         )
     mean = ArithmeticMean().estimate(spectra)
-    noise, total = (_variance(x) * spectra.n_real for x in (mean.cov_noise, mean.cov_total))
+    noise, total = (np.asarray(variances(x)) * spectra.n_real for x in (mean.cov_noise, mean.cov_total))
 
     def root(variance):
         shape = (*variance.shape[:-1], spectra.n_in, spectra.n_out)
@@ -76,7 +77,3 @@ def _interpolated(frequency, frf: FRF) -> np.ndarray:
     weight = np.clip((at - known[right - 1]) / (known[right] - known[right - 1]), 0, 1)[:, None, None]
     G = np.asarray(frf.G)
     return (1 - weight) * G[:, right - 1] + weight * G[:, right]
-
-
-def _variance(cov) -> np.ndarray:
-    return np.diagonal(np.asarray(cov), axis1=-2, axis2=-1).real

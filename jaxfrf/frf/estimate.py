@@ -13,11 +13,12 @@ from .._types import require_x64
 from ..experiment import Experiment
 from ..spectra import Spectra, select_positions
 from .from_record import spectra_of
-from .method import AbstractMethod, Estimate, dense
+from .method import AbstractMethod, Estimate
 from .response import FRF
 
 _BLOCK_BYTES = 4e8  # operating points are estimated in groups that need about this much memory
 _SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
+_DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
 
 
@@ -49,7 +50,7 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod, *, progress=Non
     groups = _groups(spectra)
     whole = None
     for group in groups:
-        part = _plain(method.estimate(select_positions(spectra, slice(group[0], group[-1] + 1))))
+        part = method.estimate(select_positions(spectra, slice(group[0], group[-1] + 1)))
         whole = _stored(whole, part, group, spectra.n_pos)
         if progress is not None:
             progress(group[-1] + 1, spectra.n_pos)
@@ -118,10 +119,6 @@ def _groups(spectra: Spectra):
     return [range(i, min(i + size, spectra.n_pos)) for i in range(0, spectra.n_pos, size)]
 
 
-def _plain(x: Estimate) -> Estimate:
-    return dataclasses.replace(x, G=np.asarray(x.G), cov=np.asarray(dense(x.cov)))
-
-
 def _stored(whole: Estimate | None, part: Estimate, group, n_pos: int) -> Estimate:
     """The result of a group put in its place among those of all operating points."""
     if len(group) == n_pos:
@@ -137,18 +134,26 @@ def _check_rank(spectra: Spectra, method: AbstractMethod) -> None:
     n = spectra.n_in
     if n == 1:
         return
-    stacked = np.moveaxis(np.asarray(spectra.U), 3, 1).reshape(spectra.n_pos, n, -1)
-    size = np.linalg.norm(stacked, axis=-1, keepdims=True)
-    singular = np.linalg.svd(stacked / np.where(size > 0, size, 1.0), compute_uv=False)
-    rank = (singular > 1e-9 * singular[:, :1]).sum(axis=-1)
-    if np.any(rank < n):
+    rank = [_rank(np.asarray(U).reshape(-1, n)) for U in spectra.U]
+    if min(rank) < n:
         pos = int(np.argmin(rank))
         raise input_error(
             "u",
-            f"{n} inputs of which only {int(rank[pos])} are independent (rank of the excitation at position {pos})",
+            f"{n} inputs of which only {rank[pos]} are independent (rank of the excitation at position {pos})",
             "inputs that are excited independently of each other",
             "Excite with orthogonal or independent random phases, or leave out the channel that copies another.",
         )
+
+
+def _rank(X) -> int:
+    """The rank of (row, channel), channels scaled: of the first rows, where these have full rank already."""
+    for part in (X[: 4 * X.shape[1]], X):
+        size = np.linalg.norm(part, axis=0)
+        singular = np.linalg.svd(np.linalg.qr(part / np.where(size > 0, size, 1.0), mode="r"), compute_uv=False)
+        rank = int((singular > _DEPENDENT * singular[0]).sum())
+        if rank == X.shape[1]:
+            break
+    return rank
 
 
 def _excitation_status(spectra: Spectra) -> np.ndarray:

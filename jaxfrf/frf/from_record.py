@@ -3,6 +3,7 @@
 import dataclasses
 
 from ..experiment import Experiment, select_periods
+from ..screening import screened
 from ..spectra import Spectra, dft, record_spectra, select_band
 from .method import AbstractMethod
 
@@ -11,8 +12,12 @@ def spectra_of(data: Experiment, method: AbstractMethod, *, periods=None, band=N
     """The spectra that `method` needs: of steady periods, or of the whole record if it is not periodic and the method
     has a transient term. `periods` (from, to) and `band` (low, high, Hz) choose a part; `None` at an end: open.
 
-    **Raises:** `jaxfrf.InputError` if the record is not periodic and the method needs that.
+    A record that was made in memory is screened first (`jaxfrf.screen`); one that was read from files has been.
+
+    **Raises:** `jaxfrf.InputError` if the record is not periodic and the method needs that, or if it is useless.
     """
+    if not data.sources:
+        data = screened(data)
     if periods is not None:
         data = select_periods(data, periods[0] or 0, periods[1])
     if not data.period and _takes_transients(method):

@@ -1,15 +1,14 @@
-"""Inverses of batches in which single matrices may be singular."""
+"""Inverses of matrices of which single ones in a batch may be singular."""
 
-import numpy as np
+import jax.numpy as jnp
 
 
-def inverse(A) -> np.ndarray:
-    """A^-1 of every matrix of a batch (*batch, n, n); NaN for those that are singular or not finite.
+def inverse(A):
+    """A^-1 (n, n); NaN where it is singular or not finite."""
+    found = jnp.linalg.inv(A)
+    finite = jnp.isfinite(found).all(axis=(-2, -1), keepdims=True)
+    return jnp.where(finite, found, jnp.nan)
 
-    One bad frequency must not stop the others, as `numpy.linalg.inv` would.
-    """
-    A = np.asarray(A)
-    with np.errstate(all="ignore"):
-        bad = ~np.isfinite(A).all(axis=(-2, -1)) | (np.linalg.det(A) == 0)
-        result = np.linalg.inv(np.where(bad[..., None, None], np.eye(A.shape[-1]), A))
-    return np.where(bad[..., None, None], np.nan, result)
+
+def adjoint(A):
+    return A.conj().mT

@@ -4,7 +4,7 @@ from .._errors import input_error
 from ..spectra import Spectra
 from .classical import H1, check_independent
 from .least_squares import AbstractLeastSquares
-from .method import AbstractMethod, Estimate
+from .method import AbstractMethod, Estimate, Signals
 
 
 class JointInputOutput(AbstractMethod):
@@ -47,5 +47,8 @@ class JointInputOutput(AbstractMethod):
             check_independent("r", spectra.R)
         self.method.check(spectra)
 
-    def estimate(self, spectra: Spectra) -> Estimate:
-        return self.method.joint(spectra)
+    def residual_dof(self, signals: Signals) -> float:
+        return self.method.plan(signals, joint=True).dof
+
+    def at_point(self, signals: Signals, lines=None) -> Estimate:
+        return self.method.joint(signals, lines)

@@ -1,18 +1,20 @@
 """Estimators that are one linear least-squares problem in every window: the model, its solution, its covariance."""
 
 import abc
+import dataclasses
 
 import equinox as eqx
 import jax
-import numpy as np
+import jax.numpy as jnp
+from jaxtyping import Complex
 
 from .._errors import input_error
-from .._status import Status
+from .._types import Array
 from ..spectra import Spectra
 from .combine import direct, through_ratio
-from .method import AbstractMethod, Estimate
-from .regression import PIVOT, RESIDUAL, Equation, Solution, equation_of_target, solve_gram, solve_rows
-from .window import Columns, Windows, gram, span_of
+from .method import AbstractMethod, Estimate, Signals, flags
+from .regression import PIVOT, RESIDUAL, Equations, solve_gram, solve_rows
+from .window import Columns, Windows, over_windows, products, rows
 
 
 class AbstractLeastSquares(AbstractMethod):
@@ -38,7 +40,7 @@ class AbstractLeastSquares(AbstractMethod):
         """Order of the transient polynomial T(x); `None`: the record is in steady state."""
 
     @abc.abstractmethod
-    def windows(self, spectra: Spectra, n_parameters: int) -> Windows:
+    def windows(self, spectra: Spectra | Signals, n_parameters: int) -> Windows:
         """The windows, given the unknowns of one target."""
 
     def block_size(self, spectra: Spectra) -> int:
@@ -48,7 +50,7 @@ class AbstractLeastSquares(AbstractMethod):
         check_periodic(spectra, self)
         self.windows(spectra, self.n_parameters(spectra, spectra.n_in, spectra.n_out))
 
-    def n_parameters(self, spectra: Spectra, n_top: int, n_target: int) -> int:
+    def n_parameters(self, spectra: Spectra | Signals, n_top: int, n_target: int) -> int:
         """Unknowns of one target: the number of regressor columns of its equation."""
         order, transient = self.polynomial_order, self.transient_order
         shared = max(len(group) for group in self.fractions(n_target))
@@ -62,46 +64,88 @@ class AbstractLeastSquares(AbstractMethod):
         """Unknowns per target that the equations do not count, because all targets share them."""
         return 0.0
 
-    def model(self, n_exp: int, n_top: int, n_targets: list[int]) -> tuple[Columns, tuple[Equation, ...]]:
-        """Columns in the order transient, x^s X, x^s Z, x^0 X, x^0 Z, and the equations that use them."""
+    def residual_dof(self, signals: Signals) -> float:
+        return self.plan(signals, joint=False).dof
+
+    def model(self, n_exp: int, n_top: int, n_targets: list[int]) -> tuple[Columns, Equations]:
+        """The columns transient, x^s X, X of the numerators, and with each equation's own x^s Z its targets Z, s >= 1.
+
+        Without denominators all targets are in one equation, and an equation that is alone has nothing of its own."""
         order, transient = self.polynomial_order, self.transient_order
         n_target = sum(n_targets)
-        top, target = range(n_top), range(n_top, n_top + n_target)
+        X, Z = range(n_top), range(n_top, n_top + n_target)
         constant = range(n_top + n_target, n_top + n_target + n_exp)
-        column = [(p, s) for p in range(0 if transient is None else transient + 1) for s in constant]
-        column += [(p, s) for p in range(1, order + 1) for s in top]
-        if self.has_denominator:
-            column += [(p, s) for p in range(1, order + 1) for s in target]
-        column += [(0, s) for s in (*top, *target)]
-        where = {pair: i for i, pair in enumerate(column)}
-        equations = []
-        first = n_top
-        for n in n_targets:
-            for group in self.fractions(n):
-                own = {first + i for i in group}
-                regressors = [
-                    i
-                    for i, (p, s) in enumerate(column)
-                    if (p > 0 and s in own) or s in constant or (p > 0 and s in top)
-                ]
-                equations.append(
-                    Equation(
-                        regressors=tuple(regressors) + tuple(where[0, s] for s in top),
-                        targets=tuple(where[0, s] for s in sorted(own)),
-                        n_top=n_top,
-                    )
-                )
-            first += n
+        common = [(p, s) for p in range(0 if transient is None else transient + 1) for s in constant]
+        common += [(p, s) for p in range(1, order + 1) for s in X]
+        groups = [tuple(Z)] if not self.has_denominator else self._groups(n_top, n_targets)
+        own = [[(p, s) for p in range(1, order + 1) for s in group] for group in groups]
+        own = own if self.has_denominator else [[]]
+        if len(groups) == 1:
+            common, own = common + own[0], [[]]
+        common += [(0, s) for s in X]
+        most, most_targets = max(len(x) for x in own), max(len(x) for x in groups)
+        column = list(common)
+        for mine, group in zip(own, groups, strict=True):
+            column += mine + [(0, -1)] * (most - len(mine))
+            column += [(0, s) for s in group] + [(0, -1)] * (most_targets - len(group))
         power, signal = zip(*column, strict=True)
-        return Columns(power=power, signal=signal), tuple(equations)
+        targets = tuple(tuple(s - n_top for s in group) for group in groups)
+        return Columns(power, signal), Equations(len(common), n_top, tuple(len(x) for x in own), targets)
 
-    def estimate(self, spectra: Spectra) -> Estimate:
+    def _groups(self, first: int, n_targets: list[int]) -> list[tuple[int, ...]]:
+        """Signals that share an equation."""
+        groups = []
+        for n in n_targets:
+            groups += [tuple(sorted(first + i for i in group)) for group in self.fractions(n)]
+            first += n
+        return groups
+
+    def plan(self, data: Spectra | Signals, joint: bool) -> "Plan":
+        """What is regressed on what in which windows: y on u, or with `joint` y and u on r."""
+        n_targets = [data.n_out, data.n_in] if joint else [data.n_out]
+        columns, equations = self.model(data.n_exp, data.n_in, n_targets)
+        windows = self.windows(data, equations.n_regressor)
+        spent = equations.n_regressor + self.shared_parameters(sum(n_targets))
+        return Plan(columns, equations, windows, spent, float(data.n_exp * windows.width - spent))
+
+    def combined(self, joint: bool):
+        """What takes a `Solution` of one window, the equation of each target and dof to (G, cov)."""
+        return through_ratio if joint else direct
+
+    def at_point(self, signals: Signals, lines=None) -> Estimate:
         """The response from u to y."""
-        return regress(self, spectra, spectra.U, (spectra.Y,), direct)
+        return self.regressed(signals, False, lines)
 
-    def joint(self, spectra: Spectra) -> Estimate:
+    def joint(self, signals: Signals, lines=None) -> Estimate:
         """The response from u to y as the ratio of those from r to y and to u; see `jaxfrf.JointInputOutput`."""
-        return regress(self, spectra, spectra.R, (spectra.Y, spectra.U), through_ratio)
+        return self.regressed(signals, True, lines)
+
+    def regressed(self, signals: Signals, joint: bool, lines=None) -> Estimate:
+        plan = self.plan(signals, joint)
+        every = _side_by_side(signals, joint, self.transient_order)
+        return estimate_windows(every, plan, self.combined(joint), lines)
+
+    def regressed_with(self, signals: Signals, joint: bool, plan: "Plan", windows: Windows) -> Estimate:
+        """The estimates with several `windows`, stacked along a leading axis that the result has too."""
+        every = _side_by_side(signals, joint, self.transient_order)
+        of = products(every)
+
+        def one(windows):
+            return estimate_windows(every, dataclasses.replace(plan, windows=windows), self.combined(joint), of=of)
+
+        return jax.lax.map(one, windows)
+
+
+class Plan(eqx.Module):
+    """Regressions of one operating point: columns, equations and windows.
+
+    `spent`: unknowns of a target. `dof`: residual degrees of freedom where the regressors have full rank."""
+
+    columns: Columns
+    equations: Equations
+    windows: Windows
+    spent: float = eqx.field(static=True)
+    dof: float = eqx.field(static=True)
 
 
 def check_periodic(spectra: Spectra, method: AbstractLeastSquares) -> None:
@@ -114,68 +158,42 @@ def check_periodic(spectra: Spectra, method: AbstractLeastSquares) -> None:
         )
 
 
-def regress(method: AbstractLeastSquares, spectra: Spectra, X, targets, combine) -> Estimate:
-    """Regress the target signals on X in every window of every operating point, and combine into G and its covariance.
+def estimate_windows(signals: Complex[Array, "exp freq sig"], plan: Plan, combine, lines=None, of=None) -> Estimate:
+    """Every window solved and combined to G and its covariance: from Gram matrices, or at `lines` from the rows.
 
-    `targets` is a tuple of spectra (pos, exp, freq, channel), each with a denominator of its own; `combine` takes a
-    `Solution` and dof to (G, cov).
+    **Arguments:** `signals`: regressed-on signals, then targets, then constants. `combine`: see
+    `AbstractLeastSquares.combined`. `of`: the signals' `products`, where they are known already.
     """
-    columns, equations = method.model(spectra.n_exp, X.shape[-1], [z.shape[-1] for z in targets])
-    n_parameters = max(len(eq.regressors) for eq in equations)
-    windows = method.windows(spectra, n_parameters)
-    signals = _signals(X, targets, method.transient_order)
-    spent = n_parameters + method.shared_parameters(sum(z.shape[-1] for z in targets))
-    dof = spectra.n_exp * windows.width - spent
-    place = (windows.coordinate, windows.start, windows.start + windows.width)
-    solution = jax.device_get(_solve(signals, place, span_of(windows), columns, equations))
-    shape = solution.pivot.shape
-    doubtful = ~((solution.pivot > PIVOT) & ((solution.residual > RESIDUAL) | (dof <= 0)))
-    solution, missing = _refined(solution, doubtful, signals, windows, columns, equations)
-    dofs = dof + missing
-    G, cov = combine(solution, tuple(equation_of_target(equations)), dofs)
-    flags = {
-        Status.EDGE_WINDOW: np.broadcast_to(~windows.centred, shape),
-        Status.REFINED: doubtful,
-        Status.RANK_DEFICIENT: missing > 0,
-        Status.NO_COVARIANCE: dofs <= 0,
-    }
+    columns, equations, windows = plan.columns, plan.equations, plan.windows
+    of_target = equations.of_target
+    dof = signals.shape[0] * windows.width - plan.spent
+
+    def one_window(solution):
+        dofs = dof + solution.missing.astype(float)
+        accurate = (solution.pivot > PIVOT) & ((solution.residual > RESIDUAL) | (dof <= 0))
+        return *combine(solution, of_target, dofs), dofs, solution.missing > 0, ~accurate
+
+    if lines is None:
+        solve = lambda A: one_window(solve_gram(A, equations))
+        G, cov, dofs, deficient, doubtful = over_windows(solve, signals, windows, columns, of)
+    else:
+        solve = lambda k: one_window(solve_rows(rows(signals, windows, columns, k), equations))
+        G, cov, dofs, deficient, doubtful = jax.vmap(solve)(lines)
+    at_edge = ~jnp.asarray(windows.centred)[slice(None) if lines is None else lines]
     return Estimate(
         G=G,
         cov=cov,
         dof=dofs,
-        status=sum(np.where(where, int(flag), 0) for flag, where in flags.items()),
-        window=np.full(shape, float(windows.width)),
+        status=flags(EDGE_WINDOW=at_edge, RANK_DEFICIENT=deficient, NO_COVARIANCE=dofs <= 0),
+        window=jnp.full(dofs.shape, windows.width, float),
+        doubtful=doubtful if lines is None else jnp.zeros_like(doubtful),
     )
 
 
-def _refined(solution: Solution, doubtful, signals, windows: Windows, columns: Columns, equations):
-    """The solution with its doubtful windows solved again from their rows, and the rank missing there: (pos, freq)."""
-    missing = np.zeros(doubtful.shape, int)
-    if not doubtful.any():
-        return solution, missing
-    solution = jax.tree.map(np.array, solution)
-    for pos in np.flatnonzero(doubtful.any(axis=1)):
-        for lines in _batches(np.flatnonzero(doubtful[pos])):
-            again, missing[pos, lines] = solve_rows(signals[pos], windows, columns, equations, lines)
-            jax.tree.map(lambda old, new, at=(pos, lines): old.__setitem__(at, new), solution, again)
-    return solution, missing
-
-
-def _batches(lines, size: int = 64):
-    return (lines[i : i + size] for i in range(0, len(lines), size))
-
-
-@eqx.filter_jit
-def _solve(signals, place, span: int, columns: Columns, equations) -> Solution:
-    """Every window of every operating point, one point after the other: their moments fit the cache then."""
-    return jax.lax.map(lambda s: gram(s, *place, span, columns, lambda A: solve_gram(A, equations)), signals)
-
-
-def _signals(X, targets, transient: int | None) -> np.ndarray:
-    """All signals side by side, with one constant per experiment where a transient is wanted: (pos, exp, freq, sig)."""
-    parts = [np.asarray(X), *(np.asarray(z) for z in targets)]
+def _side_by_side(signals: Signals, joint: bool, transient: int | None):
+    """All signals side by side, with one constant per experiment where a transient is wanted: (exp, freq, sig)."""
+    parts = [signals.R, signals.Y, signals.U] if joint else [signals.U, signals.Y]
     if transient is not None:
-        n_pos, n_exp, n_freq = parts[0].shape[:3]
-        own = np.broadcast_to(np.eye(n_exp)[:, None], (n_pos, n_exp, n_freq, n_exp))
-        parts.append(own.astype(complex))
-    return np.concatenate(parts, axis=-1)
+        n_exp, n_freq = signals.U.shape[:2]
+        parts.append(jnp.broadcast_to(jnp.eye(n_exp, dtype=complex)[:, None], (n_exp, n_freq, n_exp)))
+    return jnp.concatenate([jnp.asarray(x) for x in parts], axis=-1)

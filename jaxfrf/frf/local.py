@@ -17,7 +17,8 @@ import numpy as np
 from .._errors import input_error
 from ..spectra import Spectra
 from .least_squares import AbstractLeastSquares
-from .window import Windows
+from .method import Signals
+from .window import Windows, windows
 
 
 class AbstractLocal(AbstractLeastSquares):
@@ -54,17 +55,17 @@ class AbstractLocal(AbstractLeastSquares):
     def transient_order(self) -> int | None:
         return self.transient
 
-    def windows(self, spectra: Spectra, n_parameters: int) -> Windows:
-        least = math.ceil(n_parameters / spectra.n_exp)
-        if least > len(spectra.lines):
+    def windows(self, spectra: Spectra | Signals, n_parameters: int) -> Windows:
+        n_lines, least = len(spectra.frequency), math.ceil(n_parameters / spectra.n_exp)
+        if least > n_lines:
             raise input_error(
                 "lines",
-                f"{len(spectra.lines)} lines with {spectra.n_exp} experiment(s)",
+                f"{n_lines} lines with {spectra.n_exp} experiment(s)",
                 f"at least {least} for {n_parameters} unknowns in a window",
                 "Use more lines (for a record that is not periodic: --band LOW:HIGH), lower the order, or stack more "
                 "experiments.",
             )
-        width = default_width(n_parameters, spectra.n_exp, len(spectra.lines)) if self.width is None else self.width
+        width = default_width(n_parameters, spectra.n_exp, n_lines) if self.width is None else self.width
         if width < least:
             raise input_error(
                 "width",
@@ -72,8 +73,7 @@ class AbstractLocal(AbstractLeastSquares):
                 f"at least {least} ({n_parameters} unknowns); more leave a residual to estimate the noise from",
                 "Widen the window, lower the order, or stack more experiments.",
             )
-        coordinate = np.arange(len(spectra.lines)) if self.variable == "index" else spectra.frequency
-        return Windows(coordinate, width)
+        return windows(np.arange(n_lines) if self.variable == "index" else spectra.frequency, width)
 
 
 class LPM(AbstractLocal):

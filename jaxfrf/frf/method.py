@@ -1,68 +1,86 @@
-"""What every estimation method is."""
+"""What every estimation method is: a pure function of the spectra of one operating point, and how that is run."""
 
 import abc
-import dataclasses
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Bool, Complex, Float, Int
 
+from .._status import Status
 from .._types import Array
-from ..spectra import Spectra, changed_signals
+from ..spectra import Spectra
+from .covariance import AbstractFactors
+
+_BATCHES = (8, 64)  # lines that are solved again at once: few numbers, so that few programs are compiled
 
 
-class KroneckerSum(eqx.Module):
-    """Covariances sum_t S_t (x) C_t kept as factors: (*batch, term, in, in) and (*batch, term, out, out).
+class Signals(eqx.Module):
+    """Spectra of one operating point as arrays: (exp, freq, channel), and `frequency` (freq,) in Hz.
 
-    A full covariance of a 6 x 6 response takes 20 kB a line, its factors one.
+    `R` and `noise` (covariance of [Y; U] between periods, (exp, freq, sig, sig)) are `None` where they are unknown.
     """
 
-    left: Complex[Array, "*batch term in in"]
-    right: Complex[Array, "*batch term out out"]
+    U: Complex[Array, "exp freq in"]
+    Y: Complex[Array, "exp freq out"]
+    R: Complex[Array, "exp freq ref"] | None
+    noise: Complex[Array, "exp freq sig sig"] | None
+    frequency: Float[Array, "freq"]
 
-    def dense(self) -> Complex[Array, "*batch vec vec"]:
-        """Covariance of vec(G), columns stacked."""
-        left, right = np.asarray(self.left), np.asarray(self.right)
-        if left.shape[-3] == 1:
-            cov = left[..., 0, :, None, :, None] * right[..., 0, None, :, None, :]
-        else:
-            cov = np.einsum("...tab,...tij->...aibj", left, right)
-        return cov.reshape(*left.shape[:-3], left.shape[-1] * right.shape[-1], -1)
+    @property
+    def n_exp(self) -> int:
+        return self.U.shape[0]
 
-    def diagonal(self) -> Float[Array, "*batch vec"]:
-        """Variances of vec(G)."""
-        left, right = (np.diagonal(np.asarray(x), axis1=-2, axis2=-1) for x in (self.left, self.right))
-        return np.sum(left[..., :, None] * right[..., None, :], axis=-3).real.reshape(*left.shape[:-2], -1)
+    @property
+    def n_in(self) -> int:
+        return self.U.shape[-1]
+
+    @property
+    def n_out(self) -> int:
+        return self.Y.shape[-1]
 
 
 class Estimate(eqx.Module):
-    """What a method returns; the fields mean the same as those of `jaxfrf.FRF`."""
+    """What a method returns; the fields mean the same as those of `jaxfrf.FRF`, with or without the axis of positions.
 
-    G: Complex[Array, "pos freq out in"]
-    cov: KroneckerSum | Complex[Array, "pos freq vec vec"]
-    dof: Float[Array, "pos freq"]
-    status: Int[Array, "pos freq"]
-    window: Float[Array, "pos freq"]
-    cov_noise: Complex[Array, "pos freq vec vec"] | None = None
-    cov_total: Complex[Array, "pos freq vec vec"] | None = None
+    `doubtful` marks lines where the fast solution is not accurate enough (too small a pivot or residual):
+    `jaxfrf.estimate` solves them again by an orthogonal factorisation.
+    """
 
-
-def dense(cov) -> Array:
-    """A covariance as an array, whichever way it is kept."""
-    return cov.dense() if isinstance(cov, KroneckerSum) else cov
-
-
-def variances(cov) -> Array:
-    """The diagonal of a covariance, whichever way it is kept."""
-    return cov.diagonal() if isinstance(cov, KroneckerSum) else np.diagonal(cov, axis1=-2, axis2=-1).real
+    G: Complex[Array, "*pos freq out in"]
+    cov: AbstractFactors | Complex[Array, "*pos freq vec vec"]
+    dof: Float[Array, "*pos freq"]
+    status: Int[Array, "*pos freq"]
+    window: Float[Array, "*pos freq"]
+    doubtful: Bool[Array, "*pos freq"]
+    cov_noise: AbstractFactors | Complex[Array, "*pos freq vec vec"] | None = None
+    cov_total: AbstractFactors | Complex[Array, "*pos freq vec vec"] | None = None
 
 
 class AbstractMethod(eqx.Module):
-    """A way of estimating an FRF from spectra; its fields are its options. Passed to `jaxfrf.estimate`."""
+    """A way of estimating an FRF from spectra; its fields are its options. Passed to `jaxfrf.estimate`.
+
+    A method of one's own defines `at_point`, `check`, `block_size` and `residual_dof`.
+    """
 
     @abc.abstractmethod
-    def estimate(self, spectra: Spectra) -> Estimate:
-        """The estimate at every operating point and line, from all experiments there."""
+    def at_point(self, signals: Signals, lines: Int[Array, "line"] | None = None) -> Estimate:
+        """The estimate at one operating point, from all experiments there: a pure function of arrays, which `jax.jit`,
+        `jax.vmap` and `jax.grad` transform.
+
+            method = jf.JointInputOutput(jf.LRM(width=36))
+
+            def response(U, Y, R):  # (exp, freq, channel) each
+                return method.at_point(jf.frf.Signals(U, Y, R, None, frequency)).G
+
+            G = jax.jit(jax.vmap(response))(U, Y, R)  # several configurations: (pos, freq, out, in)
+
+        Shapes must be fit for the method (see `check`); the numbers are not looked at. `Estimate.doubtful` marks lines
+        that `jaxfrf.estimate` would solve again. Without `lines`, all lines by the fast solution (Gram matrix);
+        otherwise these lines only, by orthogonal factorisation. Derivatives of a logarithmic mean need eigenvalues that
+        differ.
+        """
 
     @abc.abstractmethod
     def check(self, spectra: Spectra) -> None:
@@ -72,13 +90,75 @@ class AbstractMethod(eqx.Module):
     def block_size(self, spectra: Spectra) -> int:
         """Experiments that one estimate needs at least: the block over which averaging methods average."""
 
+    @abc.abstractmethod
+    def residual_dof(self, signals: Signals) -> float:
+        """Residual degrees of freedom of the estimate at a line whose regressors have full rank; none at 0 or below."""
 
-def split_blocks(spectra: Spectra, size: int) -> Spectra:
-    """Blocks of `size` experiments as operating points of their own: (pos*block, size, freq, channel)."""
-    n_block = spectra.n_exp // size
+    def estimate(self, spectra: Spectra) -> Estimate:
+        """The estimate at every operating point: `at_point`, and the doubtful lines solved again."""
+        return solved_again(on_host(run(_at_point, self, spectra)), self, spectra)
 
-    def split(x):
-        x = np.asarray(x)[:, : n_block * size]
-        return x.reshape(-1, size, *x.shape[2:])
 
-    return dataclasses.replace(spectra, **changed_signals(spectra, split), q=None)
+def solved_again(estimate: Estimate, method: AbstractMethod, spectra: Spectra) -> Estimate:
+    """The estimate (arrays of the host) with its doubtful lines by orthogonal factorisation."""
+    if not estimate.doubtful.any():
+        return estimate
+    estimate = jax.tree.map(np.array, estimate)
+    points, frequency = _arrays(spectra)
+    for pos in np.flatnonzero(estimate.doubtful.any(axis=1)):
+        signals = jax.tree.map(lambda x, pos=pos: x[pos], points)
+        for lines, count in _batches(np.flatnonzero(estimate.doubtful[pos])):
+            again = jax.tree.map(lambda x, n=count: np.asarray(x)[:n], _run_again(method, signals, frequency, lines))
+            jax.tree.map(lambda old, new, at=(pos, lines[:count]): old.__setitem__(at, new), estimate, again)
+            estimate.status[pos, lines[:count]] |= int(Status.REFINED)
+    return estimate
+
+
+def on_host(x):
+    """The same with arrays of NumPy."""
+    return jax.tree.map(np.asarray, jax.device_get(x))
+
+
+def flags(**where) -> Int[Array, "freq"]:
+    """A status from its bits by name."""
+    return sum(jnp.where(condition, int(Status[name]), 0) for name, condition in where.items())
+
+
+def _arrays(spectra: Spectra) -> tuple[dict, Array]:
+    names = ("U", "Y", "R", "noise")
+    signals = {name: getattr(spectra, name) for name in names}
+    return {k: None if x is None else np.asarray(x) for k, x in signals.items()}, np.asarray(spectra.frequency)
+
+
+def run(estimate, method: AbstractMethod, spectra: Spectra):
+    """`estimate(method, signals)` of every operating point, as one compiled program."""
+    return _run(estimate, method, *_arrays(spectra))
+
+
+def _at_point(method: AbstractMethod, signals: Signals) -> Estimate:
+    return method.at_point(signals)
+
+
+@eqx.filter_jit
+def _run(estimate, method: AbstractMethod, points: dict, frequency):
+    """One operating point after the other: the moments of one fit the cache."""
+
+    def one_point(point):
+        return estimate(method, Signals(**point, frequency=frequency))
+
+    if points["U"].shape[0] == 1:
+        return jax.tree.map(lambda x: x[None], one_point(jax.tree.map(lambda x: x[0], points)))
+    return jax.lax.map(one_point, points)
+
+
+@eqx.filter_jit
+def _run_again(method: AbstractMethod, point: dict, frequency, lines) -> Estimate:
+    return method.at_point(Signals(**point, frequency=frequency), lines)
+
+
+def _batches(lines):
+    """Lines in batches of few different sizes, the last filled up by repeats; and how many of each are meant."""
+    while len(lines):
+        size = _BATCHES[0] if len(lines) <= _BATCHES[0] else _BATCHES[-1]
+        part, lines = lines[:size], lines[size:]
+        yield np.concatenate([part, np.repeat(part[-1:], size - len(part))]), len(part)

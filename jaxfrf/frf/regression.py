@@ -1,23 +1,28 @@
-"""Least squares of a window: from its Gram matrix, fast, or from its rows where the fast way is not accurate enough.
+"""Least squares of one window: from its Gram matrix, fast, or from its rows where the fast way is not accurate enough.
 
-A window is described by one or several *equations*. Each regresses some targets z on columns K, the last of which are
-the *top* columns x^0 s, whose coefficients are the response at the centre of the window:
+A window is described by one or several *equations*. Each regresses some targets z on columns K, among them the *top*
+columns x^0 s, whose coefficients are the response at the centre of the window (Zimmermann & Moberg, Eqs. (DFT_1b) to
+(cov), and (DFT_3) with a denominator):
 
-    z = K Theta + e,   G = Theta_top^T,   Cov(G_ia, G_jb) = S_ab C_ij,
-    S = A_t A_u^H  with  A_t = [(K_t^H K_t)^-1 K_t^H]_top,   C_ij = sum_rows e_i conj(e_j) / dof,
+    z = K Theta + v,   Theta = (K^H K)^-1 K^H z,   G = Theta_top^T,   Cov(G_ia, G_jb) = S_ab C_ij,
+    S = A_t A_u^H  with  A_t = [(K_t^H K_t)^-1 K_t^H]_top,   C_ij = sum_rows v_i conj(v_j) / q,
 
 where i belongs to equation t and j to equation u. A full matrix fraction is one equation, MISO parametrisations have
-one for every output, the joint input-output approach has one for y and one for u.
+one for every output, the joint input-output approach one for y and one for u. Equations share the numerator's columns
+K_0 and differ in those of their denominators, Q_t: K_t = [K_0, Q_t].
+
+Everything here is of one window; `jax.vmap` takes it over lines.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import linalg
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 
 from .._types import Array
-from .window import Columns, Windows
+from .inverse import adjoint
 
 PIVOT = 1e-7
 """Smallest accepted pivot, relative to its column. A Gram matrix squares the condition number: the relative error of
@@ -27,181 +32,181 @@ RESIDUAL = 1e-9
 """Smallest accepted residual power, relative to the target's: C has a relative error of about 1e-16/residual."""
 
 
-class Equation(eqx.Module):
-    """Which columns are regressed on which: indices into `Columns`; the last `n_top` regressors are the top."""
+class Equations(eqx.Module):
+    """Which columns explain which. Columns stand in this order: `n_common` regressors of all equations, the last
+    `n_top` of which are the top; then for each equation `n_own` regressors and its targets, filled up with columns of
+    zeros to the same number for all.
 
-    regressors: tuple[int, ...] = eqx.field(static=True)
-    targets: tuple[int, ...] = eqx.field(static=True)
+    `targets`: for each equation, the numbers of its targets among all targets. `n_own`: for each equation.
+    """
+
+    n_common: int = eqx.field(static=True)
     n_top: int = eqx.field(static=True)
+    n_own: tuple[int, ...] = eqx.field(static=True)
+    targets: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+
+    @property
+    def of_target(self) -> np.ndarray:
+        """The number of the equation that each target belongs to."""
+        found = np.zeros(sum(len(x) for x in self.targets), int)
+        for number, own in enumerate(self.targets):
+            found[list(own)] = number
+        return found
+
+    @property
+    def slots(self) -> np.ndarray:
+        """The place of each target among all places for targets."""
+        most = max(len(x) for x in self.targets)
+        found = np.zeros(sum(len(x) for x in self.targets), int)
+        for number, own in enumerate(self.targets):
+            found[list(own)] = number * most + np.arange(len(own))
+        return found
+
+    @property
+    def n_regressor(self) -> int:
+        """Unknowns of a target, in the equation with most of them."""
+        return self.n_common + max(self.n_own)
 
 
 class Solution(eqx.Module):
-    """Solved windows, leading axes (*batch).
+    """A solved window.
 
-    - `G`: responses of all targets, in the order of the equations. `S`: of every pair of equations.
-    - `E`: dof times C, of all targets.
+    - `G`: responses of all targets. `S`: of every pair of equations. `E`: q times C, of all targets.
     - `power`: of every target, summed over the rows.
     - `pivot`: smallest relative pivot (0: singular, NaN: not factorised). `residual`: smallest relative residual power.
+    - `missing`: rank that the regressors of the worst equation lack.
     """
 
-    G: Complex[Array, "*batch target top"]
-    S: Complex[Array, "*batch eq eq top top"]
-    E: Complex[Array, "*batch target target"]
-    power: Float[Array, "*batch target"]
-    pivot: Float[Array, "*batch"]
-    residual: Float[Array, "*batch"]
+    G: Complex[Array, "target top"]
+    S: Complex[Array, "eq eq top top"]
+    E: Complex[Array, "target target"]
+    power: Float[Array, "target"]
+    pivot: Float[Array, ""]
+    residual: Float[Array, ""]
+    missing: Int[Array, ""]
 
 
-def solve_gram(A: Complex[Array, "*batch col col"], equations: tuple[Equation, ...]) -> Solution:
-    """All equations of a window from the Gram matrix of its columns."""
-    return _solve_one(A, equations[0]) if len(equations) == 1 else _solve_several(A, equations)
+def solve_gram(A: Complex[Array, "col col"], equations: Equations) -> Solution:
+    """All equations of a window from the Gram matrix of its columns.
 
-
-def equation_of_target(equations) -> np.ndarray:
-    """The number of the equation that each target belongs to."""
-    return np.repeat(np.arange(len(equations)), [len(eq.targets) for eq in equations])
-
-
-def _solve_one(A, equation: Equation) -> Solution:
-    """One equation: with the top next to last and the targets last, the last block of one Cholesky factor holds G,
-    S and the residual covariance; the nuisance coefficients are never computed.
-
-    The targets' block is singular when there are fewer degrees of freedom than targets; doubling its diagonal for the
-    factorisation mends that and is subtracted afterwards.
+    The common columns are eliminated first, W being what they leave of the products of all others; each equation then
+    solves for its own columns in W (Frisch & Waugh 1933).
     """
-    top, target = equation.n_top, len(equation.targets)
-    A = _part(A, equation.regressors + equation.targets, equation.regressors + equation.targets)
-    power = jnp.diagonal(A, axis1=-2, axis2=-1).real
-    is_target = np.arange(A.shape[-1]) >= len(equation.regressors)
-    L = linalg.cholesky(A + jnp.where(is_target, power, 0.0)[..., None] * np.eye(A.shape[-1]), symmetrize_input=False)
-    pivot = jnp.diagonal(L, axis1=-2, axis2=-1).real ** 2 / power
-    block = L[..., -(top + target) :, -(top + target) :]
-    V = _inverse_of_lower(block[..., :top, :top])
-    rest = block[..., top:, top:]
-    E = (rest @ rest.conj().mT).conj() - power[..., -target:, None] * np.eye(target)
-    residual = jnp.diagonal(E, axis1=-2, axis2=-1).real / power[..., -target:]
+    n, top = equations.n_common, equations.n_top
+    power = jnp.diagonal(A).real
+    L = linalg.cholesky(A[:n, :n], symmetrize_input=False)
+    right = jnp.concatenate([A[n:, :n], jnp.eye(n, dtype=A.dtype)[-top:]])
+    half = linalg.triangular_solve(L, right, left_side=False, lower=True, transpose_a=True, conjugate_a=True)
+    B, V = half[:-top], half[-top:, -top:]
+    W = A[n:, n:] - B @ adjoint(B)
+    T = V @ adjoint(B[:, -top:])  # top coefficients of every other column regressed on the common ones
+    S = V @ adjoint(V)
+    pivot = jnp.min(jnp.diagonal(L).real ** 2 / power[:n])
+    G, S, E, own_pivot = _solve_own(W, T, S, power[n:], equations)
+    slots, targets = equations.slots, _target_columns(equations)
+    E = _hermitian(E[slots[:, None], slots].T)
+    power = power[n:][targets]
     return Solution(
-        G=(block[..., top:, :top] @ V).conj(),
-        S=(V.conj().mT @ V)[..., None, None, :, :],
-        E=E,
-        power=power[..., -target:],
-        pivot=jnp.min(pivot[..., : len(equation.regressors)], axis=-1),
-        residual=jnp.min(residual, axis=-1),
-    )
-
-
-def _solve_several(A, equations) -> Solution:
-    """Several equations as one batch: coefficients of each, then all products between them from the one Gram matrix.
-
-    One batched factorisation, not one per equation: XLA would run those at the same time, and batched LAPACK calls
-    that share its thread pool can wait for each other for ever. Equations with fewer regressors are filled up with
-    columns that are orthogonal to everything.
-    """
-    n_column, n_top = A.shape[-1], equations[0].n_top
-    regressors, targets, slots = _index_arrays(equations, n_column)
-    n_spare = max(regressors.max() + 1 - n_column, 0)
-    spare = [(0, 0)] * (A.ndim - 2) + [(0, n_spare)] * 2
-    wide = jnp.pad(A, spare) + np.diag(np.arange(n_column + n_spare) >= n_column)
-    L = linalg.cholesky(wide[..., regressors[:, :, None], regressors[:, None, :]], symmetrize_input=False)
-    pivot = jnp.diagonal(L, axis1=-2, axis2=-1).real ** 2 / jnp.diagonal(wide, axis1=-2, axis2=-1).real[..., regressors]
-    units = np.broadcast_to(np.eye(L.shape[-1])[:, -n_top:], (*L.shape[:-1], n_top))
-    right = jnp.concatenate([-wide[..., regressors[:, :, None], targets[:, None, :]], units.astype(L.dtype)], axis=-1)
-    half = linalg.triangular_solve(L, right, left_side=True, lower=True)
-    found = linalg.triangular_solve(L, half, left_side=True, lower=True, transpose_a=True, conjugate_a=True)
-    among_all = _embedded(found, regressors, n_column)
-    order = np.concatenate([eq.targets for eq in equations]).astype(int)
-    error = jnp.moveaxis(among_all[..., equation_of_target(equations), :, slots], 0, -1) + np.eye(n_column)[:, order]
-    top = jnp.moveaxis(among_all[..., targets.shape[1] :], -3, -2).reshape(*A.shape[:-1], -1)
-    E = (error.conj().mT @ (A @ error)).conj()
-    S = (top.conj().mT @ (A @ top)).reshape(*A.shape[:-2], len(equations), n_top, len(equations), n_top)
-    power = jnp.diagonal(A, axis1=-2, axis2=-1).real[..., order]
-    return Solution(
-        G=-error[..., list(equations[0].regressors[-n_top:]), :].mT,
-        S=jnp.swapaxes(S, -3, -2),
+        G=G[slots],
+        S=_hermitian(S),
         E=E,
         power=power,
-        pivot=jnp.min(pivot, axis=(-2, -1)),
-        residual=jnp.min(jnp.diagonal(E, axis1=-2, axis2=-1).real / power, axis=-1),
+        pivot=jnp.minimum(pivot, own_pivot),
+        residual=jnp.min(jnp.diagonal(E).real / power),
+        missing=jnp.zeros((), int),
     )
 
 
-def _index_arrays(equations, n_column: int):
-    """Regressors (equation, most) filled up in front with spare columns; targets (equation, most) filled up by repeats;
-    and for each target its slot in its equation."""
-    n_regressor = max(len(eq.regressors) for eq in equations)
-    n_target = max(len(eq.targets) for eq in equations)
-    regressors = [[*range(n_column, n_column + n_regressor - len(eq.regressors)), *eq.regressors] for eq in equations]
-    targets = [[*eq.targets, *[eq.targets[0]] * (n_target - len(eq.targets))] for eq in equations]
-    slots = np.concatenate([np.arange(len(eq.targets)) for eq in equations])
-    return np.asarray(regressors), np.asarray(targets), slots
+def _solve_own(W, T, S, power, equations: Equations):
+    """G, S, residual products (target, target) and the smallest pivot, when the common columns are eliminated."""
+    count, own, top = len(equations.n_own), max(equations.n_own), equations.n_top
+    if own == 0:
+        return T.T, S[None, None], W, jnp.inf
+    each = W.shape[0] // count
+    blocks = jnp.moveaxis(W.reshape(count, each, count, each), 2, 1)
+    spare = np.arange(own) >= np.asarray(equations.n_own)[:, None]
+
+    def one_equation(block, T, power, spare):
+        inner = block[:own, :own] + jnp.diag(jnp.where(spare, 1.0, 0.0))
+        L = linalg.cholesky(inner, symmetrize_input=False)
+        right = jnp.concatenate([block[:own, own:], adjoint(T[:, :own])], axis=1)
+        half = linalg.triangular_solve(L, right, left_side=True, lower=True)
+        found = linalg.triangular_solve(L, half, left_side=True, lower=True, transpose_a=True, conjugate_a=True)
+        D, F = found[:, : each - own], found[:, each - own :]
+        pivots = jnp.diagonal(L).real ** 2 / jnp.where(spare, 1.0, power[:own])
+        G = (T[:, own:] - T[:, :own] @ D).T
+        return G, jnp.concatenate([-D, jnp.eye(each - own, dtype=D.dtype)]), F, jnp.min(pivots)
+
+    on_diagonal = np.arange(count)
+    parts = T.reshape(-1, count, each).swapaxes(0, 1)
+    own_blocks = blocks[on_diagonal, on_diagonal]
+    G, error, F, pivot = jax.vmap(one_equation)(own_blocks, parts, power.reshape(count, each), spare)
+
+    errors, effects = _block_diagonal(error), _block_diagonal(F)
+    inner = blocks[:, :, :own, :own].swapaxes(1, 2).reshape(count * own, count * own)
+    E = adjoint(errors) @ (W @ errors)
+    added = (adjoint(effects) @ (inner @ effects)).reshape(count, top, count, top)
+    return G.reshape(-1, top), S + added.swapaxes(1, 2), E, jnp.min(pivot)
 
 
-def _embedded(x, regressors, n_column: int):
-    """Rows of x (*batch, equation, regressor, ...) put where the regressors stand among all columns, zero elsewhere."""
-    n_equation, n_regressor = regressors.shape
-    place = np.full((n_equation, n_column), n_regressor)
-    for row, columns in zip(place, regressors, strict=True):
-        real = columns < n_column
-        row[columns[real]] = np.flatnonzero(real)
-    filled = jnp.pad(x, [(0, 0)] * (x.ndim - 2) + [(0, 1), (0, 0)])
-    return filled[..., np.arange(n_equation)[:, None], place, :]
+def _block_diagonal(x):
+    """(block, row, col) to (block*row, block*col), zero beside the blocks."""
+    count, n_row, n_col = x.shape
+    wide = jnp.where(np.eye(count, dtype=bool)[:, None, :, None], x[:, :, None, :], 0)
+    return wide.reshape(count * n_row, count * n_col)
 
 
-def _part(A, rows, columns):
-    """A[rows, columns] for static index tuples."""
-    if rows == columns == tuple(range(A.shape[-1])):
-        return A
-    return A[..., np.asarray(rows)[:, None], np.asarray(columns)]
+def solve_rows(K: Complex[Array, "row col"], equations: Equations) -> Solution:
+    """All equations of a window from its rows, by singular values of the scaled regressors; the minimum-norm solution
+    where they lack rank."""
+    n, top, own = equations.n_common, equations.n_top, max(equations.n_own)
+    count = len(equations.n_own)
+    each = jnp.moveaxis(K[:, n:].reshape(K.shape[0], count, -1), 1, 0)
 
+    def one_equation(part):
+        influence, rank = _pseudo_inverse(jnp.concatenate([K[:, : n - top], part[:, :own], K[:, n - top : n]], axis=1))
+        theta = influence @ part[:, own:]
+        fitted = (
+            K[:, : n - top] @ theta[: n - top]
+            + part[:, :own] @ theta[n - top : -top]
+            + K[:, n - top : n] @ theta[-top:]
+        )
+        return theta[-top:].T, influence[-top:], part[:, own:] - fitted, rank
 
-def _inverse_of_lower(L):
-    eye = jnp.broadcast_to(jnp.eye(L.shape[-1], dtype=L.dtype), L.shape)
-    return linalg.triangular_solve(L, eye, left_side=True, lower=True)
-
-
-def solve_rows(
-    signals: Complex[np.ndarray, "exp freq sig"], windows: Windows, columns: Columns, equations, lines
-) -> tuple[Solution, np.ndarray]:
-    """The equations of the windows around `lines` from their rows, by singular value decomposition of the scaled
-    regressor; also how much rank is missing in the worst equation (then the minimum-norm solution is taken)."""
-    rows = _rows(signals, windows, columns, lines)
-    solved = [_solve_svd(rows[..., eq.regressors], rows[..., eq.targets], eq.n_top) for eq in equations]
-    influence = np.stack([a for _, a, _, _ in solved], axis=-3)
-    residual = np.concatenate([e for _, _, e, _ in solved], axis=-1)
-    solution = Solution(
-        G=np.concatenate([G for G, _, _, _ in solved], axis=-2),
-        S=influence[..., :, None, :, :] @ _h(influence)[..., None, :, :, :],
-        E=residual.swapaxes(-1, -2) @ residual.conj(),
-        power=np.sum(np.abs(rows[..., np.concatenate([eq.targets for eq in equations]).astype(int)]) ** 2, axis=-2),
-        pivot=np.ones(len(lines)),
-        residual=np.ones(len(lines)),
+    G, A, V, rank = jax.vmap(one_equation)(each)
+    S = jax.vmap(lambda A_t: jax.vmap(lambda A_u: A_t @ adjoint(A_u))(A))(A)
+    slots, targets = equations.slots, _target_columns(equations)
+    V = jnp.moveaxis(V, 0, 1).reshape(K.shape[0], -1)[:, slots]
+    return Solution(
+        G=G.reshape(-1, top)[slots],
+        S=_hermitian(S),
+        E=_hermitian(V.T @ V.conj()),
+        power=jnp.sum(jnp.abs(K[:, n:][:, targets]) ** 2, axis=0),
+        pivot=jnp.ones(()),
+        residual=jnp.ones(()),
+        missing=jnp.max(n + np.asarray(equations.n_own) - rank),
     )
-    missing = [len(eq.regressors) - rank for eq, (_, _, _, rank) in zip(equations, solved, strict=True)]
-    return solution, np.max(missing, axis=0)
 
 
-def _rows(signals, windows: Windows, columns: Columns, lines) -> np.ndarray:
-    """Columns written out: (window, exp*width, column)."""
-    inside = np.asarray(windows.start)[lines][:, None] + np.arange(windows.width)
-    x = windows.coordinate[inside] - windows.coordinate[lines][:, None]
-    x = x / np.maximum(np.abs(x).max(axis=1, keepdims=True), 1e-300)
-    part = np.moveaxis(signals[:, inside], 0, 1)[..., np.asarray(columns.signal)]
-    rows = x[:, None, :, None] ** np.asarray(columns.power) * part
-    return rows.reshape(len(lines), -1, len(columns.power))
+def _pseudo_inverse(K):
+    """K^+ and the rank of K: QR first, so that the singular values are those of a small matrix."""
+    scale = jnp.linalg.norm(K, axis=0)
+    scale = jnp.where(scale > 0, scale, 1.0)
+    Q, R = jnp.linalg.qr(K / scale)
+    U, s, Vh = jnp.linalg.svd(R, full_matrices=False)
+    kept = s > s[0] * np.finfo(float).eps * max(K.shape)
+    inverse = jnp.where(kept, 1 / jnp.where(kept, s, 1.0), 0.0)
+    return (adjoint(Vh) * inverse) @ adjoint(Q @ U) / scale[:, None], jnp.sum(kept)
 
 
-def _solve_svd(K, Z, n_top: int):
-    """G (window, target, top), A_top (window, top, row), residuals (window, row, target), rank of K (window,)."""
-    scale = np.linalg.norm(K, axis=-2, keepdims=True)
-    scale = np.where(scale > 0, scale, 1.0)
-    q, r = np.linalg.qr(K / scale)
-    u, s, vh = np.linalg.svd(r, full_matrices=False)
-    kept = s > s[:, :1] * np.finfo(float).eps * max(K.shape[-2:])
-    inverse = np.where(kept, 1 / np.where(kept, s, 1.0), 0.0)
-    pseudo_inverse = (_h(vh) * inverse[:, None]) @ _h(q @ u) / scale.swapaxes(-1, -2)
-    theta = pseudo_inverse @ Z
-    return theta[:, -n_top:].swapaxes(-1, -2), pseudo_inverse[:, -n_top:], Z - K @ theta, kept.sum(axis=-1)
+def _target_columns(equations: Equations) -> np.ndarray:
+    """The column of each target, behind the common ones."""
+    most, own = max(len(x) for x in equations.targets), max(equations.n_own)
+    number, place = np.divmod(equations.slots, most)
+    return number * (own + most) + own + place
 
 
-def _h(x):
-    return x.conj().swapaxes(-1, -2)
+def _hermitian(x):
+    """Without the rounding by which a matrix, or blocks (t, u) and (u, t), are not each other's adjoint."""
+    other = adjoint(x) if x.ndim == 2 else adjoint(jnp.swapaxes(x, 0, 1))
+    return (x + other) / 2

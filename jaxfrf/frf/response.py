@@ -4,11 +4,13 @@ import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from .._types import Array
 from ..experiment import Source
+from .covariance import AbstractFactors, variances
 
 
 class FRF(eqx.Module):
@@ -20,7 +22,8 @@ class FRF(eqx.Module):
     - `frequency`: (freq,), Hz.
     - `cov`: covariance of vec(G) (columns stacked: element `j*n_out + i` is G[i, j]), (pos, freq, vec, vec),
       E[(g - Eg)(g - Eg)^H]; NaN where the method had no residual degree of freedom. Estimates of local methods
-      at neighbouring lines share data: see `window`.
+      at neighbouring lines share data: see `window`. It may be kept as factors (`jaxfrf.frf.KroneckerSum`), which
+      can be used like the array and are written out by `numpy.asarray(frf.cov)`; files hold it written out.
     - `dof`: residual degrees of freedom behind `cov`, (pos, freq); intervals use them (F quantiles).
     - `status`: bits of `jaxfrf.Status`, (pos, freq).
     - `cov_noise`: part of `cov` that measurement noise explains (scatter between periods); `None` if unknown.
@@ -33,12 +36,12 @@ class FRF(eqx.Module):
 
     G: Complex[Array, "pos freq out in"]
     frequency: Float[Array, "freq"]
-    cov: Complex[Array, "pos freq vec vec"]
+    cov: AbstractFactors | Complex[Array, "pos freq vec vec"]
     dof: Float[Array, "pos freq"]
     status: Int[Array, "pos freq"]
     window: Float[Array, "pos freq"]
-    cov_noise: Complex[Array, "pos freq vec vec"] | None = None
-    cov_total: Complex[Array, "pos freq vec vec"] | None = None
+    cov_noise: AbstractFactors | Complex[Array, "pos freq vec vec"] | None = None
+    cov_total: AbstractFactors | Complex[Array, "pos freq vec vec"] | None = None
     q: Float[Array, "pos joint"] | None = None
     method: str = eqx.field(static=True, default="")
     y_quantity: str = eqx.field(static=True, default="velocity")
@@ -72,7 +75,7 @@ class FRF(eqx.Module):
     @property
     def std(self) -> Float[Array, "pos freq out in"]:
         """Standard deviation of every element of G, sqrt(E|G - EG|^2): (pos, freq, out, in)."""
-        variance = np.real(np.diagonal(np.asarray(self.cov), axis1=-2, axis2=-1))
+        variance = np.asarray(variances(self.cov))
         return np.sqrt(np.maximum(variance, 0)).reshape(*self.G.shape[:2], self.n_in, self.n_out).swapaxes(-1, -2)
 
 
@@ -82,8 +85,18 @@ def concatenate_positions(frfs: Sequence[FRF]) -> FRF:
 
     def join(name):
         parts = [getattr(x, name) for x in frfs]
-        return None if any(x is None for x in parts) else np.concatenate(parts)
+        return None if any(x is None for x in parts) else _joined(parts)
 
     names = ("G", "cov", "dof", "status", "window", "cov_noise", "cov_total", "q")
     warnings = tuple(dict.fromkeys(w for x in frfs for w in x.warnings))
     return dataclasses.replace(first, **{name: join(name) for name in names}, warnings=warnings)
+
+
+def _joined(parts):
+    """Arrays, or covariances as factors of the same kind, after each other."""
+    structure = jax.tree.structure(parts[0])
+    if all(isinstance(x, AbstractFactors) and jax.tree.structure(x) == structure for x in parts):
+        shapes = [[leaf.shape[1:] for leaf in jax.tree.leaves(x)] for x in parts]
+        if all(shape == shapes[0] for shape in shapes):
+            return jax.tree.map(lambda *x: np.concatenate(x), *parts)
+    return np.concatenate([np.asarray(x) for x in parts])

@@ -2,14 +2,19 @@
 
 import dataclasses
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-import scipy.ndimage
+from jaxtyping import Int
 
 from .._errors import input_error
+from .._types import Array
 from ..spectra import Spectra
+from .covariance import variances
 from .joint import JointInputOutput
 from .local import LRM, AbstractLocal
-from .method import AbstractMethod, Estimate, dense
+from .method import AbstractMethod, Estimate, Signals, on_host, run, solved_again
 
 
 class Auto(AbstractMethod):
@@ -47,15 +52,15 @@ class Auto(AbstractMethod):
                 "e.g. lrm-jio-stacked.",
             )
 
-    def block_size(self, spectra: Spectra) -> int:
+    def block_size(self, spectra: Spectra | Signals) -> int:
         return 1
 
     def check(self, spectra: Spectra) -> None:
         self._with_width(self.candidates(spectra)[0], spectra).check(spectra)
 
-    def candidates(self, spectra: Spectra) -> tuple[int, ...]:
+    def candidates(self, spectra: Spectra | Signals) -> tuple[int, ...]:
         """The windows tried, narrowest first."""
-        n_lines = len(spectra.lines)
+        n_lines = len(spectra.frequency)
         if self.widths is not None:
             return tuple(sorted({int(w) for w in self.widths}))
         n = self.method.n_parameters(spectra, spectra.n_in, max(spectra.n_out, spectra.n_in))
@@ -63,42 +68,69 @@ class Auto(AbstractMethod):
         most = max(n_lines // 3, least)
         return tuple(sorted({round(w) for w in np.geomspace(least, most, 6)}))
 
+    def residual_dof(self, signals: Signals) -> float:
+        return self._with_width(self.candidates(signals)[0], signals).residual_dof(signals)
+
+    def at_point(self, signals: Signals, lines=None) -> Estimate:
+        tried = self._tried(signals)
+        choice = _choice(tried, self.threshold)
+        if lines is None:
+            return _chosen(tried, choice)
+        again = [self._with_width(w, signals).at_point(signals, lines) for w in self.candidates(signals)]
+        return _chosen(jax.tree.map(lambda *x: jnp.stack(x), *again), choice[lines])
+
     def estimate(self, spectra: Spectra) -> Estimate:
-        tried = [self._with_width(w, spectra).estimate(spectra) for w in self.candidates(spectra)]
-        tried = [dataclasses.replace(x, G=np.asarray(x.G), cov=np.asarray(dense(x.cov))) for x in tried]
-        return _chosen(tried, _choice(tried, self.threshold))
+        """As everywhere; but doubtful lines are solved again before the choice, which looks at neighbours."""
+        tried = on_host(run(Auto._tried, self, spectra))
+        each = [jax.tree.map(lambda x, i=i: x[:, i], tried) for i in range(tried.G.shape[1])]
+        methods = [self._with_width(w, spectra) for w in self.candidates(spectra)]
+        each = [solved_again(x, method, spectra) for x, method in zip(each, methods, strict=True)]
+        tried = jax.tree.map(lambda *x: np.stack(x, axis=1), *each)
+        return on_host(_choose(tried, self.threshold))
 
-    def _with_width(self, width: int, spectra: Spectra) -> AbstractMethod:
+    def _tried(self, signals: Signals) -> Estimate:
+        """The estimates with every width, which is the leading axis."""
+        joint = self._through_reference(signals)
+        methods = [dataclasses.replace(self.method, width=w) for w in self.candidates(signals)]
+        plans = [method.plan(signals, joint) for method in methods]
+        span = max(plan.windows.span for plan in plans)
+        every = [dataclasses.replace(plan.windows, span=span) for plan in plans]
+        windows = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(y) for y in x]), *every)
+        return self.method.regressed_with(signals, joint, plans[0], windows)
+
+    def _through_reference(self, spectra: Spectra | Signals) -> bool:
+        return self.use_reference and spectra.R is not None and spectra.R.shape[-1] == spectra.n_in
+
+    def _with_width(self, width: int, spectra: Spectra | Signals) -> AbstractMethod:
         method = dataclasses.replace(self.method, width=width)
-        through = self.use_reference and spectra.R is not None and spectra.R.shape[-1] == spectra.n_in
-        return JointInputOutput(method) if through else method
+        return JointInputOutput(method) if self._through_reference(spectra) else method
 
 
-def _choice(tried: list[Estimate], threshold: float) -> np.ndarray:
-    """Number of the widest window that agrees with all narrower ones, smoothed: (pos, freq)."""
-    G = [x.G for x in tried]
-    std = [_std(x.cov, x.G.shape) for x in tried]
-    agreed = np.ones(G[0].shape[:2], bool)
-    choice = np.zeros(G[0].shape[:2], int)
-    for wide in range(1, len(tried)):
-        for narrow in range(wide):
-            step = np.abs(G[wide] - G[narrow]) / (std[wide] + std[narrow])
-            with np.errstate(invalid="ignore"):
-                agreed &= ~(np.sqrt(np.mean(step**2, axis=(-2, -1))) > threshold)
-        choice[agreed] = wide
-    span = min(9, choice.shape[1])
-    return scipy.ndimage.median_filter(choice, size=(1, span), mode="nearest")
+@eqx.filter_jit
+def _choose(tried: Estimate, threshold: float) -> Estimate:
+    """The chosen estimate at every operating point, from (pos, width, freq, ...)."""
+    return jax.vmap(lambda x: _chosen(x, _choice(x, threshold)))(tried)
 
 
-def _chosen(tried: list[Estimate], choice) -> Estimate:
-    def pick(name):
-        every = [getattr(x, name) for x in tried]
-        shape = choice.shape + (1,) * (every[0].ndim - 2)
-        return np.choose(choice.reshape(shape), every) if len(every) > 1 else every[0]
+def _choice(tried: Estimate, threshold: float) -> Int[Array, "freq"]:
+    """Number of the widest window that agrees with all narrower ones, smoothed; `tried` is (width, freq, ...)."""
+    G = tried.G
+    std = jnp.sqrt(jnp.maximum(variances(tried.cov), 0)).reshape(*G.shape[:2], G.shape[3], G.shape[2]).mT
+    agreed = jnp.ones(G.shape[1], bool)
+    choice = jnp.zeros(G.shape[1], int)
+    for wide in range(1, G.shape[0]):
+        step = jnp.abs(G[wide] - G[:wide]) / (std[wide] + std[:wide])
+        agreed &= ~jnp.any(jnp.sqrt(jnp.mean(step**2, axis=(-2, -1))) > threshold, axis=0)
+        choice = jnp.where(agreed, wide, choice)
+    return _median(choice, min(9, G.shape[1]))
 
-    return Estimate(**{name: pick(name) for name in ("G", "cov", "dof", "status", "window")})
+
+def _median(x, span: int):
+    """Running median of integers over `span` neighbours (for even spans one more before than after), as of the value at
+    the ends beyond them."""
+    padded = jnp.pad(x, (span // 2, span - 1 - span // 2), mode="edge")
+    return jnp.sort(padded[jnp.arange(len(x))[:, None] + jnp.arange(span)], axis=1)[:, span // 2]
 
 
-def _std(cov, shape) -> np.ndarray:
-    variance = np.maximum(np.diagonal(cov, axis1=-2, axis2=-1).real, 0)
-    return np.sqrt(variance).reshape(*shape[:2], shape[3], shape[2]).swapaxes(-1, -2)
+def _chosen(tried: Estimate, choice) -> Estimate:
+    return jax.tree.map(lambda x: x[choice, jnp.arange(len(choice))], tried)

@@ -1,10 +1,10 @@
-"""Sliding windows over the excited lines, and the Gram matrices of all of them at once.
+"""Sliding windows over the excited lines, and the Gram matrices of the regressors in them.
 
-A window of w lines around line k holds the regressor columns x^p s_a, where s_a is a signal (reference, input, output,
-or 1 for a transient) and x the local variable, zero at line k. All that a least-squares fit needs are the inner
-products sum_j x_j^(p+q) conj(s_a) s_b: *moments* of products of signals. For a tile of neighbouring windows they are
-one real matrix product (banded weights times products), so no window is ever gathered, and experiments that share a
-model are summed before the product.
+A window of w lines around line k holds the columns x^p s_a, where s_a is a signal (reference, input, output, or 1 for a
+transient) and x the local variable, zero at line k. All that a least-squares fit needs of them are the inner products
+sum_j x_j^(p+q) conj(s_a) s_b: *moments* of products of signals. For windows that are neighbours the products are the
+same, so that `vmap` makes one real matrix product of their moments: no window is ever gathered, and experiments that
+share a model are summed before the product.
 """
 
 import functools
@@ -13,113 +13,150 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Bool, Complex, Float, Int
 
 from .._errors import input_error
 from .._types import Array
 
-_TILE = 48  # windows per matrix product: weights and products of a tile stay in the second-level cache
+_TILE = 48  # neighbouring windows that are solved together: their moments and Gram matrices stay in the cache
+_BLOCK = 512  # windows of one line that are solved together
 
 
 class Windows(eqx.Module):
     """Where the window of every line stands.
 
     - `coordinate`: (freq,), the local variable before centring and scaling: line index or frequency.
-    - `start`: (freq,), index of each window's first line; the window is start..start+width-1.
-    - `width`: lines in a window. Even widths 2b reach from -b to b-1 (the paper's window), odd ones are symmetric;
-      near the ends of the band windows are shifted inwards and no longer centred.
+    - `start`, `stop`: (freq,), first line of each window, and the one after its last. Even widths 2b reach from -b to
+      b-1 (the paper's window), odd ones are symmetric; near the ends of the band windows are shifted inwards and no
+      longer centred.
+    - `span`: lines that the windows of neighbouring lines touch together, rounded up so that windows of similar width
+      share compiled code.
     """
 
     coordinate: Float[Array, "freq"]
     start: Int[Array, "freq"]
-    width: int = eqx.field(static=True)
-
-    def __init__(self, coordinate, width: int):
-        n = len(coordinate)
-        if width > n:
-            raise input_error(
-                "width",
-                f"a window of {width} lines",
-                f"at most the {n} excited lines there are",
-                "Lower the order or the width, use more experiments, or excite more lines.",
-            )
-        self.coordinate = np.asarray(coordinate, float)
-        self.start = np.clip(np.arange(n) - width // 2, 0, n - width)
-        self.width = int(width)
+    stop: Int[Array, "freq"]
+    span: int = eqx.field(static=True)
 
     @property
-    def centred(self) -> np.ndarray:
-        """Whether each window stands around its line: (freq,)."""
+    def width(self) -> Int[Array, ""]:
+        return self.stop[0] - self.start[0]
+
+    @property
+    def centred(self) -> Bool[Array, "freq"]:
+        """Whether each window stands around its line."""
         return self.start == np.arange(len(self.start)) - self.width // 2
 
 
+def windows(coordinate, width: int) -> Windows:
+    """The windows of `width` lines around every line.
+
+    **Raises:** `jaxfrf.InputError` if there are fewer lines.
+    """
+    n = len(coordinate)
+    if width > n:
+        raise input_error(
+            "width",
+            f"a window of {width} lines",
+            f"at most the {n} excited lines there are",
+            "Lower the order or the width, use more experiments, or excite more lines.",
+        )
+    start = np.clip(np.arange(n) - width // 2, 0, n - width)
+    span = 1 if width == 1 else min(-(-(min(_TILE, n) + width) // _TILE) * _TILE, n)
+    return Windows(coordinate, start, start + int(width), span)
+
+
+def local_variable(windows: Windows, line, near) -> tuple[Float[Array, "line"], Bool[Array, "line"]]:
+    """x of the window around `line` at the lines `near`, scaled to at most 1, and which of them are inside.
+
+    The paper's r of Eq. (def_G), over its largest magnitude: that scales unknowns and leaves the response as it is."""
+    start, stop = jnp.asarray(windows.start)[line], jnp.asarray(windows.stop)[line]
+    inside = (near >= start) & (near < stop)
+    coordinate = jnp.asarray(windows.coordinate, float)
+    x = jnp.where(inside, coordinate[near] - coordinate[line], 0.0)
+    return x / jnp.maximum(jnp.max(jnp.abs(x)), 1e-300), inside
+
+
 class Columns(eqx.Module):
-    """The columns x^power * signal of a local regression."""
+    """The columns x^power * signal of a local regression; signal -1 is a column of zeros."""
 
     power: tuple[int, ...] = eqx.field(static=True)
     signal: tuple[int, ...] = eqx.field(static=True)
 
 
-def span_of(windows: Windows) -> int:
-    """Lines that the windows of one tile touch, rounded up so that windows of similar width share compiled code."""
-    n_freq = len(windows.start)
-    return min(-(-(min(_TILE, n_freq) + windows.width) // _TILE) * _TILE, n_freq)
+def products(signals: Complex[Array, "exp freq sig"]) -> Float[Array, "freq pair"]:
+    """conj(s_a) s_b of every pair a <= b of signals, summed over experiments: real parts, then imaginary parts."""
+    upper = np.triu_indices(signals.shape[-1])
+    every = jnp.einsum("efa,efb->fab", signals.conj(), signals)[:, upper[0], upper[1]]
+    return jnp.concatenate([every.real, every.imag], axis=-1)
 
 
-def gram(signals: Complex[Array, "exp freq sig"], coordinate, start, stop, span: int, columns: Columns, finish):
-    """`finish(A)` of every window, A the Gram matrix conj(column)^T column summed over experiments and lines.
+def gram(
+    x: Float[Array, "line"], inside: Bool[Array, "line"], products: Float[Array, "line pair"], columns: Columns
+) -> Complex[Array, "col col"]:
+    """K^H K of one window, K the columns at the lines inside, from the products of its signals."""
+    powers = jnp.stack([jnp.where(inside, x**p, 0.0) for p in range(2 * max(columns.power) + 1)])
+    place, sign, real = _layout(columns.power, columns.signal, products.shape[-1] // 2)
+    moments = powers @ products
+    real_part, imaginary_part = (part.reshape(-1)[place] for part in jnp.split(moments, 2, axis=-1))
+    return jax.lax.complex(real_part * real, imaginary_part * sign)
 
-    **Arguments:** `signals`; `coordinate`, `start`, `stop` (freq,): local variable and first and last line (not
-    included) of every window; `span`: from `span_of`. `finish` maps A (window, column, column) to a pytree of arrays
-    with leading axis window; it is applied tile by tile, so that only what it returns is kept.
 
-    **Returns:** what `finish` returns, leading axis freq.
+def over_windows(solve, signals: Complex[Array, "exp freq sig"], windows: Windows, columns: Columns, of=None):
+    """`solve(A)` of every window, A its Gram matrix: a pytree with leading axis freq.
+
+    One window after the other is written here; `vmap` takes it over neighbouring lines, `lax.map` over blocks of them,
+    so that only what `solve` returns is ever kept of all. `of`: the signals' `products`, where they are known already.
     """
-    n_freq = signals.shape[1]
+    n_freq, span = signals.shape[1], windows.span
+    if span == 1:
+        return jax.lax.map(solve, _gram_of_lines(signals, columns), batch_size=_BLOCK)
+    of = products(signals) if of is None else of
+
+    def one_window(line, near, products):
+        return solve(gram(*local_variable(windows, line, near), products, columns))
+
     tile = min(_TILE, n_freq)
-    first = np.arange(0, n_freq, tile)
-    source = jnp.clip(start[first], 0, n_freq - span)
-    upper = np.triu_indices(signals.shape[2])
-    place, sign = _layout(columns.power, columns.signal, signals.shape[2])
-    top_power = 2 * max(columns.power)
 
-    a, b = signals[..., upper[0]], signals[..., upper[1]]
-    products = jnp.sum(jnp.concatenate([_real_of_product(a, b), _imag_of_product(a, b)], -1), axis=0)
+    def one_tile(first):
+        source = jnp.clip(jnp.asarray(windows.start)[first], 0, n_freq - span)
+        lines = jnp.minimum(first + jnp.arange(tile), n_freq - 1)
+        near, part = source + jnp.arange(span), jax.lax.dynamic_slice_in_dim(of, source, span, 0)
+        return jax.vmap(one_window, in_axes=(0, None, None))(lines, near, part)
 
-    def one_tile(at):
-        origin, left = at
-        k = jnp.minimum(origin + jnp.arange(tile), n_freq - 1)
-        lines = left + jnp.arange(span)
-        x = coordinate[lines] - coordinate[k][:, None]
-        inside = (lines >= start[k][:, None]) & (lines < stop[k][:, None])
-        x = jnp.where(inside, x, 0.0)
-        x = x / jnp.maximum(jnp.max(jnp.abs(x), axis=1, keepdims=True), 1e-300)
-        weight = jnp.stack([jnp.where(inside, x**p, 0.0) for p in range(top_power + 1)])
-        block = jax.lax.dynamic_slice_in_dim(products, left, span, 0)
-        moments = (weight.reshape(-1, span) @ block).reshape(top_power + 1, tile, 2, -1)
-        moments = jnp.transpose(moments, (1, 2, 0, 3)).reshape(tile, 2, -1)
-        return finish(jax.lax.complex(moments[:, 0, place], moments[:, 1, place] * sign))
-
-    tiles = jax.lax.map(one_tile, (jnp.asarray(first), source))
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n_freq], tiles)
+    tiles = jax.lax.map(one_tile, jnp.arange(0, n_freq, tile))
+    return jax.tree.map(lambda y: y.reshape(-1, *y.shape[2:])[:n_freq], tiles)
 
 
-def _real_of_product(a, b):
-    return a.real * b.real + a.imag * b.imag
+def _gram_of_lines(signals, columns: Columns) -> Complex[Array, "freq col col"]:
+    """The Gram matrices of windows of one line, where x is zero."""
+    which, power = np.asarray(columns.signal), np.asarray(columns.power)
+    used = signals if np.array_equal(which, np.arange(signals.shape[-1])) else signals[..., which]
+    used = jnp.where((power == 0) & (which >= 0), used, 0)
+    return jnp.einsum("efa,efb->fab", used.conj(), used)
 
 
-def _imag_of_product(a, b):
-    return a.real * b.imag - a.imag * b.real
+def rows(signals: Complex[Array, "exp freq sig"], windows: Windows, columns: Columns, line):
+    """K of the window around `line` written out: (exp*span, col); lines outside the window are rows of zeros."""
+    near = jnp.clip(jnp.asarray(windows.start)[line], 0, signals.shape[1] - windows.span) + jnp.arange(windows.span)
+    x, inside = local_variable(windows, line, near)
+    real = np.asarray(columns.signal) >= 0
+    part = signals[:, near][..., np.maximum(columns.signal, 0)]
+    K = jnp.where(inside[:, None] & real, x[:, None] ** np.asarray(columns.power) * part, 0.0)
+    return K.reshape(-1, len(columns.power))
 
 
 @functools.lru_cache(maxsize=64)
-def _layout(power: tuple[int, ...], signal: tuple[int, ...], n_sig: int):
-    """For every entry of the Gram matrix: its place among the moments, and the sign of its imaginary part."""
+def _layout(power: tuple[int, ...], signal: tuple[int, ...], n_pair: int):
+    """For every entry of the Gram matrix: its place among the moments, the sign of its imaginary part, whether there is
+    such an entry."""
+    n_sig = round((np.sqrt(8 * n_pair + 1) - 1) / 2)
     upper = np.triu_indices(n_sig)
     pair = np.zeros((n_sig, n_sig), int)
-    pair[upper] = np.arange(len(upper[0]))
+    pair[upper] = np.arange(n_pair)
     pair = np.maximum(pair, pair.T)
-    s = np.asarray(signal)
-    p = np.asarray(power)
-    place = (p[:, None] + p[None]) * len(upper[0]) + pair[s[:, None], s[None]]
-    return place, np.sign(s[None] - s[:, None]).astype(float)
+    s, p = np.maximum(signal, 0), np.asarray(power)
+    real = np.asarray(signal) >= 0
+    both = (real[:, None] & real[None]).astype(float)
+    place = (p[:, None] + p[None]) * n_pair + pair[s[:, None], s[None]]
+    return place, np.sign(s[None] - s[:, None]) * both, both

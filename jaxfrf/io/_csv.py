@@ -10,26 +10,53 @@ from ._container import Leaf
 KIND = "a table of numbers"
 
 _COMMENTS = ("#", "%")
+_SEPARATORS = (";", "\t", ",", None)
+_LOOK = 20  # last lines that tell the separator
+_UNITS = {
+    *("", "-", "1", "s", "ms", "us", "µs", "hz", "v", "mv", "a", "ma", "n", "nm", "n m", "n*m", "m", "mm", "um", "µm"),
+    *(
+        "m/s",
+        "m/s^2",
+        "mm/s",
+        "rad",
+        "rad/s",
+        "rad/s^2",
+        "deg",
+        "°",
+        "deg/s",
+        "°/s",
+        "rpm",
+        "1/min",
+        "%",
+        "k",
+        "°c",
+        "g",
+    ),
+}
 
 
 def load(path: pathlib.Path) -> dict[str, Leaf]:
     """The columns by heading, or by number ("0" is the first) where there are no headings.
 
-    Semicolons, tabs, commas or blanks separate the columns, whichever the table uses (in this order). In a
-    table with semicolons a comma is a decimal comma. Lines that begin with `#` or `%` are comments; the last
-    one before the numbers holds the headings if it has as many fields as the table (as `numpy.savetxt` writes
-    them).
+    Semicolons, tabs, commas or (runs of) blanks separate the columns, whichever makes the lines numbers (tried in this
+    order); one may end every line. A comma between digits is a decimal comma where something else separates. Lines that
+    begin with `#` or `%` are comments. Before the numbers may stand lines of text; the last one with as many fields as
+    the table holds the headings (as `numpy.savetxt` writes them, commented or not), but for one line of units below it.
+    UTF-8 and UTF-16 are read, with or without a mark at the beginning.
     """
-    # A unit such as ° in an unknown encoding must not make the numbers unreadable.
-    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    lines = _text(path).splitlines()
     numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.startswith(_COMMENTS)]
     if not numbered:
         raise input_error(str(path), "no lines of numbers", "a table", "Export or copy it again.")
-    separator = _separator(numbered[0][1])
-    headings = None
-    if not all(_is_number(field, separator) for field in _fields(numbered[0][1], separator)):
-        headings = _fields(numbered.pop(0)[1], separator)
+    separator = _separator([line for _, line in numbered])
+    text, numbered = _preamble(numbered, separator)
+    if separator is not None and numbered and all(line.rstrip(" ").endswith(separator) for _, line in numbered):
+        numbered = [(i, line.rstrip(" ")[: -len(separator)]) for i, line in numbered]
+        text = [line.rstrip(" ").removesuffix(separator) for line in text]
     table = _numbers(path, numbered, separator)
+    headings = _headings(text, separator, table.shape[1])
+    if headings is None and text:
+        _check_headings(path, _fields(text[-1], separator), table.shape[1])
     if headings is None:
         headings = _commented_headings(lines, numbered[0][0], separator, table.shape[1])
     if headings is None:
@@ -38,19 +65,77 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
     return {name: table[:, i] for i, name in enumerate(headings)}
 
 
-def _separator(line: str) -> str | None:
-    return next((c for c in ";\t," if c in line), None)
+def _text(path: pathlib.Path) -> str:
+    """A unit such as ° in an unknown encoding must not make the numbers unreadable."""
+    data = path.read_bytes()
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", errors="replace")
+    if b"\0" in data[:200]:  # every other byte of plain text in UTF-16
+        return data.decode("utf-16-be" if data[:1] == b"\0" else "utf-16-le", errors="replace")
+    return data.decode("utf-8-sig", errors="replace")
+
+
+def _separator(lines: list[str]) -> str | None:
+    """The separator by which the last lines are numbers; by which the first could be, where none makes them so."""
+    for c in _SEPARATORS:
+        if any(c in line if c else len(line.split()) > 1 for line in lines[-_LOOK:]) and all(
+            _is_row(line, c) for line in lines[-_LOOK:]
+        ):
+            return c
+    return next((c for c in ";\t," if c in lines[0]), None)
+
+
+def _is_row(line: str, separator: str | None) -> bool:
+    fields = _fields(line, separator)
+    if separator is not None and len(fields) > 1 and not fields[-1]:
+        fields = fields[:-1]
+    return all(_is_number(field, separator) for field in fields)
+
+
+def _preamble(numbered, separator) -> tuple[list[str], list]:
+    """The lines of text before the numbers, and the numbers. A line of text holds no number at all, or other fields in
+    number than the table beside some text: what is left of a row is no text."""
+    width = len(_fields(numbered[-1][1], separator))
+
+    def begins(line: str) -> bool:
+        fields = _fields(line, separator)
+        if len(fields) > 1 and not fields[-1]:
+            fields = fields[:-1]
+        numbers = [_is_number(field, separator) for field in fields]
+        return all(numbers) or (any(numbers) and len(_fields(line, separator)) == width)
+
+    first = next((i for i, (_, line) in enumerate(numbered) if begins(line)), len(numbered))
+    return [line for _, line in numbered[:first]], numbered[first:]
+
+
+def _headings(text: list[str], separator: str | None, width: int) -> list[str] | None:
+    """The last line of text with as many fields as the table; the one before it where that is a line of units."""
+    fitting = [fields for fields in (_fields(line, separator) for line in text) if len(fields) == width]
+    if not fitting or len(_fields(text[-1], separator)) != width:
+        return fitting[-1] if fitting else None
+    if len(fitting) > 1 and _are_units(fitting[-1]):
+        return fitting[-2]
+    return fitting[-1]
+
+
+def _are_units(fields: list[str]) -> bool:
+    """`[s]`, `(N m)`, `rad/s`, `-`, or nothing: short, and in brackets or of the usual letters."""
+    plain = [field.strip("[]() ") for field in fields]
+    bracketed = any(field[:1] in "[(" for field in fields if field)
+    return all(len(x) < 12 for x in plain) and (bracketed or all(x.lower() in _UNITS for x in plain))
 
 
 def _fields(line: str, separator: str | None) -> list[str]:
-    return [field.strip().strip("\"'") for field in line.strip().split(separator)]
+    return [field.strip().strip("\"'") for field in line.strip(" \r\n").split(separator)]
 
 
 def _plain(field: str, separator: str | None) -> str:
-    return field.replace(",", ".") if separator == ";" else field
+    return field if separator == "," else field.replace(",", ".")
 
 
 def _is_number(field: str, separator: str | None) -> bool:
+    if "_" in field:  # Python's, of nobody else
+        return False
     try:
         float(_plain(field, separator))
     except ValueError:
@@ -62,7 +147,7 @@ def _numbers(path: pathlib.Path, numbered: list[tuple[int, str]], separator: str
     if not numbered:
         raise input_error(str(path), "headings without numbers", "a table", "Export or copy it again.")
     try:
-        rows = (_plain(line, separator) for _, line in numbered)
+        rows = (_plain(line.strip(), separator) for _, line in numbered)
         return np.loadtxt(rows, delimiter=separator, ndmin=2, comments=None, dtype=np.float64)
     except ValueError as error:
         raise _first_fault(path, numbered, separator) from error
@@ -95,7 +180,8 @@ def _commented_headings(lines: list[str], first: int, separator: str | None, wid
     before = [line for line in lines[: first - 1] if line.strip()]
     if not before:
         return None
-    fields = _fields(before[-1].lstrip("#%"), separator)
+    text = before[-1].lstrip("#%")
+    fields = next((f for f in (_fields(text, separator), text.split()) if len(f) == width), [])
     named = len(fields) == width and not any(_is_number(field, separator) for field in fields)
     return fields if named else None
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from .._errors import InputError, input_error
 from ..experiment import QUANTITIES, UNITS, Experiment, Source, concatenate
-from ..screening import screen
+from ..screening import ACROSS, CHECKS, screened
 from ._container import Leaf, Variable, load, save
 from ._matlab import NAMELESS
 from ._select import column, missing, select, time_like
@@ -29,6 +29,7 @@ def read(
     names: Mapping[str, str] | None = None,
     values: Mapping[str, object] | None = None,
     scale: Mapping[str, float | tuple[float, ...]] | None = None,
+    anyway: bool = False,
 ) -> Experiment:
     """Read experiment files; several are one data set (see `jaxfrf.concatenate`).
 
@@ -42,6 +43,7 @@ def read(
     - `values`: what the files do not say or say wrongly, `{"fs": 2500, "period": 2500, "samples": slice(0,
       18720)}` (see `parse_values`). `samples` is the part of the record to keep.
     - `scale`: factors that make the units SI, `{"y": np.pi / 180}`, one for all or one for each channel.
+    - `anyway`: read records, too, that `jaxfrf.examine` would have refused (a period that they contradict).
 
     What looks suspicious but can be used stands in `Experiment.warnings` (see `jaxfrf.screen`). A record of
     more than half the memory should be split into one file for each operating point, read and transformed one
@@ -52,8 +54,9 @@ def read(
     """
     if not paths:
         raise input_error("files", "none", "at least one measurement file", "Name a file.")
-    given = _Given(check_names(names), check_values(values), check_scale(scale))
-    return concatenate([_read_one(pathlib.Path(path), given) for path in paths])
+    given = _Given(check_names(names), check_values(values), check_scale(scale), anyway)
+    data = concatenate([_read_one(pathlib.Path(path), given) for path in paths])
+    return screened(data, checks=ACROSS, anyway=anyway) if data.n_exp * data.n_pos > 1 else data
 
 
 def write(path: str | os.PathLike, data: Experiment) -> None:
@@ -93,6 +96,7 @@ class _Given:
     names: Mapping[str, str]
     values: Mapping[str, object]
     scale: Mapping[str, float | tuple[float, ...]]
+    anyway: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,7 +145,9 @@ def _read_one(path: pathlib.Path, given: _Given) -> Experiment:
             sources=(source,),
         )
     del signals, file  # the arrays live on in `data` alone
-    warnings = tuple(f"{path}: {text}" for text in (*remarks, *screen(data)))
+    with _naming(_File(path, {}, given)):
+        data = screened(data, checks=CHECKS, anyway=given.anyway)
+    warnings = tuple(f"{path}: {text}" for text in (*remarks, *data.warnings))
     return dataclasses.replace(data, warnings=warnings) if warnings else data
 
 
@@ -354,7 +360,7 @@ def _naming(file: _File) -> Iterator[None]:
     except InputError as error:
         what, colon, rest = str(error).partition(": ")
         what = re.sub(r"\w+", lambda word: file.label(word[0]), what)
-        if "a whole number of periods" in rest:
+        if "a whole number of periods" in rest and "Cut the record" in rest:
             rest += _cut_advice(file)
         raise InputError(f"{file.path}: {what}{colon}{rest}") from error
 

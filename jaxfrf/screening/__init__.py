@@ -1,0 +1,10 @@
+"""What is wrong with a record, or suspicious: where it is, how much, how sure, and what it does to the FRF."""
+
+from .finding import Finding as Finding, Severity as Severity
+from .screen import (
+    ACROSS as ACROSS,
+    CHECKS as CHECKS,
+    examine as examine,
+    screen as screen,
+    screened as screened,
+)

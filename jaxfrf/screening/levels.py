@@ -1,0 +1,299 @@
+"""What the values of one channel show without any model: clipping, quantisation, stretches held, wrap-around."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from .finding import Finding, Severity
+from .record import Channel, Record
+
+# Clipping piles samples up at one extreme value. Where nothing is clipped, the extreme value itself is met at
+# most about 2.4 times as often as the 0.5 % of the range below it (a quantised sine at its crest); a
+# Gaussian-like signal clipped at two standard deviations, 20 times.
+_CLIPPED_RATIO = 6.0
+_CLIPPED_SAMPLES = 8  # fewer equal samples are chance, and too few to matter
+_CLIPPED_BAND = 0.005
+_MANY_LINES = 20
+_HEAP = 3.2  # a sine has 2.4
+_HEAP_FLOOR = 0.004  # of the samples: tails hold too few to compare
+_HEAP_SHARE = 0.01
+_HEAP_BESIDE, _HEAP_OF_REFERENCE = 2.5, 1.3  # where the reference has so little; multisines have less than 1
+_TWO_LEVELS = 0.9  # a signal with this share of samples at its extremes is a designed two-level signal
+_CORNER = 0.25  # median step before a clipped stretch, in usual steps: what comes to rest there has none
+
+# A step of half the standard deviation leaves a handful of levels: quantisation noise is then no longer
+# white, and its level (step/sqrt(12), 17 dB below the signal) limits the FRF.
+_COARSE_STEP = 0.5
+_COARSE_SNR_DB = 20.0  # of quantisation at the excited lines: the FRF is off by a tenth there
+
+_COARSE_FINE_DB = 50.0  # the same where its error repeats with the period: in no interval, but then below .3 %
+_LOOK = 20_000  # samples are enough
+_COARSE_NOISE = 0.2  # power of quantisation over that of the noise, where it repeats and is in no interval
+
+_HELD = 4  # equal samples in a row
+_HELD_JUMP = 6.0  # usual steps, that a held channel jumps by when it is let go
+_HELD_RARE = 1e-3  # of the samples equal to the one before, of a signal that has no levels
+_HELD_STEPS = 4.0  # quanta that it jumps by: a coarse sensor at rest jumps by one
+_HELD_OFTEN = 8  # stretches: more of them are how the signal is (stiction, a slow sensor)
+_SLOW_UPDATE = 0.45  # share of samples equal to the one before, of a signal that is sampled faster than it is updated
+
+_WRAP_RANGE = 0.5  # of the range, that a wrapped signal jumps by in one sample ...
+_WRAP_NEAR = 0.25  # ... from this near one end to this near the other, ...
+_WRAP_USUAL = 2.0  # ... by more than this many times 99 % of the other steps ...
+_WRAP_MIDDLE = 0.2  # ... though this part of its samples stands in the middle half, as that of a square wave does not
+
+
+def clipped(record: Record) -> Iterator[Finding]:
+    """Samples piled up at an extreme value which the signal runs into."""
+    for c in record.channels():
+        low, high = c.x.min(), c.x.max()
+        bottom, top = c.x == low, c.x == high
+        if np.count_nonzero(bottom) + np.count_nonzero(top) > _TWO_LEVELS * len(c.x):
+            continue
+        share, level, side = max((_piled_up(c.x, top), high, 1), (_piled_up(-c.x, bottom), low, 0))
+        if share and (c.signal == "u" or _runs_into(c.x, top if side else bottom)):
+            yield c.finding(
+                "clipped",
+                Severity.TOLD if c.signal == "r" else Severity.WARNED,
+                share,
+                f"looks clipped: {share:.2g} of the samples stand at exactly {level:g}. "
+                "Lower the excitation, or expect a biased FRF.",
+            )
+
+
+def saturated(record: Record) -> Iterator[Finding]:
+    """A heap of samples near one end of the range, where a limit was met before noise was added.
+
+    Only with 20 excited lines or more, whose sum is nearly Gaussian, and where the reference has no such heap (a motion
+    that rests at its ends, or runs at its highest speed).
+    """
+    if len(record.lines) < _MANY_LINES:
+        return
+    heaps = [_heap(c.x[c.first :])[0] for c in record.channels() if c.signal == "r"]
+    if heaps and max(heaps) > _HEAP_OF_REFERENCE:
+        return
+    least = _HEAP_BESIDE if heaps else _HEAP
+    for c in record.channels():
+        ratio, share = _heap(c.x[c.first :])
+        if (
+            c.signal != "r"
+            and ratio > least
+            and share > _HEAP_SHARE
+            and len(np.unique(c.x[: 10 * _MANY_LINES])) > _MANY_LINES
+        ):
+            yield c.finding(
+                "saturated",
+                Severity.WARNED,
+                share,
+                f"looks limited: {100 * share:.2g} % of its samples crowd within 3 % of the range near one end, "
+                f"{ratio:.2g} times as many as beside them. A sensor or a drive at its limit biases the FRF: lower the "
+                "excitation.",
+            )
+
+
+def _heap(x: np.ndarray) -> tuple[float, float]:
+    """Samples in the fullest three of the five outermost hundredths of the range over those in the next three."""
+    count = np.histogram(x, 100)[0].astype(float)
+    best = (0.0, 0.0)
+    for side in (count, count[::-1]):
+        heaps = [(side[j : j + 3].sum(), side[j + 3 : j + 6].sum()) for j in range(4)]
+        top, beside = max(heaps, key=lambda h: h[0] / (h[1] + 1 + _HEAP_FLOOR * len(x)))
+        best = max(best, (top / (beside + 1 + _HEAP_FLOOR * len(x)), top / len(x)))
+    return best
+
+
+def _piled_up(x: np.ndarray, top: np.ndarray) -> float:
+    """Share of samples at the maximum of x; 0 if it is no more than a smooth signal would have there."""
+    count = np.count_nonzero(top)
+    if count < _CLIPPED_SAMPLES or count == len(x):
+        return 0.0
+    high, next_level = x[top][0], x[~top].max()
+    below = np.count_nonzero((x >= min(next_level, high - _CLIPPED_BAND * np.ptp(x))) & ~top)
+    return count / len(x) if count > _CLIPPED_RATIO * below else 0.0
+
+
+def _runs_into(x: np.ndarray, flat: np.ndarray) -> bool:
+    """Whether x is still moving where it reaches its extreme, as a signal that comes to rest there is not."""
+    steps = np.abs(np.diff(x))
+    entries = np.flatnonzero(flat[2:] & ~flat[1:-1]) + 1  # the step before the one that ends at the extreme
+    usual = np.median(steps[steps > 0])
+    return entries.size > 1 and bool(np.median(steps[entries - 1]) > _CORNER * usual)
+
+
+def coarse(record: Record) -> Iterator[Finding]:
+    """Steps of a quantiser that are large beside the signal, or beside its part at the excited lines."""
+    for c in record.channels():
+        if c.signal == "r":
+            continue
+        step = _quantum(c.x)
+        two_levels = step >= np.ptp(c.x) * (1 - 1e-9)
+        if step > _COARSE_STEP * c.x.std() and not two_levels:
+            yield c.finding(
+                "coarse",
+                Severity.WARNED,
+                step / c.x.std(),
+                f"is coarsely quantised: it moves in steps of {step:.3g}, {step / c.x.std():.2g} of its "
+                "standard deviation. Excite more strongly, or log with a finer resolution.",
+            )
+        elif c.n_periods and record.lines.size and not two_levels:
+            X = record.spectra[c.signal][c.pos, c.exp, ..., c.channel]
+            own = step**2 / 12 / c.period  # power of the quantiser at a line
+            snr = 10 * np.log10(max(np.median(np.abs(X.mean(axis=0)) ** 2), 1e-300) / own)
+            if step > 1e-6 * c.x.std() and (
+                snr < _COARSE_SNR_DB or (snr < _COARSE_FINE_DB and _repeats(c, X, step, own))
+            ):
+                yield c.finding(
+                    "coarse",
+                    Severity.TOLD,
+                    10 ** (-snr / 20),
+                    f"is coarsely quantised: its steps of {step:.3g} stand {snr:.0f} dB below the excitation at the "
+                    f"median line and repeat with the period. The FRF may be off by {100 * 10 ** (-snr / 20):.2g} %; "
+                    "excite more strongly, or log with a finer resolution.",
+                    effect=10 ** (-snr / 20),
+                )
+
+
+def _repeats(c: Channel, X: np.ndarray, step: float, own: float) -> bool:
+    """Whether the error of the quantiser repeats with the period, for want of noise, and is not small beside the
+    scatter between periods."""
+    steps = np.abs(np.diff(c.x[c.first : c.first + _LOOK])) / step
+    whole = bool(np.mean(np.abs(steps - np.round(steps))) < 0.05)  # 1/4 where the smallest step is none of a quantiser
+    if c.n_periods < 2 or not whole:
+        return False
+    noise = np.diff(c.steady[:2], axis=0).std() / np.sqrt(2)
+    return bool(noise < 0.5 * step and own > _COARSE_NOISE * np.median(X.var(axis=0, ddof=1)) / c.n_periods)
+
+
+def _quantum(x: np.ndarray) -> float:
+    steps = np.abs(np.diff(x))
+    return steps[steps > 1e-12 * np.ptp(x)].min(initial=np.inf)  # rounding of a scale factor makes no level
+
+
+def held(record: Record) -> Iterator[Finding]:
+    """A stretch at one value (or zero) that the signal jumps out of, and a signal that is updated too rarely."""
+    for c in record.channels():
+        still = np.diff(c.x) == 0
+        if c.signal == "y" and still.mean() > _SLOW_UPDATE and (every := _updated_every(still)):
+            yield c.finding(
+                "slow update",
+                Severity.WARNED,
+                every,
+                f"changes only every {every} samples: what is logged is held in between, which delays it by "
+                f"{(every - 1) / 2:g} samples in the mean and turns the phase of the FRF. Log at its own rate, or "
+                "correct for the delay.",
+            )
+            continue
+        yield from _held_stretch(c, still)
+
+
+def _updated_every(still: np.ndarray) -> int:
+    changes = np.diff(np.flatnonzero(~still))
+    every = int(np.median(changes)) if changes.size > 20 else 0
+    return every if every > 1 and np.mean(changes % every == 0) > 0.95 else 0
+
+
+def _held_stretch(c: Channel, still: np.ndarray) -> Iterator[Finding]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    first, last = edges[::2], edges[1::2]  # x[first] ... x[last] are equal
+    long = last - first + 1 >= _HELD
+    if not long.any():
+        return
+    first, last = first[long], last[long]
+    steps = np.abs(np.diff(c.x))
+    moving = steps[steps > 0]
+    usual = np.median(moving)
+    into = np.where(first > 0, steps[first - 1], 0.0)
+    out = np.where(last < len(steps), steps[np.minimum(last, len(steps) - 1)], 0.0)
+    least = max(_HELD_JUMP * usual, _HELD_STEPS * moving.min())
+    rare = c.period > 0 and still.sum() - np.sum(last - first) < _HELD_RARE * len(
+        still
+    )  # else a signal that never stands still
+    jumps = (
+        ((np.maximum(into, out) > least) | (rare & (last - first + 1 >= 2 * _HELD)))
+        & (c.x[first] != c.x.max())
+        & (c.x[first] != c.x.min())
+    )
+    if not c.period:  # at rest before the start and after the end
+        jumps &= (first > 0) & (last < len(steps))
+    if not jumps.any() or jumps.sum() > _HELD_OFTEN:
+        return
+    first, last = first[jumps], last[jumps]
+    worst = int(np.argmax(last - first))
+    a, b = int(first[worst]), int(last[worst]) + 1
+    value = c.x[a]
+    what = "stands at exactly 0" if value == 0 else f"is held at {value:.6g}"
+    yield c.finding(
+        "held",
+        Severity.WARNED,
+        (b - a) / len(c.x),
+        f"{what} from sample {a} to {b - 1} and jumps by {max(into[jumps][worst], out[jumps][worst]) / usual:.2g} of "
+        "its usual steps there: was the logger or the link down? The FRF may be off by about "
+        f"{100 * np.sqrt((b - a) / len(c.x)):.2g} %; leave that part out ({_leave_out(c, a, b)}).",
+        effect=float(np.sqrt((b - a) / len(c.x))),
+        samples=(a, b),
+    )
+
+
+def _leave_out(c: Channel, start: int, stop: int) -> str:
+    """The option that keeps the longest part of a record without samples start ... stop - 1."""
+    if c.n_periods > 1:
+        first, last = (start - c.first) // c.period, (stop - 1 - c.first) // c.period
+        if first >= c.n_periods - 1 - last and first > 0:
+            return f"--periods 0:{first}"
+        if last + 1 < c.n_periods:
+            return f"--periods {max(last + 1, 0)}:{c.n_periods}"
+    if c.period:
+        return "record again"
+    return f"--set samples=0:{start}" if start > len(c.x) - stop else f"--set samples={stop}:{len(c.x)}"
+
+
+def wrapped(record: Record) -> Iterator[Finding]:
+    """Jumps from near one end of the range to near the other, in one sample: a counter that overflows."""
+    for c in record.channels():
+        steps = np.diff(c.x)
+        size = np.abs(steps)
+        jumps = np.flatnonzero(size > _WRAP_RANGE * np.ptp(c.x))
+        jumps = jumps[(jumps > 1) & (jumps < len(steps) - 2)]
+        if c.signal == "r" or not jumps.size or jumps.size > 0.05 * len(steps):
+            continue
+        low, high = c.x.min(), c.x.max()
+        near = _WRAP_NEAR * (high - low)
+        before, after = c.x[jumps], c.x[jumps + 1]
+        across = ((before > high - near) & (after < low + near)) | ((before < low + near) & (after > high - near))
+        middle = np.mean(np.abs(c.x - (high + low) / 2) < (high - low) / 4)
+        turn = np.median(size[jumps])
+        usual = np.quantile(size, 0.99 - min(jumps.size / len(steps), 0.05))
+        if across.mean() > 0.8 and middle > _WRAP_MIDDLE and size[jumps].min() > _WRAP_USUAL * usual:
+            yield c.finding(
+                "wrapped",
+                Severity.REFUSED,
+                float(turn),
+                f"jumps {jumps.size} times by {turn:.6g} from one end of its range to the other, first at sample "
+                f"{int(jumps[0]) + 1}, and goes on as before: a counter that overflowed. Unwrap it before it is used "
+                f"(numpy.unwrap(x, period={turn:.6g})).",
+                samples=(int(jumps[0]), int(jumps[-1]) + 2),
+            )
+
+
+def dead(record: Record) -> Iterator[Finding]:
+    """Channels that stand still. Inputs and references may rest in single experiments (one axis a time)."""
+    still = {name: np.ptp(x, axis=2) == 0 for name, x in record.signals()}  # (pos, exp, channel)
+    inputs_move = ~still["u"].any(axis=-1, keepdims=True)
+    for name, flags in still.items():
+        everywhere = flags.all(axis=1, keepdims=True)
+        found = everywhere | (flags & inputs_move) if name == "y" else np.broadcast_to(everywhere, flags.shape)
+        for channel in np.flatnonzero(found.any(axis=(0, 1))):
+            places = found[..., channel]
+            pos, exp = (int(i) for i in np.argwhere(places)[0])
+            value = getattr(record.data, name)[pos, exp, 0, channel]
+            yield Finding(
+                "dead",
+                Severity.WARNED,
+                float(places.sum()),
+                f"{name}: channel {channel} is constant ({value:g}) in {places.sum()} of {places.size} "
+                f"experiments, first at position {pos}, experiment {exp}: is the sensor or drive dead?",
+                signal=name,
+                channel=int(channel),
+                pos=pos,
+                exp=exp,
+            )

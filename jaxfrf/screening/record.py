@@ -1,0 +1,95 @@
+"""A record as the checks look at it: channel by channel, in periods, and at the excited lines."""
+
+import dataclasses
+import functools
+from collections.abc import Iterator
+
+import numpy as np
+import scipy.fft
+
+from .._errors import InputError
+from ..experiment import Experiment
+from ..periodic import FoundLines
+from ..spectra import found_lines
+from .finding import Finding, Severity
+
+
+@dataclasses.dataclass(frozen=True)
+class Channel:
+    """One channel of one signal in one experiment, and where it is."""
+
+    signal: str
+    channel: int
+    pos: int
+    exp: int
+    x: np.ndarray  # (time,), with the transient periods
+    period: int
+    first: int  # of the steady samples
+
+    @property
+    def at(self) -> str:
+        return f"{self.signal}: channel {self.channel} (position {self.pos}, experiment {self.exp})"
+
+    @functools.cached_property
+    def steady(self) -> np.ndarray:
+        """The steady periods (period, time), not copied; the record without a period is one."""
+        return self.x[self.first :].reshape(-1, self.period or len(self.x))
+
+    @property
+    def n_periods(self) -> int:
+        return len(self.steady) if self.period else 0
+
+    def finding(self, kind: str, severity: Severity, size: float, says: str, **more) -> Finding:
+        where = {"signal": self.signal, "channel": self.channel, "pos": self.pos, "exp": self.exp}
+        return Finding(kind, severity, size, f"{self.at} {says}", **where, **more)
+
+
+class Record:
+    """An experiment, and what several checks need of it, computed once."""
+
+    def __init__(self, data: Experiment):
+        self.data = data
+
+    def signals(self) -> Iterator[tuple[str, np.ndarray]]:
+        for name in ("u", "y", "r"):
+            x = getattr(self.data, name)
+            if x is not None:
+                yield name, np.asarray(x)
+
+    def channels(self) -> Iterator[Channel]:
+        """The channels that move."""
+        data = self.data
+        first = data.transient_periods * data.period
+        for name, x in self.signals():
+            for pos, exp in np.ndindex(data.n_pos, data.n_exp):
+                for channel, one in enumerate(np.ascontiguousarray(x[pos, exp].T)):
+                    if np.ptp(one) > 0:
+                        yield Channel(name, channel, pos, exp, one, data.period, first)
+
+    @functools.cached_property
+    def found_lines(self) -> FoundLines | None:
+        """What the spectrum shows; `None` without a period, or where nothing is excited."""
+        try:
+            return found_lines(self.data) if self.data.period else None
+        except InputError:  # the estimators will say so, with the method at hand
+            return None
+
+    @functools.cached_property
+    def lines(self) -> np.ndarray:
+        """The excited lines, given or found; none without a period."""
+        if self.data.lines is not None and self.data.period:
+            return np.asarray(self.data.lines)
+        return np.zeros(0, int) if self.found_lines is None else self.found_lines.lines
+
+    @functools.cached_property
+    def spectra(self) -> dict[str, np.ndarray]:
+        """Fourier coefficients of every steady period at the excited lines: (pos, exp, period, freq, channel)."""
+        data, found = self.data, {}
+        for name, x in self.signals():
+            shape = (data.n_pos, data.n_exp, data.n_periods, len(self.lines), x.shape[-1])
+            found[name] = np.empty(shape, complex)
+            for pos, exp in np.ndindex(shape[:2]):
+                steady = x[pos, exp, data.transient_periods * data.period :]
+                steady = steady.reshape(data.n_periods, data.period, -1)
+                found[name][pos, exp] = scipy.fft.rfft(steady, axis=1, workers=-1)[:, self.lines] / data.period
+        return found

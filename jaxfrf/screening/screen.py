@@ -1,0 +1,132 @@
+"""All checks, and what becomes of what they find."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+from .._errors import InputError
+from ..experiment import Experiment
+from .belongs import foreign, twice
+from .finding import Finding, Severity
+from .gain import gain_drift
+from .glitch import glitch
+from .levels import clipped, coarse, dead, held, saturated, wrapped
+from .period import contradicted, quiet_lines
+from .record import Record
+from .samples import disturbed, lost, spikes
+from .steadiness import drift, noise, odd_period
+from .timing import jitter, noncausal
+
+Check = Callable[[Record], Iterator[Finding]]
+
+# A check is one function and one line here. What an earlier one explains is not told once more by a later one.
+CHECKS: tuple[Check, ...] = (
+    contradicted,
+    dead,
+    wrapped,
+    held,
+    lost,
+    clipped,
+    saturated,
+    coarse,
+    glitch,
+    odd_period,
+    disturbed,
+    spikes,
+    drift,
+    gain_drift,
+    jitter,
+    noise,
+    quiet_lines,
+    noncausal,
+)
+ACROSS: tuple[Check, ...] = (twice, foreign)
+"""Checks that compare experiments, which may come from several files."""
+
+_ANY_CHANNEL = {"foreign", "noncausal"}  # of which another channel may be the cause
+
+# Kinds that a fault of the first kind brings along in the same channel.
+_EXPLAINS = {
+    "lost": {"spikes", "odd period", "unsteady", "disturbed", "gain", "jitter", "noise", "noncausal", "foreign"},
+    "held": {"spikes", "odd period", "unsteady", "disturbed", "gain", "jitter", "glitch", "clipped", "foreign"},
+    "wrapped": {
+        "spikes",
+        "odd period",
+        "unsteady",
+        "disturbed",
+        "gain",
+        "jitter",
+        "glitch",
+        "lost",
+        "foreign",
+        "noncausal",
+    },
+    "odd period": {"spikes", "disturbed", "gain", "jitter"},
+    "unsteady": {"spikes", "disturbed", "gain", "jitter"},
+    "disturbed": {"spikes", "gain", "jitter"},
+    "slow update": {"coarse", "jitter"},
+    "coarse": {"jitter", "foreign"},
+    "clipped": {"saturated", "noncausal", "jitter", "foreign"},
+    "saturated": {"noncausal", "jitter", "foreign"},
+    "dead": {"foreign", "noise", "noncausal"},
+}
+
+
+def examine(data: Experiment, checks: tuple[Check, ...] = CHECKS + ACROSS) -> tuple[Finding, ...]:
+    """Everything that the checks find, each in its place.
+
+    Two steady periods are enough for most of it; with one, or none, only the values and habits of the single channels
+    and the experiments beside each other are looked at. Nonlinear distortion repeats with the period and is no fault.
+    What no record shows: a sign, a gain, a delay of some samples or an exchange of channels that is the same in all
+    experiments.
+    """
+    record, found = Record(data), []
+    for check in checks:
+        found += check(record)
+        if any(f.severity is Severity.REFUSED and f.kind == "period" for f in found):
+            break  # what comes after would be about the wrong period
+    return tuple(f for f in found if not any(_explained(f, by) for by in found))
+
+
+def _explained(finding: Finding, by: Finding) -> bool:
+    if finding.kind not in _EXPLAINS.get(by.kind, ()):
+        return False
+    same = finding.pos == by.pos and (finding.exp is None or finding.exp == by.exp)
+    return same and (finding.kind in _ANY_CHANNEL or (finding.signal, finding.channel) == (by.signal, by.channel))
+
+
+def screen(data: Experiment) -> tuple[str, ...]:
+    """What looks wrong in a record: one sentence a kind, with the worst place; `jaxfrf.examine` gives every finding.
+
+    Looks at periods and lines that the signals contradict; at clipped, limited, coarsely quantised, held, wrapped and
+    dead channels; at samples lost or doubled, odd or disturbed periods, drifting means and gains, jitter and low
+    signal-to-noise ratios between periods; at outputs that lead their inputs; at experiments that do not belong to the
+    others or are given twice.
+    """
+    return sentences(examine(data))
+
+
+def sentences(findings) -> tuple[str, ...]:
+    kinds: dict[str, list[Finding]] = {}
+    for finding in findings:
+        kinds.setdefault(finding.kind, []).append(finding)
+    told = []
+    for same in kinds.values():
+        worst = max(same, key=lambda finding: (finding.severity is Severity.WARNED, finding.size))
+        more = f" This is the worst of {len(same)} such places." if len(same) > 1 else ""
+        told.append(worst.says + more)
+    return tuple(told)
+
+
+def screened(data: Experiment, *, checks: tuple[Check, ...] = CHECKS + ACROSS, anyway: bool = False) -> Experiment:
+    """The record with what was found among its `warnings`.
+
+    **Arguments:** `anyway`: what would be refused is a warning, too.
+
+    **Raises:** `jaxfrf.InputError` for a finding that makes the record useless, unless `anyway`.
+    """
+    findings = examine(data, checks)
+    refused = [f for f in findings if f.severity is Severity.REFUSED]
+    if refused and not anyway:
+        raise InputError(" ".join(sentences(refused)))
+    warnings = tuple(dict.fromkeys((*data.warnings, *sentences(findings))))
+    return dataclasses.replace(data, warnings=warnings)

@@ -1,0 +1,154 @@
+"""The estimators as pure functions: derivatives, composition, doubtful windows, covariances as factors."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import plants
+import pytest
+import scipy.linalg
+
+import jaxfrf as jf
+from jaxfrf.frf import KroneckerSum, OuterSum, Signals
+
+LINES = np.arange(41, 41 + 2 * 24, 2)
+
+
+def records(n=2, n_real=2, n_pos=2, noise=0.02):
+    return plants.steady_spectra(
+        plants.two_mass_loop(n), LINES, 1000, n_real, n_pos=n_pos, process_noise=noise, measurement_noise=0.003
+    )
+
+
+def response(method, data):
+    """G (freq, out, in) of one operating point as a function of its signals."""
+    return lambda U, Y, R: method.at_point(Signals(U, Y, R, None, data.frequency)).G
+
+
+def row_wise(U, Y, R, width, order=2):
+    """Joint input-output matrix fractions of one position, window by window, by SciPy's QR with pivoting: G."""
+    n_exp, n_freq, n = U.shape
+    G = np.empty((n_freq, n, n), complex)
+    for k in range(n_freq):
+        start = min(max(k - width // 2, 0), n_freq - width)
+        x = np.repeat(np.arange(start, start + width)[None] - k, n_exp, axis=0).ravel()[:, None] / width
+        r, y, u = (X[:, start : start + width].reshape(-1, n) for X in (R, Y, U))
+        of = []
+        for z in (y, u):
+            K = np.hstack([x**s * r for s in range(order + 1)] + [-(x**s) * z for s in range(1, order + 1)])
+            size = np.linalg.norm(K, axis=0)
+            q, upper, order_of = scipy.linalg.qr(K / size, mode="economic", pivoting=True)
+            theta = np.empty((K.shape[1], n), complex)
+            theta[order_of] = scipy.linalg.solve_triangular(upper, q.conj().T @ z)
+            of.append((theta / size[:, None])[:n].T)
+        G[k] = of[0] @ np.linalg.inv(of[1])
+    return G
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        jf.JointInputOutput(jf.LRM(width=12)),
+        jf.MisoLRM(width=10),
+        jf.LogMean(),
+        jf.LogMean(jf.JointInputOutput(jf.LPM(width=10))),
+    ],
+    ids=["jio-lrm", "miso", "log", "log-jio-lpm"],
+)
+def test_derivative_of_the_response(method):
+    """d G / d(U, Y, R) along a random direction: forwards against central differences, backwards against forwards."""
+    data, rng = records(), np.random.default_rng(0)
+    at = tuple(jnp.asarray(X[0]) for X in (data.U, data.Y, data.R))
+    along = tuple(jnp.asarray(plants.circular(rng, x.shape)) * jnp.std(x) for x in at)
+    f = jax.jit(response(method, data))
+    G, slope = jax.jvp(f, at, along)
+    h = 1e-6
+    ends = [f(*(x + sign * h * d for x, d in zip(at, along, strict=True))) for sign in (1, -1)]
+    difference = (ends[0] - ends[1]) / (2 * h)
+    assert np.linalg.norm(slope - difference) < 1e-6 * np.linalg.norm(difference)
+
+    weight = jnp.asarray(rng.standard_normal(G.shape))
+    gradient = jax.grad(lambda *x: jnp.sum(weight * jnp.abs(f(*x)) ** 2), argnums=(0, 1, 2))(*at)
+    backwards = sum(jnp.sum(g * d).real for g, d in zip(gradient, along, strict=True))
+    np.testing.assert_allclose(backwards, jnp.sum(2 * weight * (G.conj() * slope).real), rtol=1e-8)
+
+
+def test_composed_in_a_program_of_the_users():
+    """`vmap` over operating points inside `jit` is what `estimate` returns."""
+    data = records()
+    method = jf.JointInputOutput(jf.LRM(width=12))
+    G = jax.jit(jax.vmap(response(method, data)))(data.U, data.Y, data.R)
+    expected = jf.estimate(data.spectra(), method).G
+    assert np.linalg.norm(G - expected) < 1e-11 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("n_exp, width", [(1, 36), (6, 12)])
+def test_six_axes_at_their_resonances_against_qr_of_the_rows(n_exp, width):
+    """R3X between its first antiresonance and resonance, in a velocity loop with noise."""
+    robot, rng = jf.robot.r3x(), np.random.default_rng(1)
+    lines = np.arange(200, 500, 6)
+    f = lines / 28
+    q = np.array([[0.0, 0.3, -0.4, 0.5, 0.8, 0.2]])
+    G = np.asarray(jf.robot.frf(jf.robot.linearise(robot, jf.robot.operating_point(robot, q)), f))[0]
+    gain = 1 / np.median(np.abs(np.diagonal(G, axis1=1, axis2=2)), axis=0)
+    C = np.eye(6) * gain
+    to_u = np.linalg.solve(np.eye(6) + C @ G, C)
+    R = plants.orthogonal_multisine(rng, 1, len(lines), 6)[:n_exp]
+    size = np.abs(np.einsum("fab,efb->efa", G @ to_u, R)).mean()
+    V = 0.02 * size * plants.circular(rng, R.shape)
+    U = np.einsum("fab,efb->efa", to_u, R - V)
+    Y = np.einsum("fab,efb->efa", G, U) + V
+    found = jf.estimate(plants.spectra(U, Y, R, lines, 2000.0, 56000), jf.JointInputOutput(jf.LRM(width=width)))
+    expected = row_wise(U, Y, R, width)
+    error = np.linalg.norm(found.G[0] - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))
+    assert error.max() < 1e-8
+
+
+def test_doubtful_windows_are_solved_again_from_their_rows():
+    """A reference that nearly repeats itself over half of the band: the Gram matrix is not accurate there."""
+    data = records(noise=0.01)
+    R = data.R.copy()
+    R[:, :, :12, 1] = R[:, :, :12, 0] * (1 + 1e-5 * np.arange(12)) + 1e-6 * R[:, :, :12, 1]
+    method = jf.JointInputOutput(jf.LPM(width=8, order=1))
+    spectra = dataclasses.replace(data.spectra(), R=R)
+    found = jf.estimate(spectra, method)
+    again = (found.status & jf.Status.REFINED) > 0
+    fast = method.at_point(Signals(data.U[0], data.Y[0], R[0], None, data.frequency))
+    np.testing.assert_array_equal(again[0], fast.doubtful)
+    assert again.any() and not again.all() and not np.any(found.status & jf.Status.RANK_DEFICIENT)
+    for pos in range(2):
+        for k in np.flatnonzero(again[pos]):
+            start = min(max(k - 4, 0), len(LINES) - 8)
+            x = np.tile(np.arange(start, start + 8) - k, data.U.shape[1])[:, None] / 8
+            r, y, u = (X[pos][:, start : start + 8].reshape(-1, 2) for X in (R, data.Y, data.U))
+            theta = scipy.linalg.lstsq(np.hstack([r, x * r]), np.hstack([y, u]), lapack_driver="gelsy", cond=1e-14)[0]
+            expected = theta[:2, :2].T @ np.linalg.inv(theta[:2, 2:].T)
+            assert np.linalg.norm(found.G[pos, k] - expected) < 1e-6 * np.linalg.norm(expected)
+
+
+def test_a_covariance_of_factors_is_the_array_it_stands_for():
+    rng = np.random.default_rng(2)
+    left, right = plants.circular(rng, (2, 3, 4, 2, 2)), plants.circular(rng, (2, 3, 4, 3, 3))
+    cov = KroneckerSum(left, right)
+    expected = sum(np.einsum("pfab,pfij->pfaibj", left[:, :, t], right[:, :, t]).reshape(2, 3, 6, 6) for t in range(4))
+    np.testing.assert_allclose(np.asarray(cov), expected)
+    np.testing.assert_allclose(cov.diagonal(), np.diagonal(expected, axis1=-2, axis2=-1).real)
+    np.testing.assert_allclose(cov[1, 2, :, 3], expected[1, 2, :, 3])
+    np.testing.assert_allclose(cov[[0, 1], [1, 2]], expected[[0, 1], [1, 2]])
+    np.testing.assert_allclose(2 * cov.conj() + 1, 2 * expected.conj() + 1)
+    assert isinstance(cov[1:], KroneckerSum) and cov[1:].shape == (1, 3, 6, 6) == cov[[1]].shape
+    columns = plants.circular(rng, (3, 6, 2))
+    np.testing.assert_allclose(np.asarray(OuterSum(columns)), columns @ columns.conj().mT)
+    np.testing.assert_allclose(OuterSum(columns).diagonal(), np.sum(np.abs(columns) ** 2, axis=-1))
+
+
+def test_estimates_keep_their_covariance_as_factors(tmp_path):
+    """Stacked estimates take a few factors a line; positions are joined, cut and written without a loss."""
+    frf = jf.estimate(records().spectra(), jf.JointInputOutput(jf.LRM(width=12)))
+    assert isinstance(frf.cov, KroneckerSum)
+    assert isinstance(jf.concatenate_positions([frf, frf]).cov, KroneckerSum)
+    jf.io.write_frf(tmp_path / "frf.npz", frf)
+    np.testing.assert_array_equal(jf.io.read_frf(tmp_path / "frf.npz").cov, np.asarray(frf.cov))
+    variance = np.diagonal(np.asarray(frf.cov), axis1=-2, axis2=-1).real.reshape(2, -1, 2, 2).swapaxes(-1, -2)
+    np.testing.assert_allclose(frf.std, np.sqrt(variance))

@@ -1,0 +1,208 @@
+"""What is wrong with a record is found where it is; what is only a machine is not."""
+
+import numpy as np
+import plants
+import pytest
+
+import jaxfrf as jf
+from jaxfrf.screening import Severity
+
+FS, PERIOD = 500.0, 1000
+LINES = np.arange(7, 200, 2)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """Two axes in closed loop, four experiments of six periods, 1 % noise that is fed back: r, u, y."""
+    rng = np.random.default_rng(0)
+    loop = plants.two_mass_loop(2, FS, seed=3)
+    R = plants.orthogonal_multisine(rng, 2, len(LINES), 2)
+    one = np.stack([plants.multisine_record(x, LINES, PERIOD) for x in R])
+    r = np.tile(one / one.std(), (1, 8, 1))
+    u, y = np.stack([plants.simulate(loop, x, seed=i, noise=0.01) for i, x in enumerate(r)], axis=1)
+    return tuple(x[:, 2 * PERIOD :] for x in (r, u, y))
+
+
+@pytest.fixture
+def record(clean):
+    return dict(zip("ruy", (x.copy() for x in clean), strict=True))
+
+
+def examine(record, n_periods=6, **fields):
+    r, u, y = (record[k][:, : n_periods * PERIOD] for k in "ruy")
+    return jf.examine(jf.Experiment(u, y, FS, **({"period": PERIOD, "r": r} | fields)))
+
+
+def the_one(findings, kind, **where):
+    """The finding of this kind that is the largest, which is in the place."""
+    same = [f for f in findings if f.kind == kind]
+    assert same, [f.says for f in findings]
+    worst = max(same, key=lambda f: f.size)
+    assert where.items() <= {k: getattr(worst, k) for k in where}.items(), worst
+    return worst
+
+
+@pytest.mark.parametrize("n_periods", [1, 2, 3, 6])
+def test_nothing_on_a_clean_record(record, n_periods):
+    assert examine(record, n_periods) == ()
+    assert examine(record, n_periods, lines=LINES) == ()
+
+
+@pytest.mark.parametrize("n_periods", [2, 6])
+@pytest.mark.parametrize(("count", "at"), [(1, 700), (7, 1300), (-1, 1450), (20, 1100)])
+def test_lost_samples(record, n_periods, count, at):
+    y = record["y"]
+    part = np.delete(y[1], slice(at, at + count), axis=0) if count > 0 else np.insert(y[1], at, y[1, at], axis=0)
+    y[1] = np.concatenate([part, y[1, -max(count, 0) :][: max(count, 0)]])[: y.shape[1]]
+    if n_periods == 2 and count == 20:  # of two periods, too little is left to tell by how many samples
+        assert {f.exp for f in examine(record, 2)} >= {1}
+        return
+    found = the_one(examine(record, n_periods), "lost", signal="y", exp=1)
+    assert abs(found.samples[0] - at) < 40 or n_periods == 2
+    assert f"has lost {count} sample" in found.says or (count < 0 and "1 sample too many" in found.says)
+
+
+def test_held_zeroed_and_disturbed_stretches(record):
+    record["y"][0, 2300:2420, 1] = record["y"][0, 2300, 1]
+    record["u"][3, 4100:4130, 0] = 0.0
+    record["u"][2, 3200:3300, 1] += np.random.default_rng(1).standard_normal(100) * record["u"].std()
+    found = examine(record)
+    assert {(f.signal, f.exp, f.samples) for f in found if f.kind == "held"} == {
+        ("y", 0, (2300, 2420)),
+        ("u", 3, (4100, 4130)),
+    }
+    assert any(f.exp == 2 and f.signal == "u" and f.kind in ("odd period", "disturbed") for f in found)
+
+
+def test_single_spikes(record):
+    record["y"][2, [1234, 3210], 0] += 3 * record["y"].std()
+    kinds = {f.kind for f in examine(record, 5) if (f.signal, f.exp, f.channel) == ("y", 2, 0)}
+    assert kinds & {"spikes", "disturbed", "odd period"}
+
+
+@pytest.mark.parametrize("n_periods", [2, 6])
+def test_gain_that_drifts(record, n_periods):
+    n = n_periods * PERIOD
+    record["y"][:, :n, 0] *= 1 + 0.05 * np.arange(n)[:, None].T / n
+    found = the_one(examine(record, n_periods), "gain", signal="y", channel=0)
+    assert abs(found.size - 0.05 * (n_periods - 1) / n_periods) < 0.01
+
+
+def test_a_reference_that_fades_is_no_fault_of_the_gain(record):
+    for x in record.values():
+        x *= 1 - 0.2 * np.arange(x.shape[1])[:, None] / x.shape[1]
+    assert not [f for f in examine(record) if f.kind == "gain"]
+
+
+@pytest.mark.parametrize("name", ["u", "y"])
+def test_a_counter_that_wraps_is_refused(record, name):
+    x = record[name]
+    turn = 0.8 * np.ptp(x)
+    record[name] = (x + turn / 2) % turn - turn / 2
+    assert the_one(examine(record), "wrapped", signal=name).severity is Severity.REFUSED
+
+
+def test_a_limit_behind_noise(record):
+    limit = 1.2 * record["y"][..., 0].std()
+    noise = 0.003 * limit * np.random.default_rng(2).standard_normal(record["y"].shape[:2])
+    record["y"][..., 0] = np.clip(record["y"][..., 0], -limit, limit) + noise
+    the_one(examine(record), "saturated", signal="y", channel=0)
+
+
+def test_jitter(record):
+    n = record["y"].shape[1]
+    slope = np.fft.irfft(2j * np.pi * np.fft.rfftfreq(n)[:, None] * np.fft.rfft(record["y"], axis=1), n, axis=1)
+    record["y"] += 0.4 * slope * np.random.default_rng(3).standard_normal((1, n, 1))
+    assert abs(the_one(examine(record), "jitter", signal="y").size - 0.4) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda y: -y, "all signs of y"),
+        (lambda y: y * [1, -1], "sign of y: channel 1"),
+        (lambda y: y[:, ::-1], "channels 0 and 1 of y exchanged"),
+        (lambda y: np.random.default_rng(4).standard_normal(y.shape), "noise"),
+        (lambda y: np.roll(y, 1, axis=0), "does not belong"),
+        (lambda y: 1.15 * y, "does not belong"),
+    ],
+)
+@pytest.mark.parametrize("n_periods", [2, 6])
+def test_an_experiment_that_does_not_belong(record, change, says, n_periods):
+    record["y"][2] = change(record["y"][2])
+    assert says in the_one(examine(record, n_periods), "foreign", exp=2).says
+
+
+def test_experiments_in_another_order(record):
+    record["y"][[1, 3]] = record["y"][[3, 1]]
+    found = [f for f in examine(record) if f.kind == "foreign"]
+    assert {f.exp for f in found} == {1, 3} and "Its u fits the y of experiment" in found[0].says
+
+
+def test_two_experiments_contradict_each_other(record):
+    two = {k: x[:2, :, :1].copy() for k, x in record.items()}
+    two["u"], two["y"] = (
+        two["r"],
+        0.7 * np.roll(two["r"], 2, axis=1) + 0.01 * np.roll(record["y"][:2, :, :1], 9, axis=1),
+    )
+    assert not [f for f in examine(two) if f.kind == "foreign"]
+    two["y"][1] *= -1
+    assert "contradict each other" in the_one(examine(two), "foreign").says
+
+
+def test_the_same_data_twice(record):
+    twice = {k: np.concatenate([x, x[1:2]]) for k, x in record.items()}
+    assert "once more" in the_one(examine(twice), "twice", exp=4).says
+    after = {k: np.concatenate([x[:, : 3 * PERIOD]] * 2, axis=1) for k, x in record.items()}
+    assert "second half" in the_one(examine(after), "twice").says
+
+
+@pytest.mark.parametrize("period", [500, 750, 999, 1001, 1200, 1500])
+def test_a_wrong_period_is_refused(record, period):
+    n = 6000 // period * period
+    r, u, y = (record[k][:, :n] for k in "ruy")
+    for more in ({"r": r}, {}):
+        data = jf.Experiment(u, y, FS, period, **more)
+        with pytest.raises(jf.InputError, match=r"repeats every 1000 samples .*--set period=1000"):
+            jf.estimate(data, jf.LRM())
+
+
+def test_a_multiple_of_the_period_is_a_period(record):
+    assert not [f for f in examine(record, period=2000) if f.kind == "period"]
+
+
+def test_lines_that_are_not_excited(record):
+    found = the_one(examine(record, lines=np.arange(7, 200, 3)), "lines")
+    assert "every other line from 7 to 199" in found.says
+
+
+def test_a_break_in_a_record_without_period():
+    rng = np.random.default_rng(7)
+    t = np.arange(6000) / FS
+    y = np.sum([np.sin(2 * np.pi * f * t + p) for f, p in rng.uniform(0, 6, (9, 2))], axis=0)
+    y += 1e-4 * rng.standard_normal(y.shape)
+    u = np.gradient(y) + 1e-4 * rng.standard_normal(y.shape)
+    assert jf.screen(jf.Experiment(u, y, FS)) == ()
+    broken = np.delete(y, slice(2000, 2008))
+    found = the_one(jf.examine(jf.Experiment(u[:-8], broken, FS)), "glitch", signal="y")
+    assert abs(found.samples[0] - 2000) < 12
+
+
+def test_files_are_compared_with_each_other(tmp_path, record):
+    """The checks between experiments see those of several files, and name the file."""
+    for i in range(4):
+        y = -record["y"][i] if i == 3 else record["y"][i]
+        np.savez(tmp_path / f"{i}.npz", u=record["u"][i], y=y, r=record["r"][i], fs=FS, period=PERIOD)
+    data = jf.io.read(*(tmp_path / f"{i}.npz" for i in range(4)))
+    (text,) = (w for w in data.warnings if "does not belong" in w)
+    assert "experiment 3 (position 0, file 3.npz)" in text
+    data = jf.io.read(*(tmp_path / f"{i}.npz" for i in (0, 1, 2, 1)))
+    assert any("holds the samples of experiment 1" in w for w in data.warnings)
+
+
+def test_what_is_refused_can_be_read_anyway(tmp_path, record):
+    path = tmp_path / "a.npz"
+    np.savez(path, u=record["u"], y=record["y"], fs=FS, period=1500)
+    with pytest.raises(jf.InputError, match=r"a\.npz: period"):
+        jf.io.read(path)
+    assert "1000 samples" in jf.io.read(path, anyway=True).warnings[0]
