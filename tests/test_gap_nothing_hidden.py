@@ -8,6 +8,7 @@ import functools
 
 import numpy as np
 import pytest
+from test_calibration import design, machine as off, model
 from test_gap import small_robot
 
 import jaxfrf as jf
@@ -116,3 +117,19 @@ def test_a_delay_is_found_beside_wide_tolerances():
     assert "torque_delay" in (named.name, *named.equivalent) and named.joint == "shoulder", found.says
     (late,) = named.parameters.values()
     assert late.value == pytest.approx(8e-4, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_wrong_numbers_are_no_missing_effect(seed):
+    """Everything off as a data sheet is (springs and their shape 20 %, friction 30 %, links 5 %), default tolerances:
+    nothing is missing, and a friction level that is off by more than is known of it is told."""
+    given = dataclasses.replace(model(), tolerances=Tolerances())
+    level = parameters(given, ["coulomb_friction"])["elbow.coulomb_friction"]
+    machine = with_parameters(off(seed), {"elbow.coulomb_friction": 1.9 * level})
+    data = mujoco_experiment(machine, design(seed), Q, seed=seed, run_in=3.0, noise=2e-5, ripple=None)
+    found = diagnose(given, data)
+    assert (found.verdict, found.effects) == ("sufficient", ()), found.says
+    assert "elbow.coulomb_friction by +9" in found.says or "elbow.coulomb_friction by +8" in found.says
+    assert found.gap.before < 1.0 and found.given is given

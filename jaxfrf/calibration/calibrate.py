@@ -18,6 +18,7 @@ from ..trajectory.following import compared, why_followed
 from ..trajectory.joined import joined, together
 from ..trajectory.measured import Measured, measured
 from ..trajectory.ripple import ripple_effects
+from .columns import near_rest_columns
 from .from_motion import calibrate_from_motion, check_rigid
 from .heldout import heldout_numbers
 from .numbers import numbers, with_numbers
@@ -96,7 +97,7 @@ def calibrate(
         )
     fitted, judged = _split(measured(data, carried if any(p is not None for p in carried) else ()), heldout)
     kept = Rounds(parts, robot, these, fitted, heldout)
-    search = Search(robot, fitted, these, say)
+    search = Search(robot, fitted, these, say, near_rest_columns(robot))
     look, converged = search.run(rounds, kept)
     return _result(robot, these, look, [one.round for one in kept.done], converged, fitted, judged)
 

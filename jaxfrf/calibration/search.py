@@ -8,11 +8,11 @@ from jaxtyping import Float
 
 from .._errors import InputError
 from ..robot import Robot
-from ..trajectory.evidence import Evidence, Weighed, placed, precise, refloored, weigh
+from ..trajectory.evidence import Column, Evidence, Weighed, placed, precise, refloored, weigh
 from ..trajectory.joined import places
 from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order, order_columns
-from .columns import near_rest_columns, number_columns
+from .columns import number_columns
 from .least_squares import Posterior, solve
 from .numbers import Number, with_numbers
 from .remainder import remainder, usual_size
@@ -48,12 +48,13 @@ class Look(eqx.Module):
 
 
 class Search:
-    """What stays the same from round to round, and the floor, which follows what is left."""
+    """What stays the same from round to round, and the floor, which follows what is left; `beside`: columns that stand
+    beside those of the numbers."""
 
-    def __init__(self, robot: Robot, record: Measured, these: Sequence[Number], say: Say):
+    def __init__(self, robot: Robot, record: Measured, these: Sequence[Number], say: Say, beside: Sequence[Column]):
         self.robot, self.record, self.these, self.say = robot, record, these, say
         self.floor: np.ndarray | None = None
-        self.near_rest = near_rest_columns(robot)
+        self.beside = tuple(beside)
 
     def run(self, rounds: int, kept: Rounds) -> tuple[Look, bool]:
         """The last look, and whether the numbers stay; from where an earlier run was interrupted."""
@@ -91,7 +92,7 @@ class Search:
         if self.floor is not None:
             evidence.floor = self.floor
         own = number_columns(self.robot, self.these, x)
-        weighed = weigh(evidence, [*own, *self.near_rest, *order_columns(orders)])
+        weighed = weigh(evidence, [*own, *self.beside, *order_columns(orders)])
         posterior = solve(weighed.gram, self.these, x)
         if more:
             orders, weighed = with_found_orders(evidence, weighed, orders, posterior.change)
@@ -117,7 +118,7 @@ class Search:
         sure = sure_orders(look.orders, look.posterior)
         orders = tuple(o for o, is_sure in zip(look.orders, sure, strict=True) if is_sure)
         # Orders that go take nothing away any more: what they took is no reason to refuse a step.
-        kept = np.flatnonzero(np.concatenate([np.ones(len(self.near_rest), bool), np.repeat(sure, 2)]))
+        kept = np.flatnonzero(np.concatenate([np.ones(len(self.beside), bool), np.repeat(sure, 2)]))
         before = _misfit(look.evidence, look.weighed, len(self.these) + kept)
         step = look.posterior.change[: len(self.these)]
         longest = max((abs(n.size * s) for n, s in zip(self.these, step, strict=True) if n.positive), default=0.0)

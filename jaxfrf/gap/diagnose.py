@@ -1,5 +1,6 @@
 """Find where a model and its measurement disagree, name what is missing, add it, and see the gap shrink."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import jax
@@ -11,10 +12,11 @@ from .._types import require_x64
 from ..effects import AbstractEffect
 from ..experiment import Experiment
 from ..parts import Parts
-from ..robot import Robot
+from ..robot import Robot, parameters
 from ..trajectory.following import compared
 from ..trajectory.joined import joined, places
 from ..trajectory.measured import fewer, measured
+from .own_numbers import OwnNumbers, own_numbers
 from .present import present
 from .result import Diagnosis
 from .search import Say, Search, search
@@ -36,7 +38,9 @@ def diagnose(
 ) -> Diagnosis:
     """Which effect a robot's model lacks, from periodic records at several positions.
 
-    The robot is simulated through the experiment; what the measured torque is beyond what the robot would have asked,
+    First all numbers of the robot that are not exactly known are fitted, as `jaxfrf.calibrate` does: where they explain
+    the record, each within what is known of it, nothing is missing, and those that are off are told. Otherwise the
+    robot is simulated through the experiment; what the measured torque is beyond what the robot would have asked,
     referred to its motors, is the residual, at every line from 0 to the highest excited one, unexcited ones and the
     slow motion included. Its own parameters give way first: stiffness and damping freely, friction, masses and rotors
     near their tolerances, ripple below what is visible. Every effect of the library on every joint is then scored by
@@ -69,9 +73,26 @@ def diagnose(
     records = [data] if isinstance(data, Experiment) else list(data)
     if not robot.n_motors and not robot.n_elastic and any(not record.period for record in records):
         return _by_inverse_dynamics(robot, records, own, sealed, say or (lambda text: None))
-    record = joined(records)
-    found = investigate(robot, record, own=own, sealed=sealed, say=say, progress=progress, parts=parts)
-    return present(found, compared(robot, record))
+    require_x64("A diagnosis")
+    record, say = joined(records), say or (lambda text: None)
+    explained = _by_own_numbers(robot, record, sealed, say)
+    begin = robot if explained is None else explained.robot
+    found = investigate(begin, record, own=own, sealed=sealed, say=say, progress=progress, parts=parts)
+    result = present(found, compared(robot, record))
+    return result if explained is None else _from(robot, result, explained)
+
+
+def _by_own_numbers(robot: Robot, record: Experiment, sealed: int | None, say: Say) -> OwnNumbers | None:
+    """As `own_numbers`, on the positions that are not sealed."""
+    opened = np.flatnonzero(opened_positions(record, sealed))
+    return own_numbers(robot, measured(fewer(record, _EXPERIMENTS)).at(opened), say)
+
+
+def _from(given: Robot, result: Diagnosis, explained: OwnNumbers) -> Diagnosis:
+    """A diagnosis of the robot with its numbers fitted, told of the robot that was given."""
+    begun = parameters(given)
+    changed = {name: x.value / float(begun[name]) - 1.0 for name, x in result.parameters.items()}
+    return dataclasses.replace(result, says=result.says + explained.says(), given=given, changed=changed)
 
 
 def _by_inverse_dynamics(robot: Robot, records, own, sealed: int | None, say: Say) -> Diagnosis:

@@ -1,0 +1,84 @@
+"""Whether a robot's own numbers explain a record: then nothing is missing, however far off its file is."""
+
+import equinox as eqx
+import numpy as np
+
+from .._errors import InputError
+from ..calibration.numbers import numbers, with_numbers
+from ..calibration.remainder import remainder
+from ..calibration.rounds import Rounds
+from ..calibration.search import Look, Search
+from ..robot import Robot
+from ..trajectory.evidence import by_band
+from ..trajectory.measured import Measured
+
+_ROUNDS = 6
+_FAR = 3.0  # tolerances: a number that is further off is looked at as a missing effect
+_OFF = 1.0  # tolerances from which on a number is told to be wrong
+_SLOW = 0.7  # of what a round before left: more, and what is far from the floor will not come down to it
+_FLOOR = 1.0
+
+
+class OwnNumbers(eqx.Module):
+    """A robot whose numbers explain a record.
+
+    **Fields:** `robot`: with these numbers. `wrong`: those that are further off than their tolerance, with the relative
+    change that the record asks for.
+    """
+
+    robot: Robot
+    wrong: tuple[tuple[str, float], ...] = eqx.field(static=True)
+
+    def says(self) -> str:
+        """Which numbers are wrong, in a sentence; empty where none are."""
+        if not self.wrong:
+            return ""
+        changes = [f"{name} by {100 * change:+.0f} %" for name, change in self.wrong]
+        return f" Numbers of the robot that are off by more than is known of them: {', '.join(changes)}."
+
+
+def own_numbers(robot: Robot, record: Measured, say) -> OwnNumbers | None:
+    """The robot with all its uncertain numbers fitted (`jaxfrf.calibrate`, but for what is left open of friction near
+    rest, which could be a missing effect), if nothing of the record is beyond the floor then and every number is
+    credible; `None` otherwise."""
+    these = numbers(robot)
+    if not these:
+        return None
+    search = Search(robot, record, these, lambda text: None, beside=())
+    kept = Rounds(None, robot, these, record, ())
+    try:
+        look = search.look(np.zeros(len(these)), (), True)
+    except InputError:
+        return None
+    left = excess(look, record)
+    for _ in range(_ROUNDS):
+        if search.stays(look):
+            break
+        further = search.further(look, len(kept.done) == 0)
+        if further is None:
+            break
+        kept.done.append(None)
+        before, look, left = left, further, excess(further, record)
+        if left > _SLOW * before and not _FLOOR < left < 2 * _FLOOR:
+            break
+    say(f"with all its own numbers fitted, at most {left:.3g} times the floor is left")
+    if left > _FLOOR:
+        return None
+    x = look.x + look.posterior.change[: len(these)]
+    # How Coulomb friction is smoothed has no true value where a machine's friction is another law.
+    held = np.array([number.prior > 0 and number.kind != "smoothing" for number in these])
+    if np.any(np.abs(x[held]) > _FAR):
+        return None
+    told = look.posterior.told[: len(these)]
+    wrong = tuple(
+        (number.name, number.value(float(at)) / number.given - 1.0)
+        for number, at, part in zip(these, x, told, strict=True)
+        if number.prior and number.positive and abs(at) > _OFF and part > 0.9 and number.kind != "smoothing"
+    )
+    return OwnNumbers(with_numbers(robot, these, x), wrong)
+
+
+def excess(look: Look, record: Measured) -> float:
+    """Mean square over the floor where most is left: of one axis in one band, over the positions."""
+    left = remainder(look.evidence, look.weighed, look.posterior.change)
+    return float(np.max(np.mean(by_band(left, look.evidence.plain, record.frequency), axis=(0, 1))))
