@@ -15,6 +15,7 @@ again. `--make-only` makes the data; a case takes half a minute and 83 MB. `--sc
 """
 
 import argparse
+import functools
 import gc
 import json
 import os
@@ -37,8 +38,8 @@ from _hidden_effects import JOINTS, MAIN, kind_of
 
 from jaxfrf.effects import AbstractEffect
 from jaxfrf.effects.catalogue import effect_from_table
-from jaxfrf.gap.diagnose import THROUGH, investigate
-from jaxfrf.gap.present import linear_shrink, present, shrink_with
+from jaxfrf.gap.diagnose import diagnose, investigate
+from jaxfrf.gap.present import linear_shrink, shrink_with
 from jaxfrf.io._json import write_json
 from jaxfrf.io.gaps import gap_contents
 from jaxfrf.io.records import read
@@ -48,12 +49,16 @@ _FORGET = 10  # cases after which compiled programs are dropped: they keep memor
 
 
 class Looked:
-    """A case as the diagnosis sees it, and what it found."""
+    """A case, and what the diagnosis found."""
 
     def __init__(self, folder: pathlib.Path):
-        robot, record = read_robot(folder / "robot.toml"), read(folder / "data.nc")
-        self.search = investigate(robot, record)
-        self.found = present(self.search, THROUGH, frf=False)
+        self._robot, self._record = read_robot(folder / "robot.toml"), read(folder / "data.nc")
+        self.found = diagnose(self._robot, self._record)
+
+    @functools.cached_property
+    def search(self):
+        """As from the robot that was given: what other effects are put into."""
+        return investigate(self._robot, self._record)
 
     def shrink(self, effects: list[AbstractEffect]) -> float | None:
         """Shrink of the gap on the sealed positions once these effects, started from these values, are fitted with the

@@ -160,7 +160,7 @@ SPECTRA = EXPERIMENT | {"spectra"}
 FRF = SPECTRA | {"screening", "frf"}
 ROBOT = BASE | {"effects", "robot"}
 SIMULATION = EXPERIMENT | ROBOT | {"simulation"}
-TRAJECTORY = SIMULATION | {"trajectory"}
+TRAJECTORY = SIMULATION | {"periodic", "spectra", "trajectory"}
 GRAYBOX = FRF | SIMULATION | {"graybox"}
 IO = GRAYBOX | {"parts", "io"}
 WHOLE = IO | {"trajectory", "calibration", "pipeline"}
@@ -181,7 +181,7 @@ MAY_IMPORT = {
     "graybox": GRAYBOX,
     "trajectory": TRAJECTORY,
     "calibration": TRAJECTORY | {"parts", "calibration"},
-    "gap": GRAYBOX | {"parts", "trajectory", "gap"},
+    "gap": GRAYBOX | {"parts", "trajectory", "calibration", "gap"},
     "io": IO,
     "plot": IO | {"trajectory", "calibration", "plot"},
     "pipeline": IO,

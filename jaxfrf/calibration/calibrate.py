@@ -9,10 +9,9 @@ from .._errors import input_error
 from .._types import require_x64
 from ..effects import Payload
 from ..experiment import Experiment
-from ..identification.model import check_data
 from ..parts import Parts
 from ..robot import Robot
-from ..simulation.checks import check_fit
+from ..simulation.checks import check_data, check_fit
 from ..trajectory.evidence import Evidence
 from ..trajectory.following import compared, why_followed
 from ..trajectory.joined import joined, together

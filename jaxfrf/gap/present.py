@@ -28,7 +28,7 @@ _SHOWN = 12
 _AT_MOST = 0.9  # of the gap is floor: a steady torque alone hardly lifts the rms of all lines
 
 
-def present(search: Search, compared: str, frf: bool = True) -> Diagnosis:
+def present(search: Search, compared: str) -> Diagnosis:
     """The result of a search: of the robots that would be written, judged on the sealed positions."""
     stands = verified(search)
     verdict, says, effects, extended = _verdict(search, stands)
@@ -53,7 +53,7 @@ def present(search: Search, compared: str, frf: bool = True) -> Diagnosis:
         compared=compared,
         fitted=tuple(int(i) for i in np.flatnonzero(search.opened)),
         sealed=tuple(int(i) for i in sealed),
-        frf=_responses(search, (stands.base, extended), sealed) if frf and len(sealed) else None,
+        frf=_responses(search, (stands.base, extended), sealed) if len(sealed) else None,
         next_experiment=_next(verdict, effects, search),
         sources=tuple(search.record.data.sources),
         settings={"lines": len(search.record.frequency), "highest_hz": float(search.record.frequency[-1])},

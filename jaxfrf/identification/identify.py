@@ -30,8 +30,9 @@ from ..io.fits import plain_data
 from ..parts import Parts
 from ..robot import Robot
 from ..simulation import replay
+from ..simulation.checks import check_data
 from ..spectra import with_output_quantity
-from .model import QUANTITY, check_data, robot_model, why_direct
+from .model import QUANTITY, robot_model, why_direct
 from .result import HeldOut, Identification
 from .rounds import kept_rounds
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .._errors import input_error
 from ..experiment import Experiment
 from ..frf import FRF
 from ..graybox import RobotModel, fix, free, share
@@ -42,29 +41,6 @@ def robot_model(
     if simulated:
         check_simulated(model)
     return model
-
-
-def check_data(robot: Robot, data: Experiment | FRF) -> None:
-    """Refuse data that cannot come from this robot.
-
-    **Raises:** `jaxfrf.InputError` saying which number does not fit.
-    """
-    axes = robot.n_axes
-    counts = (data.n_out, data.n_in)
-    if counts != (axes, axes):
-        raise input_error(
-            "data and robot",
-            f"{counts[0]} outputs and {counts[1]} inputs with {axes} driven joints of {robot.name}",
-            "one output and one input for each driven joint",
-            "Take the robot that was measured, or choose channels (--map) in the order of its joints.",
-        )
-    if data.q is None or np.shape(data.q)[-1] != axes:
-        raise input_error(
-            "q of the data",
-            "none" if data.q is None else f"{np.shape(data.q)[-1]} angles",
-            f"the {axes} arm angles of {robot.name} at every position",
-            "Store q with the records (--set q=0;0.5 for one position) and estimate again.",
-        )
 
 
 def why_direct(robot: Robot, data: Experiment | FRF, direct: bool) -> str:
