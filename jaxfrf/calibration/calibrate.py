@@ -16,9 +16,10 @@ from ..trajectory.evidence import Evidence
 from ..trajectory.following import compared, why_followed
 from ..trajectory.joined import joined, together
 from ..trajectory.measured import Measured, measured
+from ..trajectory.rigid_motion import check_rigid
 from ..trajectory.ripple import ripple_effects
 from .columns import near_rest_columns
-from .from_motion import calibrate_from_motion, check_rigid
+from .from_motion import calibrate_from_motion
 from .heldout import heldout_numbers
 from .numbers import numbers, with_numbers
 from .result import Calibration

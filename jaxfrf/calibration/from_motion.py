@@ -13,7 +13,7 @@ from ..robot import Robot
 from ..robot.regressor import link_parameters, link_regressor
 from ..robot.robot import gear_coupling
 from ..trajectory.evidence import Gram
-from ..trajectory.rigid_motion import Motion, chosen_cutoff, measured_motions, thinned
+from ..trajectory.rigid_motion import Motion, check_rigid, chosen_cutoff, measured_motions, thinned
 from .columns import OF_LINKS, link_slopes
 from .heldout import heldout_numbers
 from .least_squares import Posterior, solve
@@ -40,17 +40,6 @@ class Rows(eqx.Module):
     torque: Float[np.ndarray, "row axis"]
     motion: Motion
     carried: Float[np.ndarray, "parameter"]
-
-
-def check_rigid(robot: Robot) -> None:
-    """Refuse a robot whose arm moves otherwise than its motors do."""
-    if robot.n_motors or robot.n_elastic:
-        raise input_error(
-            f"transmissions of {robot.name}",
-            f"springs at {', '.join(robot.spring_names)}, and a record that is not periodic",
-            "a periodic record, or rigid transmissions (stiffness = inf)",
-            "Say its period (--set period=N), or set the transmissions rigid for a look at the slow motion.",
-        )
 
 
 def _check_effects(robot: Robot) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import scipy.stats
 
 from ..trajectory.evidence import Evidence, Weighed, weigh
+from ..trajectory.remainder import remainder
 from ..trajectory.ripple import Order, find_orders, order_columns
 from .least_squares import Posterior
-from .remainder import remainder
 
 _TRIED = {"torque": np.arange(1, 51), "resolver": np.arange(1, 13)}  # whole orders of the motor's turn
 _AT_ONCE = {"torque": 3, "resolver": 2}  # of every motor, in a round

@@ -11,11 +11,11 @@ from ..robot import Robot
 from ..trajectory.evidence import Column, Evidence, Weighed, placed, precise, refloored, weigh
 from ..trajectory.joined import places
 from ..trajectory.measured import Measured
+from ..trajectory.remainder import remainder, usual_size
 from ..trajectory.ripple import Order, order_columns
 from .columns import number_columns
 from .least_squares import Posterior, solve
 from .numbers import Number, with_numbers
-from .remainder import remainder, usual_size
 from .result import Round
 from .ripple import sure_orders, with_found_orders
 from .rounds import Kept, Rounds

@@ -5,12 +5,11 @@ import numpy as np
 
 from .._errors import InputError
 from ..calibration.numbers import numbers, with_numbers
-from ..calibration.remainder import remainder
 from ..calibration.rounds import Rounds
 from ..calibration.search import Look, Search
 from ..robot import Robot
-from ..trajectory.evidence import by_band
 from ..trajectory.measured import Measured
+from ..trajectory.remainder import excess, remainder
 
 _ROUNDS = 6
 _FAR = 3.0  # tolerances: a number that is further off is looked at as a missing effect
@@ -50,7 +49,7 @@ def own_numbers(robot: Robot, record: Measured, say) -> OwnNumbers | None:
         look = search.look(np.zeros(len(these)), (), True)
     except InputError:
         return None
-    left = excess(look, record)
+    left = _excess(look, record)
     for _ in range(_ROUNDS):
         if search.stays(look):
             break
@@ -58,7 +57,7 @@ def own_numbers(robot: Robot, record: Measured, say) -> OwnNumbers | None:
         if further is None:
             break
         kept.done.append(None)
-        before, look, left = left, further, excess(further, record)
+        before, look, left = left, further, _excess(further, record)
         if left > _SLOW * before and not _FLOOR < left < 2 * _FLOOR:
             break
     say(f"with all its own numbers fitted, at most {left:.3g} times the floor is left")
@@ -78,7 +77,6 @@ def own_numbers(robot: Robot, record: Measured, say) -> OwnNumbers | None:
     return OwnNumbers(with_numbers(robot, these, x), wrong)
 
 
-def excess(look: Look, record: Measured) -> float:
-    """Mean square over the floor where most is left: of one axis in one band, over the positions."""
+def _excess(look: Look, record: Measured) -> float:
     left = remainder(look.evidence, look.weighed, look.posterior.change)
-    return float(np.max(np.mean(by_band(left, look.evidence.plain, record.frequency), axis=(0, 1))))
+    return excess(left, look.evidence.plain, record.frequency)

@@ -12,12 +12,13 @@ from ..frf import LRM
 from ..graybox.through import default_method, measured_frf
 from ..robot import Robot, parameter_unit, parameters
 from ..trajectory.evidence import band_edges, by_band, weigh
+from ..trajectory.remainder import remainder
 from ..trajectory.signature import signature
 from .refine import refine
 from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
 from .score import deviations, family_wise, fit_beside
 from .search import CLASSES, FLOOR, Search, Step, passes
-from .stage import Stage, mean_square, remainder
+from .stage import Stage, mean_square
 from .trial import Fitted, corrected, usual_misfit, with_effect
 from .verify import Verified, Written, judged_positions, relative_torque, verified, written
 
@@ -58,11 +59,6 @@ def present(search: Search, compared: str) -> Diagnosis:
         sources=tuple(search.record.data.sources),
         settings={"lines": len(search.record.frequency), "highest_hz": float(search.record.frequency[-1])},
     )
-
-
-def _left(search: Search, stage: Stage) -> np.ndarray:
-    """Residual of a stage after its own numbers gave way, (pos, exp, line, axis), N m."""
-    return remainder(stage.evidence, stage.weighed, stage.fit, stage.fit.columns, stage.fit.x)
 
 
 def _verdict(search: Search, stands: Verified):
@@ -271,9 +267,9 @@ def linear_shrink(search: Search, effects) -> float:
     row = stage.weighed.gram.b.shape[1]
     columns = stage.fit.columns
     x = fit_beside(weighed.gram, stage.fit, row).x
-    left = remainder(stage.evidence, weighed, stage.fit, np.append(columns, row), np.append(x, 1.0))
+    left = remainder(stage.evidence, weighed, np.append(x, 1.0), np.append(columns, row))
     base = written(search.setting, stage, ())
-    after = base.residual + left - _left(search, stage)
+    after = base.residual + left - stage.left
     return _gap_between(search, base.residual, after, stage.evidence.plain).shrink
 
 

@@ -12,6 +12,7 @@ from ..effects import AbstractEffect
 from ..parts import Parts
 from ..robot import Robot
 from ..trajectory.measured import Measured
+from ..trajectory.remainder import excess
 from .candidates import candidates
 from .knobs import Knob, knobs, pinned, turned
 from .refine import Refined, absent, names_of, refine
@@ -22,7 +23,6 @@ from .stage import (
     Scored,
     Stage,
     Table,
-    excess,
     gear_candidates,
     look,
     look_again,
@@ -147,7 +147,7 @@ def search(
     steps, first, columns = [], (), None
     while len(steps) < MOST:
         views = (steps[-1].stage,) if steps else starts
-        most = excess(views[0], record, setting.opened)
+        most = excess(views[0].left[setting.opened], views[0].evidence.plain, record.frequency)
         if most <= FLOOR:
             say(f"nowhere more than {most:.3g} times the floor is left: nothing to look for")
             break

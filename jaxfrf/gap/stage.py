@@ -4,11 +4,13 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Complex
 
 from ..effects import AbstractEffect, ResolverRipple, TorqueRipple, TransmissionError
 from ..robot import Robot
-from ..trajectory.evidence import Column, Evidence, Weighed, by_band, inflated, rebased, refloored, renewed, weigh
+from ..trajectory.evidence import Column, Evidence, Weighed, inflated, rebased, refloored, renewed, weigh
 from ..trajectory.measured import Measured
+from ..trajectory.remainder import remainder
 from ..trajectory.ripple import Order, find_orders, gear_orders, order_columns
 from ..trajectory.signature import signature
 from .candidates import Candidate
@@ -48,6 +50,11 @@ class Stage(eqx.Module):
     misfit: float
     near: bool = eqx.field(static=True)
 
+    @property
+    def left(self) -> Complex[np.ndarray, "pos exp line axis"]:
+        """Residual after the robot's own numbers gave way, N m."""
+        return remainder(self.evidence, self.weighed, self.fit.x, self.fit.columns)
+
 
 def knob_columns(robot: Robot, knobs: Sequence[Knob]) -> list[Column]:
     def column(knob):
@@ -76,17 +83,6 @@ def limits(robot: Robot, knobs: Sequence[Knob], turns, orders: Sequence[Order], 
     )
 
 
-def remainder(evidence: Evidence, weighed: Weighed, fit: BaseFit, columns, x) -> np.ndarray:
-    """Residual without what these columns explain, (pos, exp, line, axis)."""
-    left = []
-    for part in weighed.parts:
-        rest = part[:, -1] - np.einsum("enk,n->ek", part[:, columns], x)
-        half = rest.shape[1] // 2
-        shape = evidence.residual.shape[1:]
-        left.append((rest[:, :half] + 1j * rest[:, half:]).reshape(shape) * evidence.floor)
-    return np.stack(left)
-
-
 def ripple_orders(evidence: Evidence, weighed: Weighed, knobs, turns, opened, runs) -> tuple[tuple, Weighed]:
     """Orders that motors ripple at: those that they are known for, then the strongest others, one after the other."""
     robot = evidence.robot
@@ -97,7 +93,7 @@ def ripple_orders(evidence: Evidence, weighed: Weighed, knobs, turns, opened, ru
     for _ in range(_ROUNDS):
         known = limits(robot, knobs, turns, orders, False)
         fit = fit_base(weighed.gram, range(len(known)), known, runs)
-        left = remainder(evidence, weighed, fit, fit.columns, fit.x)[opened]
+        left = remainder(evidence, weighed, fit.x, fit.columns)[opened]
         new = []
         for axis in range(robot.n_axes):
             for kind, tried in (("torque", np.arange(1, 51)), ("resolver", np.arange(1, 13))):
@@ -176,23 +172,16 @@ def look_closely(stage: Stage, opened) -> Stage:
 def _fitted(robot, evidence, weighed, knobs, turns, orders, loud, keep, opened, runs, near) -> Stage:
     known = limits(robot, knobs, turns, orders, near)[keep]
     fit = fit_base(weighed.gram, keep, known, runs)
-    left = remainder(evidence, weighed, fit, fit.columns, fit.x)[opened]
+    left = remainder(evidence, weighed, fit.x, fit.columns)[opened]
     misfit = mean_square(left / evidence.plain)
     floor = inflated(evidence.plain, left) if misfit > FAR else evidence.plain
     if floor is not evidence.floor:
         weighed = refloored(weighed, evidence.floor, floor)
         evidence.floor = floor
         fit = fit_base(weighed.gram, keep, known, runs)
-        left = remainder(evidence, weighed, fit, fit.columns, fit.x)[opened]
+        left = remainder(evidence, weighed, fit.x, fit.columns)[opened]
         misfit = mean_square(left / evidence.plain)
     return Stage(robot, evidence, tuple(knobs), turns, tuple(orders), tuple(loud), weighed, fit, misfit, near)
-
-
-def excess(stage: Stage, record: Measured, opened) -> float:
-    """Mean square over the floor where most is left: of one axis in one band, over the fitted positions. An honest
-    model leaves less than 1 everywhere."""
-    left = remainder(stage.evidence, stage.weighed, stage.fit, stage.fit.columns, stage.fit.x)[opened]
-    return float(np.max(np.mean(by_band(left, stage.evidence.plain, record.frequency), axis=(0, 1))))
 
 
 def mean_square(z) -> float:
@@ -313,7 +302,7 @@ def gear_candidates(stage: Stage, opened) -> list[Candidate]:
     for axis in robot.flexible_axes:
         # Whole orders of this motor stay in the residual: they would take most of an error at an order nearby.
         own = np.array([c >= first and stage.orders[(c - first) // 2].axis == axis for c in stage.fit.columns])
-        left = remainder(evidence, stage.weighed, stage.fit, stage.fit.columns[~own], stage.fit.x[~own])[opened]
+        left = remainder(evidence, stage.weighed, stage.fit.x[~own], stage.fit.columns[~own])[opened]
         for order in gear_orders(scenes, left, evidence.floor, axis):
             joint = robot.axis_names[axis]
             teeth = order * float(robot.drives.gear_ratio[axis])

@@ -19,7 +19,7 @@ from ..trajectory.rigid_motion import COMPARED, chosen_cutoff, measured_motions
 from .torque_candidates import Candidate, candidates
 from .torque_evidence import Evidence, Fitted, State, gathered
 from .torque_floor import unpredictable
-from .torque_model import check_rigid
+from .torque_model import check_one_motor_a_joint
 from .torque_result import NamedEffect, TorqueDiagnosis, TorqueGap, Value
 from .torque_score import covariance
 from .torque_search import LEVEL, Search, search
@@ -63,7 +63,7 @@ def diagnose_torque(
 
     **Raises:** `jaxfrf.InputError` for a robot with springs, and for names that it does not have.
     """
-    check_rigid(robot)
+    check_one_motor_a_joint(robot)
     records = _records(data)
     cutoff = min(chosen_cutoff(x) for x in records) if cutoff is None else float(cutoff)
     motions = tuple(m for x in records for m in measured_motions(robot, x, cutoff))

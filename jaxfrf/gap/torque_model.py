@@ -21,21 +21,14 @@ from ..effects import (
 from ..effects._place import axis_of
 from ..robot import Robot, arm_inertia_and_bias, with_parameters
 from ..robot.robot import gear_coupling
-from ..trajectory.rigid_motion import Motion, smooth
+from ..trajectory.rigid_motion import Motion, check_rigid, smooth
 
 Torque = Float[np.ndarray, "time axis"]
 
 
-def check_rigid(robot: Robot) -> None:
-    """Refuse a robot whose arm moves otherwise than its motors do."""
-    if robot.n_motors or robot.n_elastic:
-        names = ", ".join(robot.spring_names)
-        raise input_error(
-            f"transmissions of {robot.name}",
-            f"springs at {names}",
-            "rigid ones (stiffness = inf): the motors' motion is then the arm's",
-            "Set them rigid for a look at the slow motion, or diagnose periodic records by simulation.",
-        )
+def check_one_motor_a_joint(robot: Robot) -> None:
+    """Refuse a robot of which a motor turns more than its own joint, or whose arm moves otherwise than its motors."""
+    check_rigid(robot)
     if gear_coupling(robot) is not None:
         raise input_error(
             f"transmissions of {robot.name}",

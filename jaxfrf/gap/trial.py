@@ -10,7 +10,7 @@ from ..robot import Robot
 from ..trajectory.measured import Measured
 from .knobs import pinned, turned
 from .refine import Refined, beside, refine
-from .stage import Stage, look_again, look_closely, mean_square, remainder
+from .stage import Stage, look_again, look_closely, mean_square
 
 MOST_CORRECTIONS = 5
 CLOSE = 1.2  # misfit beyond which the columns of another robot may mislead
@@ -92,6 +92,6 @@ def together(turns, more):
 
 def usual_misfit(this: Stage, like: Stage) -> float:
     """Mean square of what a stage leaves on the fitted positions, weighed as in another: no few lines rule."""
-    left = remainder(this.evidence, this.weighed, this.fit, this.fit.columns, this.fit.x)
+    left = this.left
     runs = np.reshape(this.fit.runs, left.shape[:2])
     return mean_square(left[runs] / like.evidence.floor)

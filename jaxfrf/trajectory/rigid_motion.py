@@ -77,6 +77,17 @@ def _integral(x, fs: float, mean):
     return total - total.mean(axis=0) + mean
 
 
+def check_rigid(robot: Robot) -> None:
+    """Refuse a robot whose arm moves otherwise than its motors do."""
+    if robot.n_motors or robot.n_elastic:
+        raise input_error(
+            f"transmissions of {robot.name}",
+            f"springs at {', '.join(robot.spring_names)}, and a record that is not periodic",
+            "a periodic record, or rigid transmissions (stiffness = inf): the motors' motion is then the arm's",
+            "Say its period (--set period=N), or set the transmissions rigid for a look at the slow motion.",
+        )
+
+
 def smooth(x: Float[np.ndarray, "time ..."], fs: float, cutoff: float) -> Float[np.ndarray, "time ..."]:
     """Low-pass without phase: Butterworth of order 4, forth and back."""
     return scipy.signal.sosfiltfilt(scipy.signal.butter(_ORDER, cutoff, fs=fs, output="sos"), x, axis=0)

@@ -4,20 +4,27 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Complex, Float
 
-from ..trajectory.evidence import Evidence, Weighed
+from .evidence import Evidence, Weighed, by_band
 
 _AROUND = 21  # lines over which a remainder's size is smoothed
 
 
-def remainder(evidence: Evidence, weighed: Weighed, change) -> Complex[np.ndarray, "pos exp line axis"]:
-    """Residual less the columns taken so often, N m."""
+def remainder(evidence: Evidence, weighed: Weighed, change, columns=None) -> Complex[np.ndarray, "pos exp line axis"]:
+    """Residual less the columns taken so often, the first ones where `columns` does not say which; N m."""
     change = np.asarray(change, np.float32)
+    columns = slice(len(change)) if columns is None else columns
     shape, left = evidence.residual.shape[1:], []
     for part in weighed.parts:
-        rest = part[:, -1] - np.einsum("enk,n->ek", part[:, : len(change)], change)
+        rest = part[:, -1] - np.einsum("enk,n->ek", part[:, columns], change)
         half = rest.shape[1] // 2
         left.append((rest[:, :half] + 1j * rest[:, half:]).reshape(shape) * evidence.floor)
     return np.stack(left)
+
+
+def excess(left, plain, frequency) -> float:
+    """Mean square over the plain floor where most of a remainder is: of one axis in one band, over the positions. An
+    honest model leaves less than 1 everywhere."""
+    return float(np.max(np.mean(by_band(left, plain, frequency), axis=(0, 1))))
 
 
 def usual_size(left, noise) -> Float[np.ndarray, "line axis"]:
