@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import Array
-from .cost import Target, errors, gram
+from .cost import Cost
 from .model import AbstractModel
 from .parameter import Coordinates
+from .target import Target
 
 _BLIND = 1e-10  # information of a parameter relative to the largest: it has no effect on the response
 _LOOSE = 0.5  # standard deviation in ln beyond which a parameter or a direction is called not identifiable
@@ -100,9 +101,10 @@ def uncertainty(model: AbstractModel, coordinates: Coordinates, target: Target, 
     Fails to see a bias of the FRF (a window that smooths a resonance, friction): such a bias shows in `misfit` only
     where the model cannot follow it.
     """
-    full = np.asarray(gram(model, coordinates, target, jnp.asarray(x)))
+    cost_of, x = Cost(model, coordinates, target), jnp.asarray(x)
+    full = np.asarray(cost_of.gram(x))
     H, cost = full[:-1, :-1], float(full[-1, -1])
-    slopes = np.asarray(errors(model, coordinates, target, jnp.asarray(x))[1])
+    slopes = np.asarray(cost_of.errors(x)[1])
     M, bound, noise = np.zeros_like(H), np.zeros_like(H), 0.0
     for pos in range(target.n_pos):
         score, information, power = _position(target, slopes[pos], pos)
