@@ -65,8 +65,8 @@ class Cost(eqx.Module):
         """[J r]^T [J r] of the weighted residuals r, V = r^T r, and J = dr/dx: half the Gauss-Newton matrix, half the
         gradient and V, everything that least squares needs.
 
-        Summed over blocks of positions that fit the cache: the whole J, 170 000 by 22 for seven positions of a robot,
-        costs three times as much as what it is made of (`notebooks/measured.md`).
+        Summed over blocks of positions that fit the cache: J as a whole, 170 000 by 22 for seven positions of a robot,
+        takes three times as long.
         """
 
         def one(position):
