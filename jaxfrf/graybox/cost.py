@@ -78,7 +78,7 @@ class Cost(eqx.Module):
             both = jnp.concatenate([jacobian, r[:, None]], axis=1)
             return (both.T @ both).at[-1, -1].add(constant)
 
-        together = max(1, _PLACES // len(self.frequency))
+        together = min(max(1, _PLACES // len(self.frequency)), len(self.log_G))
         return jnp.sum(jax.lax.map(one, self._positions(), batch_size=together), axis=0)
 
     @eqx.filter_jit

@@ -19,7 +19,7 @@ from .model import AbstractModel, fix
 from .parameter import Coordinates, matching
 from .solver import AbstractSolver, Descent, LevenbergMarquardt, check_solver, descents
 from .target import Target, Weights, assumed_cost, select, target
-from .uncertainty import Uncertainty, uncertainty, without_sensitivity
+from .uncertainty import Uncertainty, products, uncertainty, without_sensitivity
 
 _COARSE = 28  # lines that the search for the valley needs at least
 _PLACES = 200  # and lines of all positions together
@@ -222,7 +222,8 @@ def fit_target(
 def _without_blind(model: AbstractModel, tg: Target) -> tuple[AbstractModel, tuple[str, ...]]:
     """The model with parameters that do not change the response fixed, and their names."""
     coordinates = Coordinates(model.parameters)
-    full = np.asarray(Cost(model, coordinates, tg).gram(jnp.asarray(coordinates.start())))
+    errors, slopes = Cost(model, coordinates, tg).errors(jnp.asarray(coordinates.start()))
+    full = products(tg, np.asarray(errors), np.asarray(slopes))
     if not np.isfinite(full).all():
         raise input_error(
             "model", "a response that is not finite at its start", "finite numbers", "Correct the start values."
