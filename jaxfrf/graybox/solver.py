@@ -1,7 +1,7 @@
 """Minimisers of the cost: optimistix, with every step kept."""
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -51,7 +51,9 @@ class AbstractSolver(eqx.Module):
 
 
 class LevenbergMarquardt(AbstractSolver):
-    """Levenberg-Marquardt with exact Jacobians.
+    """Levenberg-Marquardt with exact Jacobians, through `optimistix.minimise`.
+
+    It ends where the next step is below `tolerance`, or promises less than the rounding of the cost.
 
     **Arguments:** `max_steps`: at most. `tolerance`: see `AbstractSolver`.
     """
@@ -101,7 +103,7 @@ def descents(
     starts: Sequence[Float[Array, "parameter"]],
     solver: AbstractSolver,
     tolerance: float | None = None,
-    progress=None,
+    progress: Callable[[int], None] | None = None,
 ) -> list[Descent]:
     """Minimise the cost from each start, block by block, so that one program serves any number of them; `progress` is
     called with how many are done."""
@@ -156,7 +158,7 @@ class _GaussNewtonState(eqx.Module):
 
 class _GaussNewton(optx.AbstractMinimiser):
     """Levenberg-Marquardt from optimistix's damped Newton descent and trust region, for a function that gives its
-    gradient and its Gauss-Newton matrix, half of each, beside its value: (x, args) -> (value, (gradient, matrix)).
+    gradient and Gauss-Newton matrix beside its value: (x, args) -> (value, (gradient, matrix)).
 
     `optimistix.LevenbergMarquardt` takes residuals. It writes their whole Jacobian at every step, accepted or not, and
     that is what a step then costs: 130 ms by its normal equations, more by its QR, where this takes 55 (7 positions,
