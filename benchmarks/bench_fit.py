@@ -236,7 +236,8 @@ class Problem:
         import numpy as np
 
         import jaxfrf as jf
-        from jaxfrf.graybox.cost import Cost, target
+        from jaxfrf.graybox.cost import Cost
+        from jaxfrf.graybox.target import target
         from jaxfrf.io.designs import read_design
 
         robot = _linear_robot(gravity)
@@ -251,19 +252,12 @@ class Problem:
         self.chosen = list(jf.graybox.d_optimal(information, CHOSEN))
         self.frf = _noisy_frf(self.model, self.coordinates.values(self.true_x), self.frequency, q[self.chosen])
         self.target = target(self.frf, jf.Weights(), q[self.chosen])
-        self.products = Cost(self.model, self.coordinates, self.target)
+        self.cost = Cost(self.model, self.coordinates, self.target)
         self.baseline = Baseline(robot, self)
         self._jnp = jnp
 
     def gram(self, x=None):
-        return self.products(self._jnp.asarray(self.true_x if x is None else x))
-
-    @property
-    def cost(self):
-        """The cost alone, compiled."""
-        if not hasattr(self, "_cost"):
-            self._cost = _cost_alone(self)
-        return self._cost
+        return self.cost.gram(self._jnp.asarray(self.true_x if x is None else x))
 
     def descend(self, x) -> dict:
         """Levenberg-Marquardt on all lines."""
@@ -272,8 +266,7 @@ class Problem:
         from jaxfrf.graybox import LevenbergMarquardt
         from jaxfrf.graybox.solver import descend
 
-        solver = LevenbergMarquardt()
-        end = descend(self.products, self._jnp.asarray(x), solver, solver.max_steps)
+        end = descend(self.cost, self._jnp.asarray(x), LevenbergMarquardt())
         steps = int(end.steps)
         return {
             "x": np.asarray(end.x),
@@ -314,25 +307,6 @@ def _noisy_frf(model, values, frequency, q):
         q=q,
         y_quantity=model.quantity,
     )
-
-
-def _cost_alone(p):
-    import equinox as eqx
-    import jax
-    import jax.numpy as jnp
-
-    @eqx.filter_jit
-    def cost(model, coordinates, target, x):
-        def one(position):
-            log_G, weight, point = position
-            G = model.response(target.frequency, coordinates.values(x), point)
-            ratio = jnp.exp(log_G) / jnp.swapaxes(G, -1, -2).reshape(log_G.shape)
-            error = jnp.square(jnp.log(jnp.abs(ratio))) + jnp.square(jnp.angle(ratio))
-            return jnp.sum(jnp.square(weight) * error)
-
-        return jnp.sum(jax.lax.map(one, (target.log_G, target.magnitude, target.points)))
-
-    return lambda x: cost(p.model, p.coordinates, p.target, x)
 
 
 # What a user of NumPy and SciPy writes -------------------------------------------------------------------------------

@@ -4,7 +4,9 @@ import dataclasses
 import functools
 import tomllib
 
+import equinox as eqx
 import graybox_reference as reference
+import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
@@ -15,7 +17,8 @@ from two_axes import ROBOT
 
 import jaxfrf as jf
 from jaxfrf.graybox import Coordinates, focus_band, share
-from jaxfrf.graybox.cost import errors, gram, roughness, select, shifted, target
+from jaxfrf.graybox.cost import Cost
+from jaxfrf.graybox.target import roughness, select, shifted, target
 
 FREQUENCY = np.geomspace(0.5, 8.0, 24)
 TRUE = {"k": 120.0, "d": 0.4, "f": 0.6, "tau": 3e-3}
@@ -42,6 +45,10 @@ def drive(**changes):
         "tau": jf.Parameter(1e-3, "s", positive=False, scale=1e-2, spread=0.2),
     }
     return jf.GrayBox(two_mass, known | changes)
+
+
+def gram(model, coordinates, tg, x):
+    return np.asarray(Cost(model, coordinates, tg).gram(jnp.asarray(x)))
 
 
 def frf_of(G, cov=None, frequency=FREQUENCY, q=ARMS, window=1.0):
@@ -98,7 +105,7 @@ def assert_same_equations(model, frf, weights, rule, x, response=None, atol=1e-7
     """Cost to rounding; gradient and Gauss-Newton matrix to the accuracy of central differences."""
     coordinates = Coordinates(model.parameters)
     tg = target(frf, weights, model.points(frf.q, frf.n_pos))
-    full = np.asarray(gram(model, coordinates, tg, jnp.asarray(x)))
+    full = gram(model, coordinates, tg, x)
     W = reference.weight_matrices(rule, np.asarray(frf.G), np.asarray(frf.cov), frf.frequency)
     response = response_by_x(model, frf) if response is None else response
     V, gradient, hessian = reference.normal_equations(W, np.asarray(frf.G), response, x)
@@ -220,7 +227,7 @@ class TestCost:
         g = 1 / (2.0 * 2j * np.pi * 0.7 + 0.3)
         e = np.log((0.1 - 0.2j) / g)
         w = 1 / (1e-4 / 0.05 + 0.03**2)
-        full = gram(model, coordinates, tg, jnp.asarray(coordinates.start()))
+        full = gram(model, coordinates, tg, coordinates.start())
         np.testing.assert_allclose(full[-1, -1], w * abs(e) ** 2, rtol=1e-12)
         slope = np.array([2.0 * 2j * np.pi * 0.7 * g, 0.3 * g])  # of e = -log g by ln J, ln f
         np.testing.assert_allclose(full[-1, :-1], w * np.real(slope.conj() * e), rtol=1e-10)
@@ -231,7 +238,7 @@ class TestCost:
             "g": 1.0, "phi": jf.Parameter(0.01, positive=False)})  # fmt: skip
         frf = frf_of(np.full((1, 2, 1, 1), -np.exp(-0.01j)), frequency=np.array([1.0, 2.0]), q=None)
         tg = target(frf, jf.Weights(), model.points(None, 1))
-        E, _ = errors(model, Coordinates(model.parameters), tg, jnp.array([0.0, 0.01]))
+        E, _ = Cost(model, Coordinates(model.parameters), tg).errors(jnp.array([0.0, 0.01]))
         np.testing.assert_allclose(E, -0.02j, atol=1e-12)
 
     def test_elements_of_the_model_that_are_zero_do_not_matter_where_nothing_is_measured(self):
@@ -332,6 +339,90 @@ class TestCost:
         tg, _ = assert_same_equations(model, frf, weights, rule, x, response, atol=1e-5)
         square = np.asarray(tg.used).reshape(2, 5, axes, axes)
         assert (square != square.swapaxes(-1, -2)).any() == (kind == "springs alone")
+
+
+def differences(f, x, step=1e-5):
+    """df/dx by central differences, the parameter last."""
+    return np.stack([(f(x + h) - f(x - h)) / (2 * step) for h in step * np.eye(len(x))], axis=-1)
+
+
+@pytest.fixture(scope="module", params=["plain", "correlated"])
+def both(request, measured):
+    """The cost, and that of the NumPy network."""
+    weights, rule = CASES[request.param]
+    cost = jf.graybox.cost_function(drive(), measured, weights)
+    W = reference.weight_matrices(rule, np.asarray(measured.G), np.asarray(measured.cov), measured.frequency)
+    response = response_by_x(drive(), measured)
+    return cost, lambda x: reference.cost(W, np.asarray(measured.G), response(x))
+
+
+class TestCostFunction:
+    """The cost as JAX sees it: its derivatives by autodiff against differences of the NumPy cost."""
+
+    def test_value_and_gradient(self, both):
+        cost, expected = both
+        np.testing.assert_allclose(cost(X), expected(X), rtol=1e-10)
+        slope = differences(expected, X)
+        np.testing.assert_allclose(jax.grad(cost)(X), slope, rtol=1e-6, atol=1e-6 * np.abs(slope).max())
+
+    def test_hessian(self, both):
+        """Not the Gauss-Newton matrix: the errors at X are large."""
+        cost, expected = both
+        curvature = differences(lambda x: differences(expected, x, 1e-4), X, 1e-4)
+        found = np.asarray(jax.jit(jax.hessian(cost))(X))
+        np.testing.assert_allclose(found, curvature, rtol=1e-4, atol=1e-5 * np.abs(curvature).max())
+        part = 2 * np.asarray(cost.gram(X))[:-1, :-1]
+        assert np.abs(part - found).max() > 1e-2 * np.abs(found).max()
+
+    def test_many_at_once(self, both):
+        cost, expected = both
+        several = X + 0.2 * np.random.default_rng(6).standard_normal((5, len(X)))
+        np.testing.assert_allclose(jax.vmap(cost)(several), [expected(x) for x in several], rtol=1e-10)
+        slopes = jax.jit(jax.vmap(jax.grad(cost)))(several)
+        np.testing.assert_allclose(slopes[3], jax.grad(cost)(several[3]), rtol=1e-10)
+
+    def test_robot(self):
+        """A robot's own derivative, taken backwards."""
+        cost, x, expected = self.robot()
+        np.testing.assert_allclose(cost(x), expected(x), rtol=1e-9)
+        slope = differences(expected, x)
+        np.testing.assert_allclose(jax.grad(cost)(x), slope, rtol=1e-5, atol=1e-5 * np.abs(slope).max())
+
+    @pytest.mark.slow
+    def test_robot_beyond(self):
+        """To second order, and in what that derivative was not written for."""
+        cost, x, expected = self.robot()
+        along, gradient = np.random.default_rng(2).standard_normal(len(x)), jax.grad(cost)
+        curved = (np.asarray(gradient(x + 1e-5 * along)) - np.asarray(gradient(x - 1e-5 * along))) / 2e-5
+        found = jax.jit(lambda x, v: jax.jvp(gradient, (x,), (v,))[1])(x, along)
+        np.testing.assert_allclose(found, curved, rtol=1e-5, atol=1e-6 * np.abs(curved).max())
+        q = np.asarray(cost.points)
+        elsewhere = lambda q: eqx.tree_at(lambda c: c.points, cost, q)(x)
+        turned = differences(lambda angles: expected(x, angles[None]), q[0])
+        np.testing.assert_allclose(jax.jacfwd(elsewhere)(jnp.asarray(q))[0], turned, rtol=1e-5)
+
+    @staticmethod
+    def robot():
+        """The cost of two axes, a place away from its minimum, and the cost by linearisation, solve and NumPy."""
+        robot = jf.robot.robot_from_table(tomllib.loads(ROBOT))
+        model, frequency = jf.RobotModel(robot), np.geomspace(8.0, 60.0, 4)
+        at = positions(1)[:, :2]
+        G = np.asarray(robot_frf(robot, at, frequency, friction_of(model)))
+        frf = dataclasses.replace(frf_of(G, frequency=frequency, q=at), y_quantity=model.quantity)
+        cost = jf.graybox.cost_function(model, frf, jf.Weights(focus=1))
+        W = reference.weight_matrices(reference.Rule(), G, np.zeros((1, 4, 4, 4)), frequency)
+
+        def expected(x, q=at):
+            v = cost.coordinates.values(x)
+            friction = [v[f"{a}.effective_friction"] for a in robot.axis_names]
+            return reference.cost(W, G, np.asarray(robot_frf(model.at(v), q, frequency, friction)))
+
+        change = 0.1 * np.random.default_rng(1).standard_normal(cost.coordinates.size)
+        return cost, cost.coordinates.start() + change, expected
+
+    def test_what_does_not_fit_together(self, measured):
+        with pytest.raises(jf.InputError, match="points"):
+            jf.graybox.cost_function(drive(), measured, points=np.zeros((3, 1)))
 
 
 def series(omega, values):
@@ -488,7 +579,7 @@ class TestFit:
         one = gram(drive(), Coordinates(drive().parameters), tg, X)
         coordinates = Coordinates(shared.parameters)
         assert coordinates.names == Coordinates(drive().parameters).names
-        two = np.asarray(gram(shared, coordinates, tg, X))
+        two = gram(shared, coordinates, tg, X)
         np.testing.assert_allclose(two, one, rtol=1e-9, atol=1e-9)
 
     def test_a_negative_delay(self):
@@ -509,6 +600,22 @@ class TestFit:
         frf = frf_of(noisy(rng, G, cov), cov, q=many)
         for weights in (jf.Weights(floor=0), jf.Weights(floor=0, correlated=True)):
             np.testing.assert_allclose(jf.graybox.evaluate(fitted, frf, weights), 1.0, atol=0.08)
+
+
+class TestRobot:
+    def test_every_start_finds_the_truth(self):
+        """Two axes; R3X is below."""
+        start = jf.RobotModel(jf.robot.robot_from_table(tomllib.loads(ROBOT)))
+        rng = np.random.default_rng(4)
+        names = Coordinates(start.parameters).names
+        values = {n: start.parameters[n].start * np.exp(0.1 * rng.standard_normal()) for n in names}
+        frequency, q = np.geomspace(4.0, 79.0, 24), positions(2)[:, :2]
+        friction = [values[f"{a}.effective_friction"] for a in start.robot.axis_names]
+        frf = frf_of(robot_frf(start.at(values), q, frequency, friction), frequency=frequency, q=q)
+        found = jf.fit(start, dataclasses.replace(frf, y_quantity=start.quantity), starts=20, keep=None)
+        assert found.close_starts == 20 and all(s.converged for s in found.starts)
+        for begun in found.starts:
+            np.testing.assert_allclose(begun.x, np.log([values[n] for n in found.coordinates.names]), atol=1e-8)
 
 
 class TestR3X:

@@ -17,8 +17,9 @@ from test_graybox_fit import frf_of, noisy, random_covariance
 
 import jaxfrf as jf
 from jaxfrf.graybox import Coordinates
-from jaxfrf.graybox.cost import Cost, target
+from jaxfrf.graybox.cost import Cost
 from jaxfrf.graybox.solver import descend
+from jaxfrf.graybox.target import target
 from jaxfrf.graybox.uncertainty import uncertainty
 
 LIKELIHOOD = jf.Weights(floor=0.0, off_diagonal=1.0, focus=1.0, correlated=True)

@@ -4,7 +4,10 @@ G = motor speed / current = kt/(Z1 + Z2 Zc/(Z2 + Zc)), with Z1, Z2 the impedance
 coupling, behind a delay and a first-order lag of the speed signal.
 """
 
+import dataclasses
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -102,12 +105,38 @@ def test_state_space_is_the_same_model():
     frf = synthetic(TRUTH, outputs=2, noise=0.0)
     model = starting_at(jf.GrayBox(StateSpace(), parameters()), TRUTH)
     values = {name: jnp.asarray(value) for name, value in TRUTH.items()}
-    both, slopes = model.response_and_jacobian(frf.frequency, values, model.points(None, 1)[0])
-    np.testing.assert_allclose(both, frf.G[0], rtol=1e-9)
-    motor = jf.GrayBox(TwoMasses(), model.parameters).response_and_jacobian(frf.frequency, values, jnp.zeros(0))
+    response = lambda model: lambda values: model.response(frf.frequency, values, jnp.zeros(0))
+    motor = jf.GrayBox(TwoMasses(), model.parameters)
+    np.testing.assert_allclose(response(model)(values), frf.G[0], rtol=1e-9)
+    both, one = (jax.jacfwd(response(m))(values) for m in (model, motor))
     for name in ("J1", "J2", "k", "d", "f1", "f2", "kt", "delay"):
-        size = np.abs(motor[1][name]).max()
-        np.testing.assert_allclose(slopes[name][:, :1], motor[1][name], rtol=1e-8, atol=1e-9 * size)
+        size = np.abs(one[name]).max()
+        np.testing.assert_allclose(both[name][:, :1], one[name], rtol=1e-8, atol=1e-9 * size)
+
+
+class Own(jf.AbstractModel):
+    """A model with its `response`, its derivative left to autodiff."""
+
+    drive: TwoMasses
+    parameters: dict[str, jf.Parameter]
+
+    def response(self, frequency, values, point):
+        return self.drive(2 * jnp.pi * frequency, values)[:, None, None] * jnp.exp(values["J1"] * point["gain"])
+
+
+def test_a_model_with_a_response():
+    """Its operating points are what it likes: here a dictionary; its cost is a function as any other's."""
+    frf, points = synthetic(TRUTH, outputs=1, noise=0.0), {"gain": np.array([30.0])}
+    frf = dataclasses.replace(frf, G=frf.G * np.exp(TRUTH["J1"] * 30.0))
+    model = Own(TwoMasses(), parameters())
+    cost = jf.graybox.cost_function(model, frf, points=points)
+    x = cost.coordinates.start()
+    slope = [(cost(x + h) - cost(x - h)) / 2e-5 for h in 1e-5 * np.eye(len(x))]
+    np.testing.assert_allclose(jax.grad(cost)(x), slope, rtol=1e-6, atol=1e-6 * np.abs(slope).max())
+    fit = jf.fit(model, frf, starts=2, points=points, keep=None)
+    for name in ("J1", "J2", "k", "d", "f1", "f2", "delay"):
+        np.testing.assert_allclose(fit.values[name], TRUTH[name], rtol=1e-7)
+    assert cost(fit.x) < 1e-12 * cost(x)
 
 
 def test_common_factor_is_named():

@@ -1,7 +1,7 @@
 """From frequency responses to the physical parameters of a model: models, weights, fits and what is known of them."""
 
 from .corrections import Correction as Correction
-from .cost import Target as Target, Weights as Weights, focus_band as focus_band
+from .cost import Cost as Cost, cost_function as cost_function
 from .derived import Derived as Derived, derived as derived
 from .fit import Fit as Fit, Start as Start, evaluate as evaluate, fit as fit
 from .guess import (
@@ -47,6 +47,7 @@ from .solver import (
     LevenbergMarquardt as LevenbergMarquardt,
 )
 from .swing import robot_points as robot_points
+from .target import Target as Target, Weights as Weights, focus_band as focus_band
 from .through import (
     ThroughFit as ThroughFit,
     fit_through_experiment as fit_through_experiment,

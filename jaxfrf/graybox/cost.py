@@ -1,12 +1,9 @@
-"""The weighted logarithmic cost between measured and modelled frequency responses.
+"""The weighted logarithmic cost between measured and modelled frequency responses, a function of the parameters.
 
     V(theta) = sum_{pos, freq} E^H W E,   E = log(G_hat / G(theta)), element by element, phase by its principal value
 
 (Zimmermann & Moberg, eq. (22); Wernholt & Moberg, IFAC World Congress 2008).
 """
-
-import dataclasses
-import functools
 
 import equinox as eqx
 import jax
@@ -15,102 +12,166 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, PyTree
 
 from .._errors import input_error
-from .._types import Array
-from ..frf import FRF, features
+from .._types import Array, require_x64
+from ..frf import FRF
 from .model import AbstractModel
 from .parameter import Coordinates
+from .target import Target, Weights, target
 
-_LEAST = 2.0  # degrees of freedom beyond the size of a covariance: with fewer, its inverse has no variance
 _PLACES = 400  # lines of all positions that are worked on at the same time
-_NEIGHBOURS = 4  # lines on either side that a scatter is taken over
-_FLOOR = 1e-6  # a variance of zero has no weight
 
 
-class Weights(eqx.Module):
-    """What counts in the fit.
+class Cost(eqx.Module):
+    """V(x), a JAX function of the parameters: `jax.grad`, `jax.hessian`, `jax.vmap` and `jax.jit` take it as it is.
 
-    The weight of an element at a line is user weight / (var/|G|^2 + floor^2): the uncertainty of the FRF together with
-    what the model (and the estimator's bias) can be trusted to. Elements more uncertain than `reject` are left out;
-    where the covariance is not known (NaN), var is the scatter of neighbouring lines about straight lines between them,
-    which counts a resonance between two lines as noise.
+    Made by `cost_function`. x is the vector of `coordinates`: ln(value) of positive parameters, bending over at their
+    bounds, so that every x stands for parameters that are allowed.
 
-    **Arguments:**
-
-    - `floor`: relative error that the model itself may have.
-    - `off_diagonal`: user weight of off-diagonal elements beside 1 on the diagonal.
-    - `focus`: extra user weight of every diagonal element between .8 times its first antiresonance and 1.25 times the
-      first resonance behind it; 1 for none. Where no antiresonance is found, none.
-    - `reject`: elements with var/|G|^2 above it are dropped: the logarithm of something that uncertain is biased.
-    - `elements`: user weight of every element, (out, in), or `None`: 1 and `off_diagonal`.
-    - `bands`: (lowest Hz, highest Hz, factor) of bands that count more, less (0: not at all).
-    - `correlated`: whiten with the full covariance of all elements of a line, instead of one by one:
-      W = S D S, S the Hermitian root of (cov E + floor^2 I)^-1 and D the user weights.
+    **Fields:** `model`, `coordinates`: of x. `frequency`: Hz, (freq,). The others as in `Target`; `log_G` is less its
+    shift.
     """
 
-    floor: float = 0.03
-    off_diagonal: float = 0.2
-    focus: float = 4.0
-    reject: float = 0.25
-    elements: Float[Array, "out in"] | None = None
-    bands: tuple[tuple[float, float, float], ...] = eqx.field(static=True, default=())
-    correlated: bool = eqx.field(static=True, default=False)
-
-    def __check_init__(self):
-        if not self.floor >= 0 or not self.off_diagonal >= 0 or not self.focus > 0 or not self.reject > 0:
-            raise input_error(
-                "weights",
-                f"floor {self.floor}, off_diagonal {self.off_diagonal}, focus {self.focus}, reject {self.reject}",
-                "floor and off_diagonal of 0 or more, focus and reject above 0",
-                "Correct them.",
-            )
-        for band in self.bands:
-            if len(band) != 3 or not band[0] <= band[1] or not 0 <= band[2] < np.inf:
-                raise input_error(
-                    "weights.bands",
-                    f"{band}",
-                    "(lowest Hz, highest Hz, factor), the factor 0 or more",
-                    "Correct the band.",
-                )
-
-
-class Target(eqx.Module):
-    """An FRF made ready for fitting.
-
-    **Fields:** `log_G`: log of the measured elements, (pos, freq, vec), columns stacked; 0 where left out.
-    `magnitude`, `phase`: square roots of the weights of Re E and Im E, (pos, freq, vec). `whitener`: matrix applied to
-    E before them, (pos, freq, vec, vec), or `None`. `cov`: covariance of E, (pos, freq, vec, vec), zero where unknown.
-    `overlap`: correlation between the estimates of two lines, (pos, freq, freq), or `None` for independent lines.
-    `points`: operating points, leading axis pos. `used`: (pos, freq, vec). `scatter`: how much more the cost and the
-    variance of its gradient are than weights from the true covariance would make them, because the weights come from
-    a covariance of few degrees of freedom, (pos, freq, 2).
-    """
-
+    model: AbstractModel
+    coordinates: Coordinates
     frequency: Float[Array, "freq"]
     log_G: Complex[Array, "pos freq vec"]
-    shift: Complex[Array, "pos freq vec"]
     magnitude: Float[Array, "pos freq vec"]
     phase: Float[Array, "pos freq vec"]
     whitener: Complex[Array, "pos freq vec vec"] | None
-    cov: Complex[Array, "pos freq vec vec"]
-    overlap: Float[Array, "pos freq freq"] | None
-    points: PyTree
     used: Bool[Array, "pos freq vec"]
-    scatter: Float[Array, "pos freq two"]
+    points: PyTree
+
+    def __init__(self, model: AbstractModel, coordinates: Coordinates, target: Target):
+        self.model, self.coordinates = model, coordinates
+        self.frequency = jnp.asarray(target.frequency)
+        self.log_G = jnp.asarray(target.log_G - target.shift)
+        self.magnitude, self.phase = jnp.asarray(target.magnitude), jnp.asarray(target.phase)
+        self.whitener = None if target.whitener is None else jnp.asarray(target.whitener)
+        self.used = jnp.asarray(target.used)
+        self.points = jax.tree.map(jnp.asarray, target.points)
+
+    @eqx.filter_jit
+    def __call__(self, x: Float[Array, "parameter"]) -> Float[Array, ""]:
+        """V(x)."""
+
+        def one(position):
+            residual, constant = self._residual(x, position)
+            return jnp.sum(jnp.square(residual)) + constant
+
+        return jnp.sum(jax.lax.map(one, self._positions()))
+
+    @eqx.filter_jit
+    def gram(self, x: Float[Array, "parameter"]) -> Float[Array, "column column"]:
+        """[J r]^T [J r] of the weighted residuals r, V = r^T r, and J = dr/dx: half the Gauss-Newton matrix, half the
+        gradient and V, everything that least squares needs.
+
+        Summed over blocks of positions that fit the cache: J as a whole, 170 000 by 22 for seven positions of a robot,
+        takes three times as long.
+        """
+
+        def one(position):
+            def residual(x):
+                r, constant = self._residual(x, position)
+                return r, (r, constant)
+
+            jacobian, (r, constant) = jax.jacfwd(residual, has_aux=True)(x)
+            both = jnp.concatenate([jacobian, r[:, None]], axis=1)
+            return (both.T @ both).at[-1, -1].add(constant)
+
+        together = min(max(1, _PLACES // len(self.frequency)), len(self.log_G))
+        return jnp.sum(jax.lax.map(one, self._positions(), batch_size=together), axis=0)
+
+    @eqx.filter_jit
+    def errors(
+        self, x: Float[Array, "parameter"]
+    ) -> tuple[Complex[Array, "pos freq vec"], Complex[Array, "pos freq vec parameter"]]:
+        """E and d log G/dx at every position, not weighted, 0 where an element is left out."""
+
+        def one(position):
+            log_G, *_, used, point = position
+            g, slope = at_position(self.model, self.coordinates, self.frequency, x, point)
+            return _error(jnp.where(used, g, 1.0), log_G, used), jnp.where(used[..., None], slope, 0)
+
+        return jax.lax.map(one, self._positions())
 
     @property
-    def n_pos(self) -> int:
-        return self.log_G.shape[0]
+    def total(self) -> Float[Array, ""]:
+        """Sum of the weights of all magnitudes and phases."""
+        if self.whitener is not None:
+            return jnp.asarray(float(self.log_G.size))
+        return jnp.sum(jnp.square(self.magnitude)) + jnp.sum(jnp.square(self.phase))
 
-    @property
-    def n_terms(self) -> int:
-        """Real numbers that the cost compares."""
-        return 2 * int(np.count_nonzero(self.used))
+    def _positions(self):
+        return self.log_G, self.magnitude, self.phase, self.whitener, self.used, self.points
+
+    def _residual(self, x, position):
+        """Weighted residuals of one position, (real,), and what no parameter changes of their sum of squares."""
+        log_G, magnitude, phase, whitener, used, point = position
+        G = self.model.response(self.frequency, self.coordinates.values(x), point)
+        if whitener is None and self.model.reciprocal(self.coordinates.moving):
+            return _mirrored(G, log_G, magnitude, phase, used)
+        error = _error(jnp.where(used, vec(G), 1.0), log_G, used)
+        if whitener is not None:
+            error = jnp.squeeze(whitener @ error[..., None], -1)
+        return jnp.concatenate([(magnitude * error.real).ravel(), (phase * error.imag).ravel()]), jnp.zeros(())
 
 
-def shifted(target: Target, shift: Complex[Array, "pos freq vec"], points: PyTree) -> Target:
-    """The same target at these operating points, with a `shift`; elements where that is not finite are left out."""
-    used = np.asarray(target.used) & np.isfinite(shift)
-    return dataclasses.replace(target, shift=np.where(used, shift, 0), used=used, points=points)
+def cost_function(model: AbstractModel, frf: FRF, weights: Weights | None = None, points: PyTree | None = None) -> Cost:
+    """The cost that `jaxfrf.fit` minimises, as a function of the parameters.
+
+    ```python
+    cost = jf.graybox.cost_function(model, frf)
+    x = cost.coordinates.start()            # at the model's start, in the order of cost.coordinates.names
+    slope = jax.grad(cost)(x)
+    several = jax.vmap(cost)(x + 0.1 * jax.random.normal(key, (20, x.size)))
+    values = cost.coordinates.values(x)     # by name, in their units
+    ```
+
+    **Arguments:** as of `jaxfrf.fit`.
+
+    **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together.
+    """
+    require_x64("cost_function")
+    check_quantity(model, frf)
+    points = model.points(frf.q, frf.n_pos) if points is None else points
+    tg = target(frf, Weights() if weights is None else weights, points)
+    coordinates = Coordinates(model.parameters)
+    check_shape(model, coordinates, tg, frf)
+    return Cost(model, coordinates, tg)
+
+
+def check_quantity(model: AbstractModel, frf: FRF) -> None:
+    """A robot model says which quantity it gives; a model of the user's own gives what the user says."""
+    expected = getattr(model, "quantity", frf.y_quantity)
+    if frf.y_quantity != expected:
+        raise input_error(
+            "FRF",
+            f"a response to {frf.y_quantity}",
+            f"{expected}, which the model gives",
+            f"Make the model with quantity={frf.y_quantity!r}, or convert the spectra (with_output_quantity).",
+        )
+
+
+def check_shape(model, coordinates, tg: Target, frf: FRF) -> None:
+    sizes = {np.shape(a)[:1] for a in jax.tree.leaves(tg.points)}
+    if sizes - {(frf.n_pos,)}:
+        raise input_error(
+            "points",
+            f"arrays with a leading axis of {', '.join(str(*n) if n else 'none' for n in sizes)}",
+            f"{frf.n_pos}, one for every operating point of the FRF",
+            "Give one point for every position.",
+        )
+    point = jax.tree.map(lambda a: jnp.asarray(a)[0], tg.points)
+    found = jax.eval_shape(
+        lambda x: model.response(jnp.asarray(tg.frequency), coordinates.values(x), point), jnp.zeros(coordinates.size)
+    )
+    if found.shape[1:] != (frf.n_out, frf.n_in):
+        raise input_error(
+            "model",
+            f"a response of {found.shape[1]} outputs and {found.shape[2]} inputs",
+            f"{frf.n_out} and {frf.n_in} as in the FRF",
+            "Use the model of this machine, or records with the model's channels.",
+        )
 
 
 def vec(G):
@@ -118,348 +179,60 @@ def vec(G):
     return jnp.swapaxes(G, -1, -2).reshape(*G.shape[:-2], -1)
 
 
-def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
-    """An FRF with weights, ready for `fit`.
-
-    **Raises:** `jaxfrf.InputError` if weights have another shape, or nothing is left to fit.
-    """
-    G = np.asarray(frf.G)
-    g = G.swapaxes(-1, -2).reshape(*G.shape[:2], -1)
-    usable = np.isfinite(g) & (np.abs(g) > 0)
-    size = np.where(usable, g, 1.0)
-    cov = np.asarray(frf.cov)
-    # An infinite variance says that an element is worthless, NaN that nothing is known of the line's covariance.
-    worthless = np.isposinf(np.real(np.diagonal(cov, axis1=-2, axis2=-1)))
-    cov = np.where(worthless[..., :, None] | worthless[..., None, :], 0, cov)
-    known = np.isfinite(cov).all(axis=(-1, -2), keepdims=True)
-    relative = np.where(known, cov, 0) / (size[..., :, None] * size.conj()[..., None, :])
-    variance = np.real(np.diagonal(relative, axis1=-2, axis2=-1))
-    variance = np.where(known[..., 0], variance, roughness(np.asarray(frf.frequency), size))
-    user = _user_weights(frf, weights)
-    used = usable & ~worthless & (variance <= weights.reject) & (user > 0)
-    if not used.any():
-        raise input_error(
-            "FRF",
-            f"no element more certain than var/|G|^2 = {weights.reject:g} with a weight above 0",
-            "some elements to fit",
-            "More experiments, a wider window, another `reject`, or other weights.",
-        )
-    floor = max(weights.floor, _FLOOR)
-    if weights.correlated:
-        whitener = _whitener(relative, used, floor)
-        root = np.sqrt(user) * used
-    else:
-        whitener = None
-        root = np.sqrt(user / (variance + floor**2)) * used
-    relative = np.where(used[..., :, None] & used[..., None, :], relative, 0)
-    return Target(
-        frequency=np.asarray(frf.frequency),
-        log_G=np.where(used, np.log(np.where(used, g, 1.0)), 0),
-        shift=np.zeros_like(g),
-        magnitude=root,
-        phase=root,
-        whitener=whitener,
-        cov=relative,
-        overlap=overlap(np.asarray(frf.window)),
-        points=points,
-        used=used,
-        scatter=_scatter(frf, weights, variance, used, floor),
-    )
-
-
-def roughness(
-    frequency: Float[np.ndarray, "freq"], g: Complex[np.ndarray, "pos freq vec"]
-) -> Float[np.ndarray, "pos freq vec"]:
-    """Relative variance of every element from how far lines are off the straight line between their neighbours, the
-    mean over some lines: a stand-in for a variance that is not known. 0 for fewer than three lines."""
-    if len(frequency) < 3:
-        return np.zeros(g.shape)
-    share = ((frequency[2:] - frequency[1:-1]) / (frequency[2:] - frequency[:-2]))[:, None]
-    off = np.abs(g[:, 1:-1] - share * g[:, :-2] - (1 - share) * g[:, 2:]) ** 2 / (1 + share**2 + (1 - share) ** 2)
-    near = np.abs(np.arange(len(frequency))[:, None] - np.arange(1, len(frequency) - 1)) <= _NEIGHBOURS
-    mean = lambda x, w: np.einsum("fk,pkv->pfv", w / w.sum(axis=1, keepdims=True), x)
-    whole = np.abs(np.arange(len(frequency))[:, None] - np.arange(len(frequency))) <= _NEIGHBOURS
-    return mean(off, near) / mean(np.abs(g) ** 2, whole)
-
-
-def _user_weights(frf: FRF, weights: Weights) -> np.ndarray:
-    """(pos, freq, vec)"""
-    shape = (frf.n_out, frf.n_in)
-    if weights.elements is None:
-        square = np.full(shape, weights.off_diagonal if min(shape) > 1 else 1.0)
-        np.fill_diagonal(square, 1.0)
-    else:
-        square = np.asarray(weights.elements, float)
-        if square.shape != shape or not np.all(square >= 0):
-            raise input_error(
-                "weights.elements", f"shape {square.shape}", f"{shape}, 0 or more", "One weight for each element."
-            )
-    user = np.broadcast_to(square, (frf.n_pos, len(frf.frequency), *shape)).copy()
-    if weights.focus != 1.0:
-        for pos in range(frf.n_pos):
-            for axis in range(min(shape)):
-                low, high = focus_band(frf, axis, pos)
-                inside = (frf.frequency >= low) & (frf.frequency <= high)
-                user[pos, inside, axis, axis] *= weights.focus
-    for low, high, factor in weights.bands:
-        user[:, (frf.frequency >= low) & (frf.frequency <= high)] *= factor
-    return user.swapaxes(-1, -2).reshape(*user.shape[:2], -1)
-
-
-def focus_band(frf: FRF, axis: int, position: int) -> tuple[float, float]:
-    """From .8 of the first antiresonance of a diagonal element to 1.25 of the resonance behind it, Hz."""
-    found = features(frf, axis, axis, position=position)
-    low = min((x.frequency for x in found if x.kind == "antiresonance"), default=np.inf)
-    high = min((x.frequency for x in found if x.kind == "resonance" and x.frequency > low), default=1.6 * low)
-    return 0.8 * low, 1.25 * high
-
-
-def _whitener(relative, used, floor: float):
-    """(cov of E + floor^2 I)^-1/2 among the used elements; zero rows and columns elsewhere.
-
-    The Hermitian root: each of its rows stays as near to its element as can be, so that user weights mean what they
-    say and the order of the channels does not matter, as it would with a triangular factor.
-    """
-    both = used[..., :, None] & used[..., None, :]
-    eye = np.eye(used.shape[-1])
-    matrix = np.where(both, relative, 0) + eye * np.where(used, floor**2, 1.0)[..., None, :]
-    values, vectors = np.linalg.eigh(matrix)
-    root = (vectors / np.sqrt(np.maximum(values, floor**2))[..., None, :]) @ vectors.swapaxes(-1, -2).conj()
-    return np.where(both, root, 0)
-
-
-def _scatter(frf: FRF, weights: Weights, variance, used, floor: float) -> np.ndarray:
-    """Weights W = C_hat^-1 with C_hat a complex Wishart matrix of nu degrees of freedom and size p about C: the cost is
-    E tr(W C) = nu/(nu - p) times its size, and E(W C W) / E(W C_hat W) = nu^2/((nu - p)^2 - 1) (Shaman, Journal of
-    Multivariate Analysis 10, 1980). A floor takes part of the weight away from C_hat. (pos, freq, 2)"""
-    p = frf.n_out if weights.correlated else 1
-    dof = np.broadcast_to(np.asarray(frf.dof, float), variance.shape[:2])
-    excess = np.maximum(np.where(np.isnan(dof), np.inf, dof) - p, _LEAST)
-    nu = excess + p
-    count = np.maximum(used.sum(axis=-1), 1)
-    share = np.sum(np.where(used, variance / (variance + floor**2), 0), axis=-1) / count
-    with np.errstate(invalid="ignore"):
-        cost = np.where(np.isfinite(nu), nu / excess, 1.0)
-        gradient = np.where(np.isfinite(nu), nu**2 / (excess**2 - 1), 1.0)
-    return np.stack([1 + share * (cost - 1), 1 + share**2 * (gradient - 1)], axis=-1)
-
-
-def overlap(window) -> np.ndarray | None:
-    """Correlation between local estimates at two lines whose windows share data, (pos, freq, freq).
-
-    The correlation of two second-order local polynomial fits through windows of these widths that stand about (or, at
-    an end of the band, beside) their lines. `None` where every window is one line wide.
-    """
-    if np.all(window <= 1):
-        return None
-    kernels = {}
-    result = np.empty((*window.shape, window.shape[1]))
-    for pos, widths in enumerate(np.asarray(np.rint(window), int)):
-        key = widths.tobytes()
-        if key not in kernels:
-            rows = np.stack([_kernel(line, width, len(widths)) for line, width in enumerate(widths)])
-            product = rows @ rows.T
-            size = np.sqrt(np.diagonal(product))
-            kernels[key] = product / size[:, None] / size[None, :]
-        result[pos] = kernels[key]
-    return result
-
-
-def _kernel(line: int, width: int, count: int) -> np.ndarray:
-    """Weights that a second-order local fit gives to the lines of its window."""
-    width = min(max(width, 1), count)
-    first = min(max(line - width // 2, 0), count - width)
-    row = np.zeros(count)
-    where = np.arange(first, first + width)
-    x = (where - line) / max(width, 1)
-    powers = np.stack([x**p for p in range(min(3, width))], axis=1)
-    row[where] = np.linalg.pinv(powers)[0]
-    return row
-
-
 def at_position(model: AbstractModel, coordinates: Coordinates, frequency, x, point):
     """G and d log G/dx at one operating point: (freq, vec), (freq, vec, parameter)."""
-    G, columns, chain = _columns(model, coordinates, frequency, x, point)
-    slopes = jnp.swapaxes(columns / G[..., None], 1, 2).reshape(len(G), -1, columns.shape[-1])
-    return vec(G), slopes @ chain.astype(slopes.dtype)
+
+    def response(x):
+        g = vec(model.response(frequency, coordinates.values(x), point))
+        return g, g
+
+    slope, g = jax.jacfwd(response, has_aux=True)(x)
+    return g, slope / g[..., None]
 
 
-def _columns(model: AbstractModel, coordinates: Coordinates, frequency, x, point):
-    """G, its derivative in every value that depends on x, and that of the values in x: (freq, out, in), (freq, out, in,
-    column), (column, parameter)."""
-    own, moving = coordinates.parameters, _moving(coordinates)
-    G, columns, names = model.response_and_columns(frequency, coordinates.values(x), point, moving)
-    # Every value depends on one x only: the chain rule is a number for each.
-    slope = jax.jvp(coordinates.values, (x,), (jnp.ones_like(x),))[1]
-    place = np.array([coordinates.names.index(own[n].same_as or n) for n in names])
-    chain = jnp.stack([slope[n] for n in names])[:, None] * np.eye(coordinates.size)[place]
-    return G, columns, chain
-
-
-def _moving(coordinates: Coordinates) -> tuple[str, ...]:
-    """Names of the values that depend on x."""
-    return tuple(n for n, p in coordinates.parameters.items() if (p.same_as or n) in coordinates.names)
-
-
+@jax.custom_jvp
 def _error(g, log_G, used):
-    """E, zero where an element is left out (the model may be 0 or infinite there): the phase of the ratio by its
-    principal value, never a difference of angles."""
-    g = jnp.where(used, g, 1.0)
+    """E, zero where an element is left out: the phase of the ratio by its principal value, never a difference of
+    angles. Where an element is left out g must be a number that is not 0."""
     size = jnp.where(used, log_G.real - jnp.log(jnp.abs(g)), 0.0)
     return jax.lax.complex(size, jnp.where(used, jnp.angle(jnp.exp(1j * log_G.imag) * jnp.conj(g)), 0.0))
 
 
-def gram(model: AbstractModel, coordinates: Coordinates, target: Target, x) -> Float[Array, "column column"]:
-    """[J r]^T [J r] of the weighted residuals r = sqrt(W) E and J = dr/dx: everything that least squares needs."""
-    return Cost(model, coordinates, target)(x)
+@_error.defjvp
+def _error_slope(primals, tangents):
+    """dE = d log G_hat - dG/G: analytic, which magnitude and angle apart hide from autodiff."""
+    g, log_G, used = primals
+    change, measured, _ = tangents
+    inverse = -1.0 / g
+    real = change.real * inverse.real - change.imag * inverse.imag  # real products are faster than complex ones
+    imag = change.real * inverse.imag + change.imag * inverse.real
+    slope = jax.lax.complex(jnp.where(used, real, 0.0), jnp.where(used, imag, 0.0))
+    return _error(g, log_G, used), slope + jnp.where(used, measured, 0.0)
 
 
-class Cost:
-    """The cost of a model and a target, made ready to be asked at many x: called with x (parameter,) it gives `gram`.
+def _mirrored(G, log_G, magnitude, phase, used):
+    """Residuals where an element and its mirror image have the same slopes: their weighted mean, in place of both.
 
-    **Fields:** `coordinates`: of x. `total`: sum of the weights of all magnitudes and phases.
+    With w^2 = u^2 + v^2, (u e)^2 + (v f)^2 = (u^2 e + v^2 f)^2 / w^2 + (u v (e - f))^2 / w^2, and e - f is constant.
     """
-
-    def __init__(self, model: AbstractModel, coordinates: Coordinates, target: Target):
-        self.coordinates = coordinates
-        total = np.sum(np.square(target.magnitude)) + np.sum(np.square(target.phase))
-        self.total = float(total) if target.whitener is None else float(target.log_G.size)
-        positions = (
-            target.log_G - target.shift,
-            target.magnitude,
-            target.phase,
-            target.whitener,
-            target.used,
-            target.points,
-        )
-        arrays, rest = eqx.partition((model, coordinates, target.frequency, positions), eqx.is_array)
-        self._leaves, tree = jax.tree.flatten(jax.tree.map(jnp.asarray, arrays))
-        self._program = _Program(tree, rest, max(1, _PLACES // len(target.frequency)))
-
-    def __call__(self, x) -> Float[Array, "column column"]:
-        return _gram(self._program, self._leaves, x)
-
-
-class _Program:
-    """What the compiled cost depends on beside its arrays, with a hash that is taken once.
-
-    **Fields:** `tree`: how arrays are put together, `rest`: what is no array. `together`: positions at the same time.
-    """
-
-    def __init__(self, tree, rest, together: int):
-        self.tree, self.rest, self.together = tree, rest, together
-        leaves, shape = jax.tree.flatten(rest)
-        self._key = (tree, tuple(leaves), shape, together)
-        self._hash = hash(self._key)
-
-    def __hash__(self):
-        return self._hash
-
-    def __eq__(self, other):
-        return self is other or (isinstance(other, _Program) and self._key == other._key)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _gram(program: _Program, leaves, x):
-    arrays = jax.tree.unflatten(program.tree, leaves)
-    model, coordinates, frequency, positions = eqx.combine(arrays, program.rest)
-    mirrored = positions[3] is None and model.reciprocal(_moving(coordinates))
-    products = _mirrored_products if mirrored else _products
-
-    def one(position):
-        *data, point = position
-        G, columns, chain = _columns(model, coordinates, frequency, x, point)
-        # The chain rule after the sum, where it costs nothing.
-        onto = jax.scipy.linalg.block_diag(chain, jnp.ones((1, 1)))
-        return onto.T @ products(G, columns, *data) @ onto
-
-    return jnp.sum(jax.lax.map(one, positions, batch_size=program.together), axis=0)
-
-
-def _products(G, columns, log_G, magnitude, phase, whitener, used):
-    """[J r]^T [J r] of one position, J in the columns."""
-    g, columns = vec(G), jnp.swapaxes(columns, 1, 2).reshape(len(G), -1, columns.shape[-1])
-    error = _error(g, log_G, used)
-    real, imag = _relative(g, columns, used)
-    if whitener is not None:
-        whitened = whitener @ jnp.concatenate([jax.lax.complex(real, imag), error[..., None]], axis=-1)
-        real, imag, error = whitened.real[..., :-1], whitened.imag[..., :-1], whitened[..., -1]
-    return _square(magnitude, real, magnitude * error.real) + _square(phase, imag, phase * error.imag)
-
-
-def _mirrored_products(G, columns, log_G, magnitude, phase, whitener, used):
-    """The same where an element and its mirror image have the same slopes: one row for both."""
     n = G.shape[-1]
     out, into = np.triu_indices(n)
     one, other = into * n + out, out * n + into  # their places in vec G
-    error = _error(vec(G), log_G, used)
-    real, imag = _relative(G[:, out, into], columns[:, out, into], used[:, one] | used[:, other])
+    share = np.where(one == other, 0.5, 1.0)
+    error = jax.lax.stop_gradient(_error(jnp.where(used, vec(G), 1.0), log_G, used))
+    either = used[:, one] | used[:, other]
+    upper = _error(jnp.where(either, G[:, out, into], 1.0), log_G[:, one], either)
+    change = upper - jax.lax.stop_gradient(upper)  # 0, with the slopes
 
-    def square(weight, slope, e):
+    def part(weight, e, change):
         weight = jnp.square(weight)
-        both = jnp.where(one == other, 0.5, 1.0) * (weight[:, one] + weight[:, other])
-        force = jnp.where(one == other, 0.5, 1.0) * ((weight * e)[:, one] + (weight * e)[:, other])
-        root = jnp.sqrt(both)
-        product = _square(root, slope, jnp.where(both > 0, force / jnp.where(both > 0, root, 1.0), 0.0))
-        return product.at[-1, -1].set(jnp.sum(weight * jnp.square(e)))
+        both = share * (weight[:, one] + weight[:, other])
+        mean = share * ((weight * e)[:, one] + (weight * e)[:, other]) / jnp.where(both > 0, both, 1.0)
+        constant = jnp.sum(weight * jnp.square(e)) - jnp.sum(both * jnp.square(mean))
+        return (jnp.sqrt(both) * (mean + change)).ravel(), constant
 
-    return square(magnitude, real, error.real) + square(phase, imag, error.imag)
-
-
-def _relative(g, columns, used):
-    """Slopes of E, -d log G, (freq, element, column), as real and imaginary part; 0 where an element is left out."""
-    inverse = -1.0 / jnp.where(used, g, 1.0)[..., None]
-    of = lambda part: jnp.where(used[..., None], part, 0.0)
-    real = columns.real * inverse.real - columns.imag * inverse.imag
-    return of(real), of(columns.real * inverse.imag + columns.imag * inverse.real)
-
-
-def _square(root, slope, weighted):
-    a = jnp.concatenate([root[..., None] * slope, weighted[..., None]], axis=-1).reshape(-1, slope.shape[-1] + 1)
-    return a.T @ a
-
-
-@eqx.filter_jit
-def errors(
-    model: AbstractModel, coordinates: Coordinates, target: Target, x
-) -> tuple[Complex[Array, "pos freq vec"], Complex[Array, "pos freq vec parameter"]]:
-    """E and d log G/dx at every position: what diagnosis and uncertainty look at."""
-
-    def one(position):
-        log_G, used, point = position
-        g, slope = at_position(model, coordinates, target.frequency, x, point)
-        return _error(g, log_G, used), jnp.where(used[..., None], slope, 0)
-
-    return jax.lax.map(one, (target.log_G - target.shift, target.used, target.points))
-
-
-def assumed_cost(target: Target, floor: float) -> float:
-    """The cost to expect where the covariance of E is that of the FRF and floor^2 besides, as the weights assume."""
-    spread = np.asarray(target.cov) + max(floor, _FLOOR) ** 2 * np.eye(target.log_G.shape[-1])
-    if target.whitener is not None:
-        whitener = np.asarray(target.whitener)
-        spread = whitener @ spread @ whitener.swapaxes(-1, -2).conj()
-    variance = np.real(np.diagonal(spread, axis1=-2, axis2=-1))
-    return float(np.sum(np.square(target.magnitude) * target.used * variance))
-
-
-def select(target: Target, positions=None, lines=None) -> Target:
-    """The same target at some positions and lines."""
-    positions = slice(None) if positions is None else np.asarray(positions)
-    lines = slice(None) if lines is None else np.asarray(lines)
-    cut = lambda x: None if x is None else np.asarray(x)[positions][:, lines]
-    whole = target.overlap
-    return dataclasses.replace(
-        target,
-        frequency=np.asarray(target.frequency)[lines],
-        log_G=cut(target.log_G),
-        shift=cut(target.shift),
-        magnitude=cut(target.magnitude),
-        phase=cut(target.phase),
-        whitener=cut(target.whitener),
-        cov=cut(target.cov),
-        used=cut(target.used),
-        scatter=cut(target.scatter),
-        overlap=None if whole is None else np.asarray(whole)[positions][:, lines][:, :, lines],
-        points=jax.tree.map(lambda x: np.asarray(x)[positions], target.points),
+    (real, one_part), (imag, other_part) = (
+        part(magnitude, error.real, change.real),
+        part(phase, error.imag, change.imag),
     )
+    return jnp.concatenate([real, imag]), one_part + other_part

@@ -14,11 +14,12 @@ from jaxtyping import Float, PRNGKeyArray, PyTree
 from .._errors import input_error
 from .._types import require_x64
 from ..frf import FRF
-from .cost import Cost, Target, Weights, assumed_cost, gram, select, target
+from .cost import Cost, check_quantity, check_shape
 from .model import AbstractModel, fix
 from .parameter import Coordinates, matching
-from .solver import AbstractSolver, Descent, LevenbergMarquardt, check_solver, descend
-from .uncertainty import Uncertainty, uncertainty, without_sensitivity
+from .solver import AbstractSolver, Descent, LevenbergMarquardt, check_solver, descents
+from .target import Target, Weights, assumed_cost, select, target
+from .uncertainty import Uncertainty, products, uncertainty, without_sensitivity
 
 _COARSE = 28  # lines that the search for the valley needs at least
 _PLACES = 200  # and lines of all positions together
@@ -177,11 +178,11 @@ def fit(
     require_x64("fit")
     solver = LevenbergMarquardt() if solver is None else solver
     check_solver(solver)
-    _check_quantity(model, frf)
+    check_quantity(model, frf)
     points = model.points(frf.q, frf.n_pos) if points is None else points
     tg = target(frf, Weights() if weights is None else weights, points)
     coordinates = Coordinates(model.parameters)
-    _check_shape(model, coordinates, tg, frf)
+    check_shape(model, coordinates, tg, frf)
     return fit_target(model, tg, solver, starts, key, keep, progress)
 
 
@@ -200,21 +201,16 @@ def fit_target(
     begin = _starts(coordinates, starts, jr.key(0) if key is None else key)
     part, share = _coarse(tg)
     whole, coarse = Cost(model, coordinates, tg), Cost(model, coordinates, part)
-    ends, total = [], len(begin) + (len(begin) if keep is None else min(keep, len(begin)))
-    for i, x in enumerate(begin):
-        ends.append(descend(coarse, x, solver, tolerance=max(_NEAR, solver.tolerance)))
-        if progress is not None:
-            progress(i + 1, total)
+    total = len(begin) + (len(begin) if keep is None else min(keep, len(begin)))
+    say = lambda done: None if progress is None else progress(done, total)
+    ends = descents(coarse, begin, solver, max(_NEAR, solver.tolerance), say)
     made = [_searched(end, share) for end in ends]
     chosen = _chosen(made, keep)
-    for done, (i, members) in enumerate(chosen.items()):
-        end = descend(whole, made[i].x, solver)
+    ends = descents(whole, [made[i].x for i in chosen], solver, progress=lambda done: say(len(begin) + done))
+    for (i, members), end in zip(chosen.items(), ends, strict=True):
         for member in members:
             made[member] = _polished(made[member], end, alone=member == i)
-        if progress is not None:
-            progress(len(begin) + done + 1, total)
-    if progress is not None:
-        progress(total, total)
+    say(total)
     made = [_left(whole, start) for start in made]
     best = min(made, key=lambda s: s.cost)
     if not np.isfinite(best.cost):
@@ -223,44 +219,11 @@ def fit_target(
     return Fit(model, coordinates, best.x, known, tuple(made), tg, blind)
 
 
-def _check_quantity(model: AbstractModel, frf: FRF) -> None:
-    """A robot model says which quantity it gives; a model of the user's own gives what the user says."""
-    expected = getattr(model, "quantity", frf.y_quantity)
-    if frf.y_quantity != expected:
-        raise input_error(
-            "FRF",
-            f"a response to {frf.y_quantity}",
-            f"{expected}, which the model gives",
-            f"Make the model with quantity={frf.y_quantity!r}, or convert the spectra (with_output_quantity).",
-        )
-
-
-def _check_shape(model, coordinates, tg: Target, frf: FRF) -> None:
-    sizes = {np.shape(a)[:1] for a in jax.tree.leaves(tg.points)}
-    if sizes - {(frf.n_pos,)}:
-        raise input_error(
-            "points",
-            f"arrays with a leading axis of {', '.join(str(*n) if n else 'none' for n in sizes)}",
-            f"{frf.n_pos}, one for every operating point of the FRF",
-            "Give one point for every position.",
-        )
-    point = jax.tree.map(lambda a: jnp.asarray(a)[0], tg.points)
-    found = jax.eval_shape(
-        lambda x: model.response(jnp.asarray(tg.frequency), coordinates.values(x), point), jnp.zeros(coordinates.size)
-    )
-    if found.shape[1:] != (frf.n_out, frf.n_in):
-        raise input_error(
-            "model",
-            f"a response of {found.shape[1]} outputs and {found.shape[2]} inputs",
-            f"{frf.n_out} and {frf.n_in} as in the FRF",
-            "Use the model of this machine, or records with the model's channels.",
-        )
-
-
 def _without_blind(model: AbstractModel, tg: Target) -> tuple[AbstractModel, tuple[str, ...]]:
     """The model with parameters that do not change the response fixed, and their names."""
     coordinates = Coordinates(model.parameters)
-    full = np.asarray(gram(model, coordinates, tg, jnp.asarray(coordinates.start())))
+    errors, slopes = Cost(model, coordinates, tg).errors(jnp.asarray(coordinates.start()))
+    full = products(tg, np.asarray(errors), np.asarray(slopes))
     if not np.isfinite(full).all():
         raise input_error(
             "model", "a response that is not finite at its start", "finite numbers", "Correct the start values."
@@ -322,7 +285,7 @@ def _left(whole: Cost, start: Start) -> Start:
     """A start that was not followed to the end, with its cost over all lines."""
     if start.polished or not np.isfinite(start.cost):
         return start
-    cost = float(whole(jnp.asarray(start.x))[-1, -1])
+    cost = float(whole(jnp.asarray(start.x)))
     return dataclasses.replace(start, cost=cost if np.isfinite(cost) else np.inf)
 
 
@@ -361,5 +324,5 @@ def evaluate(fitted: Fit, frf: FRF, weights: Weights | None = None, points: PyTr
     weights = Weights() if weights is None else weights
     points = fitted.model.points(frf.q, frf.n_pos) if points is None else points
     tg = target(frf, weights, points)
-    cost = float(gram(fitted.model, fitted.coordinates, tg, jnp.asarray(fitted.x))[-1, -1])
+    cost = float(Cost(fitted.model, fitted.coordinates, tg)(jnp.asarray(fitted.x)))
     return cost / assumed_cost(tg, weights.floor)

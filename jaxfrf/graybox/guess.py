@@ -10,11 +10,12 @@ from .._errors import input_error
 from .._types import require_x64
 from ..frf import FRF, features
 from ..robot import Robot, arm_inertia
-from .cost import Cost, Target, Weights, target
-from .fit import _check_shape, _coarse, _without_blind
+from .cost import Cost, check_shape
+from .fit import _coarse, _without_blind
 from .model import RobotModel, starting_at
 from .parameter import Coordinates, Parameter
 from .solver import LevenbergMarquardt, descend
+from .target import Target, Weights, target
 
 _ZETA = 0.04  # damping ratio of a spring about which nothing is known
 _ZETAS = (0.005, 0.3)  # what is believed of a search
@@ -190,7 +191,7 @@ def _magnitudes(model: RobotModel, frf: FRF) -> Target:
     """The magnitudes of the diagonal elements alone, at a part of the lines."""
     weights = Weights(off_diagonal=0.0, floor=_FLOOR)
     tg = _coarse(target(frf, weights, model.points(frf.q, frf.n_pos)))[0]
-    _check_shape(model, Coordinates(model.parameters), tg, frf)
+    check_shape(model, Coordinates(model.parameters), tg, frf)
     return dataclasses.replace(tg, phase=np.zeros_like(tg.phase))
 
 

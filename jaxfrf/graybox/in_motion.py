@@ -9,12 +9,13 @@ from jaxtyping import PRNGKeyArray
 from ..experiment import Experiment
 from ..frf import FRF
 from .corrections import Correction, answer, next_point, stays
-from .cost import Target, Weights, shifted, target, vec
+from .cost import vec
 from .fit import Fit, fit, fit_target
 from .model import RobotModel, starting_at
 from .slow_motion import SlowMotion, moving_response, response_at, slow_limit, slow_motion
 from .solver import AbstractSolver, LevenbergMarquardt
 from .swing import gear_torque_swing, swinging_points
+from .target import Target, Weights, shifted, target
 
 _AGAIN = 6  # fits in motion
 

@@ -29,6 +29,9 @@ class AbstractModel(eqx.Module):
     """A gray-box model.
 
     `parameters`: name -> `Parameter`, everything that the response depends on and that may be fitted.
+
+    A fit differentiates `response` by autodiff. Where its derivative is cheaper by hand, make it a `jax.custom_jvp` (or
+    `equinox.filter_custom_jvp`, as `RobotModel` does): every cost then picks it up.
     """
 
     parameters: eqx.AbstractVar[dict[str, Parameter]]
@@ -37,21 +40,6 @@ class AbstractModel(eqx.Module):
     def response(self, frequency: Float[Array, "freq"], values: Values, point: PyTree) -> Complex[Array, "freq out in"]:
         """G at one operating point. `frequency` in Hz; `values`: every parameter by name; `point`: what tells
         operating points apart, e.g. the arm configuration (joint,)."""
-
-    def response_and_jacobian(
-        self, frequency: Float[Array, "freq"], values: Values, point: PyTree
-    ) -> tuple[Complex[Array, "freq out in"], dict[str, Complex[Array, "freq out in"]]]:
-        """G and dG/dvalue of every parameter, by forward differentiation; override it where it can be cheaper."""
-        G = self.response(frequency, values, point)
-        return G, jax.jacfwd(lambda v: self.response(frequency, v, point))(dict(values))
-
-    def response_and_columns(
-        self, frequency: Float[Array, "freq"], values: Values, point: PyTree, names: Sequence[str]
-    ) -> tuple[Complex[Array, "freq out in"], Complex[Array, "freq out in column"], tuple[str, ...]]:
-        """G, dG/dvalue of these parameters along a last axis, and their names in the order that they have there: what
-        the fit asks for. From `response_and_jacobian`, unless a model has them together already."""
-        G, slopes = self.response_and_jacobian(frequency, values, point)
-        return G, jnp.stack([slopes[name] for name in names], axis=-1), tuple(names)
 
     def reciprocal(self, names: Sequence[str]) -> bool:
         """Whether each of these parameters changes an element of log G and its mirror image, [a, b] and [b, a], by the
@@ -182,7 +170,7 @@ class RobotModel(AbstractModel):
         self.parameters = known
 
     def response(self, frequency, values, point):
-        return self._inner(frequency, values, point).G * self._command(frequency, values)
+        return _robot_response(dict(values), frequency, point, self)
 
     def _command(self, frequency, values):
         """Gain and delay of every torque command, (freq, 1, axis)."""
@@ -200,11 +188,8 @@ class RobotModel(AbstractModel):
         friction = self._by_axis(values, "effective_friction")
         return frf_and_jacobian(robot, q, frequency, self.quantity, self.hold, 0.0, friction, swing)
 
-    def response_and_jacobian(self, frequency, values, point):
-        G, columns, names = self.response_and_columns(frequency, values, point, tuple(self.parameters))
-        return G, {name: columns[..., i] for i, name in enumerate(names)}
-
-    def response_and_columns(self, frequency, values, point, names):
+    def _columns(self, frequency, values, point, names):
+        """G, its derivative in these values, (freq, out, in, column), and their names in the order of the columns."""
         inner = self._inner(frequency, values, point)
         command = self._command(frequency, values)
         G = inner.G * command
@@ -238,6 +223,31 @@ class RobotModel(AbstractModel):
         """The robot with these springs and dampers."""
         names = set(robot_parameters(self.robot))
         return with_parameters(self.robot, {n: v for n, v in values.items() if n in names})
+
+
+@eqx.filter_custom_jvp
+def _robot_response(values, frequency, point, model: RobotModel):
+    return model._inner(frequency, values, point).G * model._command(frequency, values)
+
+
+@_robot_response.def_jvp
+def _robot_response_slope(primals, tangents):
+    """By the outer products of `jaxfrf.robot.frf_and_jacobian` in the parameters, by autodiff in anything else."""
+    (values, *others), (changes, *other_changes) = primals, tangents
+    values, others = dict(values), tuple(others)
+    change = 0.0
+    names = tuple(n for n in values if changes[n] is not None)
+    if names:
+        G, columns, names = others[2]._columns(others[0], values, others[1], names)
+        along = jnp.stack([changes[n] for n in names])
+        # A real product each: under the vmap of jax.jacfwd a matrix product of half the size of a complex one.
+        change = jax.lax.complex(columns.real @ along, columns.imag @ along)
+    else:
+        G = _robot_response(values, *others)
+    if jax.tree.leaves(other_changes):
+        plain = lambda *others: others[2]._inner(others[0], values, others[1]).G * others[2]._command(others[0], values)
+        change = change + eqx.filter_jvp(plain, others, tuple(other_changes))[1]
+    return G, change
 
 
 def _effective_friction(robot: Robot, amplitude) -> list[float]:

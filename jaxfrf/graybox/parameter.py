@@ -173,6 +173,11 @@ class Coordinates(eqx.Module):
         return len(self.names)
 
     @property
+    def moving(self) -> tuple[str, ...]:
+        """Names of the values that depend on x: free and shared parameters."""
+        return tuple(n for n, p in self.parameters.items() if (p.same_as or n) in self.names)
+
+    @property
     def units(self) -> dict[str, str]:
         return {name: p.unit for name, p in self.parameters.items()}
 

@@ -11,8 +11,9 @@ from jaxtyping import Complex, Float, PyTree
 from .._errors import input_error
 from .._types import Array
 from ..frf import FRF
-from .cost import Target, Weights, assumed_cost, errors, select, target
+from .cost import Cost
 from .fit import Fit
+from .target import Target, Weights, assumed_cost, select, target
 
 _DECIBEL = 20 / np.log(10)
 _CHANCE = 0.01  # that any cell at all stands out where there is only noise
@@ -162,7 +163,7 @@ def quality(fitted: Fit, frf: FRF, weights: Weights | None = None, bands: int = 
 
     **Arguments:** `frf`, `weights`: that were fitted. `bands`: how many, of equal width in the logarithm.
     """
-    E, _ = errors(fitted.model, fitted.coordinates, fitted.target, jnp.asarray(fitted.x))
+    E, _ = Cost(fitted.model, fitted.coordinates, fitted.target).errors(jnp.asarray(fitted.x))
     return residual_quality(np.asarray(E), fitted.target, frf, weights, bands)
 
 
@@ -175,7 +176,7 @@ def model_quality(
     """
     points = fitted.model.points(frf.q, frf.n_pos) if points is None else points
     tg = target(frf, Weights() if weights is None else weights, points)
-    E, _ = errors(fitted.model, fitted.coordinates, tg, jnp.asarray(fitted.x))
+    E, _ = Cost(fitted.model, fitted.coordinates, tg).errors(jnp.asarray(fitted.x))
     return residual_quality(np.asarray(E), tg, frf, weights, bands)
 
 

@@ -12,7 +12,7 @@ from ..frf import FRF, LRM, AbstractMethod, JointInputOutput, estimate
 from ..simulation import replay
 from ..spectra import dft, with_output_quantity
 from .corrections import Correction, answer, next_point, stays
-from .cost import Target, Weights, shifted, target, vec
+from .cost import vec
 from .fit import Fit, fit_target
 from .in_motion import fit_in_motion
 from .model import RobotModel, starting_at
@@ -20,6 +20,7 @@ from .parameter import Coordinates
 from .slow_motion import response_at
 from .solver import AbstractSolver, LevenbergMarquardt
 from .swing import robot_points
+from .target import Target, Weights, shifted, target
 
 _NOT_SIMULATED = ("torque_gain", "delay")  # parameters of the linear model that no simulation knows
 

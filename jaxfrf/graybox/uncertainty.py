@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import Array
-from .cost import Target, errors, gram
+from .cost import Cost
 from .model import AbstractModel
 from .parameter import Coordinates
+from .target import Target
 
 _BLIND = 1e-10  # information of a parameter relative to the largest: it has no effect on the response
 _LOOSE = 0.5  # standard deviation in ln beyond which a parameter or a direction is called not identifiable
@@ -100,9 +101,9 @@ def uncertainty(model: AbstractModel, coordinates: Coordinates, target: Target, 
     Fails to see a bias of the FRF (a window that smooths a resonance, friction): such a bias shows in `misfit` only
     where the model cannot follow it.
     """
-    full = np.asarray(gram(model, coordinates, target, jnp.asarray(x)))
+    errors, slopes = (np.asarray(part) for part in Cost(model, coordinates, target).errors(jnp.asarray(x)))
+    full = products(target, errors, slopes)
     H, cost = full[:-1, :-1], float(full[-1, -1])
-    slopes = np.asarray(errors(model, coordinates, target, jnp.asarray(x))[1])
     M, bound, noise = np.zeros_like(H), np.zeros_like(H), 0.0
     for pos in range(target.n_pos):
         score, information, power = _position(target, slopes[pos], pos)
@@ -119,6 +120,15 @@ def uncertainty(model: AbstractModel, coordinates: Coordinates, target: Target, 
         cost=cost,
         names=coordinates.names,
     )
+
+
+def products(target: Target, errors, slopes) -> np.ndarray:
+    """`Cost.gram` from what `Cost.errors` gives, which is needed anyway: one program less to compile."""
+    both = np.concatenate([-slopes, errors[..., None]], axis=-1)
+    both = both if target.whitener is None else np.asarray(target.whitener) @ both
+    weighted = (np.asarray(target.magnitude)[..., None] * both.real, np.asarray(target.phase)[..., None] * both.imag)
+    rows = [part.reshape(-1, both.shape[-1]) for part in weighted]
+    return sum(row.T @ row for row in rows)
 
 
 def _position(target: Target, slope, pos: int):
