@@ -327,7 +327,7 @@ def test_a_payload_tells_masses():
 
 @pytest.fixture(scope="module")
 def commanded(tmp_path_factory):
-    """`jaxfrf identify` on a record of the project's own simulator, stopped after two rounds and resumed."""
+    """`jaxfrf identify` on a record of the project's own simulator, three rounds."""
     from jaxfrf.__main__ import main
 
     out = tmp_path_factory.mktemp("whole")
@@ -336,7 +336,7 @@ def commanded(tmp_path_factory):
     jf.io.write_robot(model(), out / "robot.toml")
     command = ["identify", str(out / "run.npz"), "--robot", str(out / "robot.toml"), "-o", str(out / "fit.json")]
     more = ["--report", str(out / "fit.html"), "--robot-out", str(out / "found.toml"), "--tolerance", "links=0.04"]
-    assert main([*command, *more, "--rounds", "6"]) == 0
+    assert main([*command, *more, "--rounds", "3"]) == 0
     return out
 
 

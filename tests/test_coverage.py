@@ -162,6 +162,7 @@ def test_means_over_single_experiments(mean, width):
     assert_covers(found, G, lines=(0, CENTRE, -1))
 
 
+@pytest.mark.slow
 def test_mean_over_experiments_with_hardly_any_residual():
     """One residual each, and inputs of very different use: the variance is mostly one experiment's.
 

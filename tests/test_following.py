@@ -50,7 +50,10 @@ def missed(robot, data):
     return np.sqrt(squares(evidence.U - record.U) / squares(record.U))
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+_QUICK = ("springs", "an elbow that slides")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in _QUICK else pytest.mark.slow) for n in ROBOTS])
 def test_torque_of_a_measured_motion(name):
     """What a closed loop commanded, from the motion that came of it: friction that turns over included."""
     robot, data = simulated(name)

@@ -368,7 +368,15 @@ def median_error(G, truth):
 
 
 @pytest.mark.parametrize(
-    ("n", "n_real", "noise"), [(1, 1, 0.05), (1, 2, 0.02), (2, 1, 0.05), (2, 1, 0.01), (3, 1, 0.2), (3, 2, 0.05)]
+    ("n", "n_real", "noise"),
+    [
+        (1, 1, 0.05),
+        (2, 1, 0.05),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in [(1, 2, 0.02), (2, 1, 0.01), (3, 1, 0.2), (3, 2, 0.05)]
+        ),
+    ],
 )
 def test_auto_is_as_good_as_the_best_fixed_window(n, n_real, noise):
     """Flexible axes in closed loop: the median over the seeds of its error, over that of the best window of those that

@@ -575,6 +575,7 @@ def rubbing(machine, tmp_path_factory):
 
 
 class TestDiagnosis:
+    @pytest.mark.slow
     def test_nothing_hidden(self, machine):
         told, parts = [], []
         found = diagnose(small_robot(), record(machine), say=told.append, progress=parts.append)
@@ -609,6 +610,7 @@ class TestDiagnosis:
         assert "dress_pack" in named.equivalent
         assert named.parameters["stiffness"].value == pytest.approx(60.0, rel=0.15)
 
+    @pytest.mark.slow
     def test_interrupted_after_the_last_round(self, rubbing):
         """Nothing is tried again, and it ends alike."""
         (data, found, parts), told = rubbing, []

@@ -217,6 +217,7 @@ class TestThroughRecords:
         method, n_exp, noise = METHODS[name]
         assert_honest(from_records(method, n_exp, noise, LIKELIHOOD))
 
+    @pytest.mark.slow
     def test_windows_that_overlap(self):
         method, n_exp, noise = METHODS["lrm-jio"]
         assert_honest(from_records(method, n_exp, noise, LIKELIHOOD, n=200))

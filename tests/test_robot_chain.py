@@ -99,8 +99,8 @@ class TestMuJoCo:
 class TestSlidingJoints:
     """Chains that turn and slide about every axis, against MuJoCo and the links' regressor."""
 
-    @staticmethod
     @pytest.fixture(scope="class")
+    @staticmethod
     def robot():
         chain, n = random_chain(6, 3), 6
         # A body's largest moment of inertia is at most the sum of the others.
