@@ -128,13 +128,13 @@ def test_tx40(tx40):
     assert whole.converged
     data = in_parts(u, y, 1)
     cutoff = fm.chosen_cutoff(data)
-    rows = [fm._rows(robot, m) for m in fm.measured_motions(robot, data, cutoff)]
+    rows = [fm._rows(robot, m, None) for m in fm.measured_motions(robot, data, cutoff)]
     ours = fm._all(rows, [r.torque - fm.needed(robot, whole.numbers, whole.x, r) for r in rows])
     plain = fm._all(rows, least_squares(robot, rows)(rows))
 
     halves = in_parts(u, y, 2)
     fitted = jf.calibrate(robot, halves, heldout=[1], cutoff=cutoff)
-    first, second = ([fm._rows(robot, m)] for m in fm.measured_motions(robot, halves, cutoff))
+    first, second = ([fm._rows(robot, m, None)] for m in fm.measured_motions(robot, halves, cutoff))
     left = [r.torque - fm.needed(robot, fitted.numbers, fitted.x, r) for r in second]
     by_axis = [100 * np.sqrt(np.mean(x**2)) for x in (whole.missed_after, fitted.heldout[1])]
     ours_later, plain_later = fm._all(second, left), fm._all(second, least_squares(robot, first)(second))
