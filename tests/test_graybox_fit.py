@@ -381,6 +381,7 @@ class TestCostFunction:
         slopes = jax.jit(jax.vmap(jax.grad(cost)))(several)
         np.testing.assert_allclose(slopes[3], jax.grad(cost)(several[3]), rtol=1e-10)
 
+    @pytest.mark.slow
     def test_robot(self):
         """A robot's own derivative, taken backwards."""
         cost, x, expected = self.robot()

@@ -71,6 +71,7 @@ def strict(path):
     return json.loads(pathlib.Path(path).read_text(), parse_constant=refuse)
 
 
+@pytest.mark.slow
 class TestThroughTheExperiment:
     def test_parameters(self, whole):
         found = strict(whole / "fit.json")
@@ -175,7 +176,6 @@ class Balanced(html.parser.HTMLParser):
 
 
 class TestDirect:
-    @pytest.mark.slow
     def test_exact_frf(self, folder, tmp_path, capsys):
         """The model's own response: the truth comes back, and the summary says why nothing was simulated."""
         assert run(folder, folder / "frf.npz", "--starts", 2, "--json", out=tmp_path / "fit.json") == 0

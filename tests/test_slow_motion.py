@@ -147,6 +147,7 @@ class TestResponse:
         found = moving_response(model, values_of(model), frequency, q, slow)[0]
         np.testing.assert_allclose(found, model.response(frequency, values_of(model), jnp.asarray(q[0])), rtol=1e-9)
 
+    @pytest.mark.slow
     def test_what_an_experiment_measures(self, robot, moving):
         """The arm turns by a quarter of a radian: its FRF is that of all places, not of the middle."""
         model = jf.RobotModel(robot)
