@@ -13,6 +13,7 @@ from ..trajectory.remainder import excess, remainder
 
 _ROUNDS = 6
 _FAR = 3.0  # tolerances: a number that is further off is looked at as a missing effect
+_HOPELESS = 9.0  # tolerances, in any round
 _OFF = 1.0  # tolerances from which on a number is told to be wrong
 _SLOW = 0.7  # of what a round before left: more, and what is far from the floor will not come down to it
 _FLOOR = 1.0
@@ -50,7 +51,11 @@ def own_numbers(robot: Robot, record: Measured, say) -> OwnNumbers | None:
     except InputError:
         return None
     left = _excess(look, record)
+    # How Coulomb friction is smoothed has no true value where a machine's friction is another law.
+    held = np.array([number.prior > 0 and number.kind != "smoothing" for number in these])
     for _ in range(_ROUNDS):
+        if np.any(np.abs((look.x + look.posterior.change[: len(these)])[held]) > _HOPELESS):
+            return None
         if search.stays(look):
             break
         further = search.further(look, len(kept.done) == 0)
@@ -64,8 +69,6 @@ def own_numbers(robot: Robot, record: Measured, say) -> OwnNumbers | None:
     if left > _FLOOR:
         return None
     x = look.x + look.posterior.change[: len(these)]
-    # How Coulomb friction is smoothed has no true value where a machine's friction is another law.
-    held = np.array([number.prior > 0 and number.kind != "smoothing" for number in these])
     if np.any(np.abs(x[held]) > _FAR):
         return None
     told = look.posterior.told[: len(these)]
