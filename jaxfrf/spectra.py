@@ -93,7 +93,7 @@ def dft(data: Experiment) -> Spectra:
             f"{period_advice(data)} Otherwise use a local method with a transient term (--method lpm --option "
             "transient=2), which takes the record whole.",
         )
-    lines = excited_lines(data) if data.lines is None else np.asarray(data.lines)
+    lines = known_lines(data)
     spectra = _at_lines(data, lines)
     _check_power(data, spectra)
     return spectra
@@ -186,6 +186,11 @@ def _rebuild_whole(data: Experiment) -> Experiment:
         sources=data.sources,
         warnings=data.warnings,
     )
+
+
+def known_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
+    """The excited lines that a record lists, or those that are found in it (`excited_lines`)."""
+    return excited_lines(data) if data.lines is None else np.asarray(data.lines)
 
 
 def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:

@@ -5,7 +5,6 @@ import numpy as np
 
 from .._errors import InputError
 from ..calibration.numbers import numbers, with_numbers
-from ..calibration.rounds import Rounds
 from ..calibration.search import Look, Search
 from ..robot import Robot
 from ..trajectory.measured import Measured
@@ -15,6 +14,7 @@ _ROUNDS = 6
 _FAR = 3.0  # tolerances: a number that is further off is looked at as a missing effect
 _HOPELESS = 9.0  # tolerances, in any round
 _OFF = 1.0  # tolerances from which on a number is told to be wrong
+_TOLD = 0.9  # of what was not known of a number: by the record
 _SLOW = 0.7  # of what a round before left: more, and what is far from the floor will not come down to it
 _FLOOR = 1.0
 
@@ -45,23 +45,21 @@ def own_numbers(robot: Robot, record: Measured, say) -> OwnNumbers | None:
     if not these:
         return None
     search = Search(robot, record, these, lambda text: None, beside=())
-    kept = Rounds(None, robot, these, record, ())
     try:
         look = search.look(np.zeros(len(these)), (), True)
     except InputError:
         return None
     left = _excess(look, record)
     # How Coulomb friction is smoothed has no true value where a machine's friction is another law.
-    held = np.array([number.prior > 0 and number.kind != "smoothing" for number in these])
-    for _ in range(_ROUNDS):
+    held = np.array([n.prior > 0 and n.kind != "smoothing" for n in these])
+    for number in range(_ROUNDS):
         if np.any(np.abs((look.x + look.posterior.change[: len(these)])[held]) > _HOPELESS):
             return None
         if search.stays(look):
             break
-        further = search.further(look, len(kept.done) == 0)
+        further = search.further(look, number == 0)
         if further is None:
             break
-        kept.done.append(None)
         before, look, left = left, further, _excess(further, record)
         if left > _SLOW * before and not _FLOOR < left < 2 * _FLOOR:
             break
@@ -73,9 +71,9 @@ def own_numbers(robot: Robot, record: Measured, say) -> OwnNumbers | None:
         return None
     told = look.posterior.told[: len(these)]
     wrong = tuple(
-        (number.name, number.value(float(at)) / number.given - 1.0)
-        for number, at, part in zip(these, x, told, strict=True)
-        if number.prior and number.positive and abs(at) > _OFF and part > 0.9 and number.kind != "smoothing"
+        (n.name, n.value(float(at)) / n.given - 1.0)
+        for n, at, part, counts in zip(these, x, told, held, strict=True)
+        if counts and n.positive and abs(at) > _OFF and part > _TOLD
     )
     return OwnNumbers(with_numbers(robot, these, x), wrong)
 

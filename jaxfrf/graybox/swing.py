@@ -9,7 +9,7 @@ from .._errors import input_error
 from ..experiment import Experiment
 from ..robot import Robot, operating_point
 from ..robot.quantity import derivatives
-from ..spectra import excited_lines
+from ..spectra import known_lines
 from .model import RobotPoint
 
 _SAMPLES = 192  # of the motion that the mean is taken over
@@ -75,8 +75,7 @@ def motion(data: Experiment, pos: int) -> Motion:
     steady = slice(data.transient_periods * data.period, (data.transient_periods + data.n_periods) * data.period)
     mean = lambda x: np.asarray(x)[pos, :, steady].reshape(data.n_exp, data.n_periods, data.period, -1).mean(axis=1)
     step = data.fs / data.period
-    lines = excited_lines(data) if data.lines is None else data.lines
-    count = min(int(_BEYOND * max(lines)) + 1, data.period // 2)
+    count = min(int(_BEYOND * max(known_lines(data))) + 1, data.period // 2)
     U, Y = (np.fft.rfft(mean(x), axis=1)[:, :count] / data.period for x in (data.u, data.y))
     s = 2j * np.pi * np.arange(count)[:, None] * step
     per = s ** derivatives(data.y_quantity)

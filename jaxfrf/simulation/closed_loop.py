@@ -33,6 +33,13 @@ class Runs(eqx.Module):
     key: PRNGKeyArray
 
 
+def readings(sensors: tuple[Group[AbstractSensor], ...], angle: Columns) -> Columns:
+    """Motor angles as the sensors see them."""
+    for group in sensors:
+        angle = group.replaced(angle, group(lambda e, x: e.measured(x), angle))
+    return angle
+
+
 class ClosedLoop(eqx.Module):
     """A robot under its controller.
 
@@ -79,10 +86,7 @@ class ClosedLoop(eqx.Module):
 
     def measured(self, z: Columns) -> Columns:
         """Motor positions as the sensors see them, without noise."""
-        angle = self.plant.motor(z)
-        for group in self.sensors:
-            angle = group.replaced(angle, group(lambda e, x: e.measured(x), angle))
-        return angle
+        return readings(self.sensors, self.plant.motor(z))
 
     def driven(self, states, torque: Columns):
         """Motor torque in the fine steps of a sample, (step, axis, run), and the actuators' next states."""

@@ -13,7 +13,7 @@ from .._types import Array
 from ..effects import AbstractSensor
 from ..effects.acting import Group, groups
 from ..robot import OperatingPoint, Robot
-from .closed_loop import Runs
+from .closed_loop import Runs, readings
 from .plant import Columns, Lead, Plant, Slow, inverse_columns, product
 
 _LOOKS = 3  # at a sensor's error, to find the angle behind a reading: errors are some 1e-3 of an order's turn
@@ -54,9 +54,7 @@ class Imposed(eqx.Module):
 
     def measured(self, angle: Columns) -> Columns:
         """Motor angles as the sensors see them."""
-        for group in self.sensors:
-            angle = group.replaced(angle, group(lambda e, x: e.measured(x), angle))
-        return angle
+        return readings(self.sensors, angle)
 
     def behind(self, reading: Columns, speed: Columns) -> tuple[Columns, Columns]:
         """Angles and speeds of motors whose sensors show these."""

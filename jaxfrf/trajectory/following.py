@@ -19,6 +19,7 @@ from ..robot.quantity import derivatives
 from ..simulation import Motion, imposed_motion, replay_motion
 from ..simulation.runs import Progress
 from .frozen import torque_path
+from .measured import mean_period
 
 _BEYOND = 4.0  # times the highest line: up to there the motion is followed, friction that turns over is in it
 _PER_CYCLE = 12  # samples of the highest line, at least, in which it is followed
@@ -95,11 +96,9 @@ def courses(data: Experiment, highest: float, finer: int = 1):
     count = min(int(_BEYOND * highest * data.period / data.fs) + 1, (data.period - 1) // 2 + 1)
     s = 2j * np.pi * np.arange(1, count)[:, None] * data.fs / data.period
     order = derivatives(data.y_quantity)
-    steady = slice(data.transient_periods * data.period, (data.transient_periods + data.n_periods) * data.period)
     for pos in range(data.n_pos):
-        y = np.asarray(data.y[pos, :, steady]).reshape(data.n_exp, data.n_periods, data.period, -1).mean(axis=1)
         Y = np.zeros((data.n_exp, length // 2 + 1, data.n_out), complex)
-        found = scipy.fft.rfft(y, axis=1)[:, 1:count] * finer
+        found = scipy.fft.rfft(mean_period(data, pos, data.y), axis=1)[:, 1:count] * finer
         for course, times in ((angle, -order), (speed, 1 - order)):
             Y[:, 1:count] = found * s**times
             course[pos] = scipy.fft.irfft(Y, n=length, axis=1)

@@ -13,7 +13,7 @@ from .._errors import input_error
 from ..effects import Payload
 from ..experiment import Experiment
 from ..robot.quantity import derivatives
-from ..spectra import excited_lines
+from ..spectra import known_lines
 
 _QUIET = (0.25, 0.475)  # of the sampling frequency: beyond what moves
 _BEYOND = 1.25  # times the highest line, where the excitation reaches into that band
@@ -69,8 +69,7 @@ def measured(data: Experiment, payloads: Sequence[Payload | None] = ()) -> Measu
             "a periodic record, whose lines can be compared",
             "Say its period (--set period=N), or compare torques of the measured motion (`diagnose_torque`).",
         )
-    lines = excited_lines(data) if data.lines is None else data.lines
-    highest = max(lines) * data.fs / data.period
+    highest = max(known_lines(data)) * data.fs / data.period
     count = min(int(np.floor(highest * data.period / data.fs)), data.period // 2) + 1
     U, Y = (lines_of(x, data, count) for x in (data.u, data.y))
     frequency = np.arange(count) * data.fs / data.period
