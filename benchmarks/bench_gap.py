@@ -23,7 +23,7 @@ import pathlib
 import sys
 import time
 
-os.environ.setdefault("NPROC", "4")
+os.environ.setdefault("NPROC", "64")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")

@@ -24,7 +24,7 @@ parser.add_argument("--seconds", type=float, default=1.0, help="simulated in par
 options = parser.parse_args()
 os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: options.cores])
 os.environ["OMP_NUM_THREADS"] = "1"
-os.environ.setdefault("NPROC", "4")
+os.environ.setdefault("NPROC", "64")
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "tests"))

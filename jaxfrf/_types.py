@@ -13,8 +13,9 @@ Signals are (pos, exp, time, channel), spectra (pos, exp, freq, channel), FRFs (
 """
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Complex, Float, Int, PyTree
 
 Array = jax.Array | np.ndarray
 
@@ -34,3 +35,14 @@ def require_x64(what: str) -> None:
             'set the environment variable JAX_ENABLE_X64=1, or call jax.config.update("jax_enable_x64", True) '
             "before the first array is made."
         )
+
+
+def arrays(tree: PyTree) -> PyTree:
+    """Leaves as JAX arrays, plain numbers too, whose type does not say that they were plain: trees that differ in their
+    numbers alone then share what is compiled."""
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.result_type(x)), tree)
+
+
+def traced(tree: PyTree) -> bool:
+    """Whether a transformation of JAX looks on: some leaf is no number yet."""
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))

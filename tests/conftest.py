@@ -6,7 +6,7 @@ import os
 import pathlib
 
 os.environ.setdefault("JAX_ENABLE_X64", "1")
-os.environ.setdefault("NPROC", "4")
+os.environ.setdefault("NPROC", "64")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(pathlib.Path(__file__).parents[1] / ".jax_cache"))

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._types import arrays
 from ._place import axis_of
 from .effect import AbstractEffect
 
@@ -68,7 +69,7 @@ def _anywhere(effect):
     anywhere = object.__new__(type(effect))
     for field in dataclasses.fields(effect):
         object.__setattr__(anywhere, field.name, 0 if field.name == "joint" else getattr(effect, field.name))
-    return jax.tree.map(jnp.asarray, anywhere)
+    return arrays(anywhere)
 
 
 def _likeness(effect):

@@ -1,6 +1,7 @@
 """Operating point under gravity, and small motions about it."""
 
 import dataclasses
+import math
 
 import equinox as eqx
 import jax
@@ -8,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._types import Array
+from .._types import Array, arrays, traced
 from ..effects import (
     AbstractActuator,
     AbstractFriction,
@@ -33,10 +34,12 @@ from .robot import (
     motor_directions,
     spring_directions,
 )
+from .tolerances import Tolerances
 
 _NEWTON_STEPS = 50
 _TOLERANCE = 1e-13  # of a Newton step, rad; a deflection is 1e-5 to 1e-2 rad
 _CONVERGED = 1e-9  # rad
+_ALIKE = 8  # positions: fewer are filled up to so many, and share what is compiled
 _NOT_AT_REST = (
     AbstractFriction,
     AbstractMotorTorque,
@@ -100,7 +103,25 @@ def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> Op
     arm_angles = jnp.asarray(arm_angles)
     if arm_angles.shape[-1:] != (robot.n_axes,):
         raise ValueError(f"arm_angles have shape {arm_angles.shape}; expected (*batch, {robot.n_axes}).")
-    return _operating_point(_at_rest(robot), arm_angles)
+    robot = _at_rest(robot)
+    if traced((robot, arm_angles)):
+        return _operating_point(robot, arm_angles)
+    batch = arm_angles.shape[:-1]
+    return _parted(_operating_point(robot, _filled(arm_angles, batch)), batch)
+
+
+def _filled(rows, batch: tuple[int, ...]):
+    """Rows in one line, the last one repeated up to `_ALIKE` of them."""
+    rows = np.asarray(rows)
+    rows = rows.reshape(math.prod(batch), *rows.shape[len(batch) :])
+    missing = min(_ALIKE - len(rows), _ALIKE * len(rows))
+    return rows if missing <= 0 else np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)])
+
+
+def _parted(tree, batch: tuple[int, ...]):
+    """What belongs to the rows that `_filled` was given."""
+    count = math.prod(batch)
+    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[:count].reshape((*batch, *x.shape[1:]))), tree)
 
 
 def _check_coupling(robot: Robot) -> None:
@@ -110,9 +131,10 @@ def _check_coupling(robot: Robot) -> None:
 
 
 def _at_rest(robot: Robot) -> Robot:
-    """The robot with the effects that matter here, numbers as arrays: many robots then share what is compiled."""
+    """The robot with what matters here, numbers as arrays: many robots then share what is compiled."""
     kept = tuple(effect for effect in robot.effects if not isinstance(effect, _NOT_AT_REST))
-    return jax.tree.map(jnp.asarray, dataclasses.replace(robot, effects=kept))
+    plain = {"controller": None, "name": "", "sampling_frequency": 0.0, "tolerances": Tolerances()}
+    return arrays(dataclasses.replace(robot, effects=kept, **plain))
 
 
 @eqx.filter_jit
@@ -237,8 +259,15 @@ def linearise(
       stiffness at rest.
     """
     friction = robot.drives.friction.viscous if friction is None else friction
+    robot, friction = _at_rest(robot), jnp.asarray(friction)
     swing = None if swing is None else jnp.asarray(swing)
-    return _linearised(_at_rest(robot), point, jnp.asarray(friction), swing)
+    if traced((robot, point, friction, swing)):
+        return _linearised(robot, point, friction, swing)
+    batch = point.z.shape[:-1]
+    rows = _linearised(robot, jax.tree.map(lambda x: _filled(x, batch), point), friction, swing)
+    mass, damping, stiffness = _parted((rows.mass, rows.damping, rows.stiffness), batch)
+    losses = tuple(GearLoss(loss.group, _parted(loss.stiffness, batch)) for loss in rows.losses)
+    return dataclasses.replace(rows, mass=mass, damping=damping, stiffness=stiffness, losses=losses)
 
 
 @eqx.filter_jit

@@ -1,10 +1,9 @@
 """What must hold before anything is simulated, and the loop at rest that comes of it."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .._errors import input_error
+from .._types import arrays
 from ..robot import OperatingPoint, Robot, operating_point
 from .closed_loop import ClosedLoop
 from .steps import fine_steps
@@ -83,7 +82,7 @@ def loop_at_rest(
     if steps is not None and not (steps == int(steps) and steps >= 1):
         raise input_error("steps", f"{steps}", "a whole number, 1 or more, or None", "None finds it.")
     # Numbers of effects may be plain floats: as arrays, robots that differ in them only share what is compiled.
-    robot = jax.tree.map(jnp.asarray, robot)
+    robot = arrays(robot)
     point = equilibria(robot, positions)
     steps = fine_steps(robot, point) if steps is None else int(steps)
     return ClosedLoop.of(robot, noise=noise, steps=steps), point

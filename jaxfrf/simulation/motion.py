@@ -9,6 +9,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Float
 
+from .._types import arrays
 from ..experiment import Experiment
 from ..robot import Robot
 from .checks import check_positions, equilibria
@@ -73,7 +74,7 @@ def imposed_motion(
 
     **Raises:** `jaxfrf.InputError` where the robot has no equilibrium, or where the arm diverges.
     """
-    robot = jax.tree.map(jnp.asarray, robot)
+    robot = arrays(robot)
     point = equilibria(robot, check_positions(robot, data.q), limited=False)
     fs, ahead = robot.sampling_frequency, lambda x: np.roll(x, -1, axis=1)  # a sample ends on its reference
     references = References(ahead(speed), ahead(angle), fs, math.ceil(run_in * fs), angle.shape[1])

@@ -20,6 +20,7 @@ from .imposed import Imposed, ImposedState
 from .references import References
 
 _SEGMENT = 2000  # samples between two looks at the runs: bounds the memory and finds divergence early
+_ALIKE = 12  # runs: fewer in a block cost as much, and blocks of one size share what is compiled
 _ASTRAY = 0.3  # rad on the arm side between reference and motion, which no working controller lets happen
 
 Progress = Callable[[float], None]
@@ -82,6 +83,7 @@ def _blocks(n_runs: int, chunk: int) -> list[np.ndarray]:
     if count > 1:
         count = math.ceil(count / cores()) * cores()
     size = math.ceil(n_runs / count)
+    size = min(max(size, _ALIKE), max(size, chunk))
     return [np.minimum(np.arange(first, first + size), n_runs - 1) for first in range(0, n_runs, size)]
 
 

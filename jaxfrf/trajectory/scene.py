@@ -9,6 +9,7 @@ import numpy as np
 import scipy.fft
 from jaxtyping import Complex, Float
 
+from .._types import arrays
 from ..robot import (
     Robot,
     arm_inertia_and_bias_columns,
@@ -289,7 +290,7 @@ class Scene:
 
     def _links(self, robot: Robot) -> Float[np.ndarray, "exp sample arm"]:
         """Forces that the links need for the motion."""
-        force = np.asarray(_needed(jax.tree.map(jnp.asarray, robot), *self._arm))
+        force = np.asarray(_needed(arrays(robot), *self._arm))
         return force.T.reshape(len(self.z), -1, len(force))
 
 
