@@ -24,7 +24,7 @@ from .uncertainty import Uncertainty, products, uncertainty, without_sensitivity
 _COARSE = 28  # lines that the search for the valley needs at least
 _PLACES = 200  # and lines of all positions together
 _NEAR = 1e-3  # where it ends, in x
-_LARGE = 25000  # numbers to fit: below, all lines cost less than compiling the search apart
+_LARGE = 300_000  # numbers to fit, of all starts: below, all lines cost less than compiling the search apart
 _SAME = 0.02  # two ends nearer than this, in x, are the same minimum
 _CLOSE = 1.01  # times the best cost
 _AGREE = 3  # starts that should come that close
@@ -199,7 +199,7 @@ def fit_target(
     model, blind = _without_blind(model, tg)
     coordinates = Coordinates(model.parameters)
     begin = _starts(coordinates, starts, jr.key(0) if key is None else key)
-    part, share = _coarse(tg)
+    part, share = _coarse(tg, len(begin))
     whole, coarse = Cost(model, coordinates, tg), Cost(model, coordinates, part)
     total = len(begin) + (len(begin) if keep is None else min(keep, len(begin)))
     say = lambda done: None if progress is None else progress(done, total)
@@ -267,10 +267,10 @@ def _named_starts(coordinates: Coordinates, starts) -> list[np.ndarray]:
     return [coordinates.coordinates(values) for values in starts]
 
 
-def _coarse(tg: Target) -> tuple[Target, float]:
+def _coarse(tg: Target, starts: int) -> tuple[Target, float]:
     """Part of the lines, and how many times more all of them weigh."""
     enough = max(_COARSE, _PLACES // tg.n_pos)
-    step = max(1, len(tg.frequency) // enough) if tg.n_terms > _LARGE else 1
+    step = max(1, len(tg.frequency) // enough) if starts * tg.n_terms > _LARGE else 1
     part = select(tg, lines=np.arange(0, len(tg.frequency), step)) if step > 1 else tg
     return part, float(np.sum(np.square(tg.magnitude)) / max(np.sum(np.square(part.magnitude)), 1e-300))
 

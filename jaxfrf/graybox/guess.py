@@ -190,7 +190,7 @@ def _inside(parameter: Parameter, value: float) -> float:
 def _magnitudes(model: RobotModel, frf: FRF) -> Target:
     """The magnitudes of the diagonal elements alone, at a part of the lines."""
     weights = Weights(off_diagonal=0.0, floor=_FLOOR)
-    tg = _coarse(target(frf, weights, model.points(frf.q, frf.n_pos)))[0]
+    tg = _coarse(target(frf, weights, model.points(frf.q, frf.n_pos)), _STARTS)[0]
     check_shape(model, Coordinates(model.parameters), tg, frf)
     return dataclasses.replace(tg, phase=np.zeros_like(tg.phase))
 
