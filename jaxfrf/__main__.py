@@ -7,11 +7,13 @@ import sys
 
 from . import __version__, _environment
 from ._commands import COMMANDS
+from ._commands.each import check_alone, run_each
 from ._errors import InputError
 
 
 def main(arguments=None) -> int:
-    """Run a command; returns 0, or 2 after bad input, with one message on standard error."""
+    """Run a command; returns 0, 1 where some files of many failed, or 2 after bad input, with one message on standard
+    error."""
     parser = _parser()
     given = parser.parse_args(arguments)
     if given.command is None:
@@ -19,13 +21,18 @@ def main(arguments=None) -> int:
         return 0
     _environment.prepare()
     try:
-        summary = given.run(given)
+        if getattr(given, "each", False):
+            summary = run_each(given)
+        else:
+            check_alone(given)
+            summary = given.run(given)
     except (InputError, ImportError, OSError) as error:
         return _stopped(given.command, _plain(error), error, 2)
     except KeyboardInterrupt as error:
         return _stopped(given.command, "interrupted.", error, 130)
+    code = summary.pop("code", 0)
     _print(json.dumps(summary.pop("json", summary), indent=1) if given.json else "\n".join(summary["text"]))
-    return 0
+    return code
 
 
 def _print(text: str) -> None:

@@ -4,10 +4,10 @@ import os
 import pathlib
 
 _THREADS = 64
-"""At least, of XLA's thread pool. In jaxlib 0.10 a batched LAPACK call (`jax::ParallelBatchMap`, lapack_kernels.cc) runs
-on one thread of the pool, hands its batch to the others and waits: with as many calls at a time as there are threads,
-each waits for the others for ever (PyAutoFit #1530 found the same of FFTs; jax 0.11.2 builds without it). So many calls
-are never ready together; threads that sleep cost nothing measurable."""
+"""At least, of XLA's thread pool. In jaxlib 0.10 a batched LAPACK call (`jax::ParallelBatchMap`, lapack_kernels.cc)
+runs on one thread of the pool, hands its batch to the others and waits: with as many calls at a time as there are
+threads, each waits for the others for ever (PyAutoFit #1530 found the same of FFTs; jax 0.11.2 builds without it). So
+many calls are never ready together; threads that sleep cost nothing measurable."""
 
 
 def prepare() -> None:

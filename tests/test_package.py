@@ -188,7 +188,8 @@ MAY_IMPORT = {
     "identification": WHOLE | {"identification"},
     "report": WHOLE | {"plot", "identification", "report"},
     "study": WHOLE | {"plot", "identification", "report", "gap", "study"},
-    "commands": WHOLE | {"examples", "plot", "identification", "report", "study", "gap", "commands"},
+    "batch": IO | {"report", "batch"},
+    "commands": WHOLE | {"examples", "plot", "identification", "report", "study", "gap", "batch", "commands"},
 }
 """Which rooms a room may import from. Data flow from excitation over experiment and spectra to the FRF, which know no
 robot; the robot knows no FRF. Files and pictures stand above all containers, the command line above everything, and
@@ -242,7 +243,7 @@ def test_every_room_of_the_table_exists():
     assert set(MAY_IMPORT) == {room(path) for path in MODULES} - {"__init__", "__main__"}
 
 
-OPTIONAL = {"matplotlib", "xarray", "h5py", "h5netcdf", "pymatreader", "pyuff", "control", "mujoco"}
+OPTIONAL = {"matplotlib", "xarray", "h5py", "h5netcdf", "pymatreader", "pyuff", "control", "mujoco", "distributed"}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))

@@ -18,6 +18,7 @@ from .arguments import (
     say,
     with_tolerances,
 )
+from .each import add_each_options
 
 
 def add(commands) -> None:
@@ -40,6 +41,7 @@ def add(commands) -> None:
     parser.add_argument("--scale", help="factors to SI units: y=0.0174532925")
     add_anyway_option(parser)
     add_resume_option(parser)
+    add_each_options(parser)
 
 
 def run(given) -> dict:

@@ -19,6 +19,7 @@ from .arguments import (
     read_records,
     say,
 )
+from .each import add_each_options
 
 
 def add(commands) -> None:
@@ -28,6 +29,7 @@ def add(commands) -> None:
     add_record_options(parser, method="auto", default="auto")
     parser.add_argument("--plot", metavar="FILE", help="Bode picture to write: .png, .pdf, .svg")
     add_resume_option(parser)
+    add_each_options(parser)
 
 
 def run(given) -> dict:

@@ -22,6 +22,7 @@ from .arguments import (
     say,
     with_tolerances,
 )
+from .each import add_each_options
 
 _RECORDS_ONLY = ("method", "option", "map", "set", "scale", "periods")
 _SPRINGS_ONLY = (
@@ -74,6 +75,7 @@ def add(commands) -> None:
     )
     add_record_options(parser, method=None, default="lrm-jio-stacked, auto where there is no reference")
     add_resume_option(parser)
+    add_each_options(parser)
 
 
 def run(given) -> dict:
