@@ -14,7 +14,6 @@ from .._types import Array
 from ..spectra import Spectra, changed_signals
 from .classical import H1
 from .covariance import OuterSum, sum_over, variances
-from .inverse import inverse
 from .matrix_functions import matrix_function
 from .method import AbstractMethod, Estimate, Signals
 
@@ -144,18 +143,26 @@ class LogMean(AbstractAverage):
 
 
 def _matrix_mean(G):
-    """P^-1 exp(1/M sum_m log(P G_m)) of (block, n, n), and whether it is unsafe; NaN where a block is not finite."""
+    """P^-1 exp(1/M sum_m log(P G_m)) of (block, n, n), and whether it is unsafe; NaN where there is none."""
     bad = ~jnp.isfinite(G).all()
     G = jnp.where(bad, jnp.eye(G.shape[-1]), G)
-    P, _, condition = matrix_function(lambda x: x.conj() / jnp.abs(x), G[0])
-    P = jnp.where(jnp.isfinite(P).all(), P, jnp.eye(G.shape[-1]))
-    logs, values, conditions = jax.vmap(lambda G_m: matrix_function(jnp.log, P @ G_m))(G)
-    log_mean = logs.mean(axis=0)
+    (P, P_inverse, first), _, condition = matrix_function(_turn, G[0])
+    usable = jnp.isfinite(first).all()
+    P = jnp.where(usable, P, jnp.eye(G.shape[-1]))
+    logs, values, conditions = jax.vmap(lambda G_m: matrix_function(jnp.log, P @ G_m))(G[1:])
+    log_mean = (first + logs.sum(axis=0)) / len(G)
     finite = jnp.isfinite(log_mean).all()
     mean, _, _ = matrix_function(jnp.exp, jnp.where(finite, log_mean, 0))
     unsafe = jnp.any(jnp.abs(jnp.angle(values)) > jnp.pi / 2)
     unsafe |= jnp.any(conditions > _CONDITION) | (condition > _CONDITION)
-    return jnp.where(bad, jnp.nan, inverse(P) @ mean), unsafe
+    return jnp.where(bad | ~usable | ~finite, jnp.nan, P_inverse @ mean), unsafe
+
+
+def _turn(values):
+    """Of an eigenvalue: what turns it to the positive real axis, the same backwards, and the logarithm there."""
+    size = jnp.abs(values)
+    turn = values.conj() / size
+    return jnp.stack([turn, turn.conj(), jnp.log(size).astype(turn.dtype)])
 
 
 def _elementwise_mean(G):

@@ -51,9 +51,11 @@ def _covariance(S, M, C, of_target: np.ndarray):
         C = C if M is None else M @ C @ adjoint(M)
         return KroneckerSum(left=S[0], right=C[None])
     if M is not None and count <= _FEW:
-        own = (M * (np.arange(count)[:, None, None] == of_target)).reshape(-1, M.shape[-1])
-        right = (own @ C @ adjoint(own)).reshape(count, M.shape[0], count, M.shape[0]).swapaxes(1, 2)
-        return KroneckerSum(left=S.reshape(-1, n_in, n_in), right=right.reshape(-1, *right.shape[-2:]))
+        n_out = M.shape[0]  # y has the first equation and u the second: M_0 = [I, 0], M_1 = [0, -G]
+        turned = C[:, n_out:] @ adjoint(M[:, n_out:])
+        between, own = turned[:n_out], M[:, n_out:] @ turned[n_out:]
+        right = jnp.stack([C[:n_out, :n_out], between, adjoint(between), own])
+        return KroneckerSum(left=S.reshape(-1, n_in, n_in), right=right)
     each = jnp.moveaxis(
         S[of_target[:, None], of_target] * C[:, :, None, None], (0, 2), (1, 0)
     )  # (in, target, target, in)

@@ -95,14 +95,16 @@ def solve_gram(A: Complex[Array, "col col"], equations: Equations) -> Solution:
     n, top = equations.n_common, equations.n_top
     power = jnp.diagonal(A).real
     L = linalg.cholesky(A[:n, :n], symmetrize_input=False)
-    right = jnp.concatenate([A[n:, :n], jnp.eye(n, dtype=A.dtype)[-top:]])
-    half = linalg.triangular_solve(L, right, left_side=False, lower=True, transpose_a=True, conjugate_a=True)
-    B, V = half[:-top], half[-top:, -top:]
-    W = A[n:, n:] - B @ adjoint(B)
-    T = V @ adjoint(B[:, -top:])  # top coefficients of every other column regressed on the common ones
-    S = V @ adjoint(V)
+    B = linalg.triangular_solve(L, A[n:, :n], left_side=False, lower=True, transpose_a=True, conjugate_a=True)
+    end = linalg.triangular_solve(L[-top:, -top:], jnp.eye(top, dtype=A.dtype), left_side=True, lower=True)
+    T = adjoint(end) @ adjoint(B[:, -top:])  # top coefficients of every other column regressed on the common ones
+    S = adjoint(end) @ end
     pivot = jnp.min(jnp.diagonal(L).real ** 2 / power[:n])
-    G, S, E, own_pivot = _solve_own(W, T, S, power[n:], equations)
+    if max(equations.n_own) == 0:
+        G, S, E, own_pivot = T.T, S[None, None], A[n:, n:] - B @ adjoint(B), jnp.inf
+    else:
+        solve = _two_equations if len(equations.n_own) == 2 else _several_equations
+        G, S, E, own_pivot = solve(A[n:, n:], B, T, S, power[n:], equations)
     slots, targets = equations.slots, _target_columns(equations)
     E = _hermitian(E[slots[:, None], slots].T)
     power = power[n:][targets]
@@ -117,36 +119,62 @@ def solve_gram(A: Complex[Array, "col col"], equations: Equations) -> Solution:
     )
 
 
-def _solve_own(W, T, S, power, equations: Equations):
-    """G, S, residual products (target, target) and the smallest pivot, when the common columns are eliminated."""
-    count, own, top = len(equations.n_own), max(equations.n_own), equations.n_top
-    if own == 0:
-        return T.T, S[None, None], W, jnp.inf
-    each = W.shape[0] // count
-    blocks = jnp.moveaxis(W.reshape(count, each, count, each), 2, 1)
-    spare = np.arange(own) >= np.asarray(equations.n_own)[:, None]
+def _two_equations(A, B, T, S, power, equations: Equations):
+    """G, S, E and the smallest pivot, from the products A of all but the common columns, of which these explain B B^H:
+    the products of each equation, then those between the two."""
+    each = A.shape[0] // 2
+    one, other = np.array([0, 1, 0]), np.array([0, 1, 1])
+    B = B.reshape(2, each, -1)
+    W = A.reshape(2, each, 2, each).swapaxes(1, 2)[one, other] - B[one] @ adjoint(B[other])
+    G, E, added, X, pivot = _each_equation(W[:2], T, power, equations)
+    n_target = E.shape[-1]
+    between = adjoint(X[0]) @ (W[2] @ X[1])
+    E_01, S_01 = between[:n_target, :n_target], S + between[n_target:, n_target:]
+    E = jnp.block([[E[0], E_01], [adjoint(E_01), E[1]]])
+    S = jnp.stack([S + added[0], S_01, adjoint(S_01), S + added[1]]).reshape(2, 2, *S.shape)
+    return G, S, E, pivot
 
-    def one_equation(block, T, power, spare):
-        inner = block[:own, :own] + jnp.diag(jnp.where(spare, 1.0, 0.0))
-        L = linalg.cholesky(inner, symmetrize_input=False)
-        right = jnp.concatenate([block[:own, own:], adjoint(T[:, :own])], axis=1)
-        half = linalg.triangular_solve(L, right, left_side=True, lower=True)
-        found = linalg.triangular_solve(L, half, left_side=True, lower=True, transpose_a=True, conjugate_a=True)
-        D, F = found[:, : each - own], found[:, each - own :]
-        pivots = jnp.diagonal(L).real ** 2 / jnp.where(spare, 1.0, power[:own])
-        G = (T[:, own:] - T[:, :own] @ D).T
-        return G, jnp.concatenate([-D, jnp.eye(each - own, dtype=D.dtype)]), F, jnp.min(pivots)
 
+def _several_equations(A, B, T, S, power, equations: Equations):
+    """The same for any number of equations, small ones: the products of all of them at once."""
+    count = len(equations.n_own)
+    each, own, top = A.shape[0] // count, max(equations.n_own), equations.n_top
+    W = A - B @ adjoint(B)
+    blocks = W.reshape(count, each, count, each).swapaxes(1, 2)
     on_diagonal = np.arange(count)
-    parts = T.reshape(-1, count, each).swapaxes(0, 1)
-    own_blocks = blocks[on_diagonal, on_diagonal]
-    G, error, F, pivot = jax.vmap(one_equation)(own_blocks, parts, power.reshape(count, each), spare)
-
-    errors, effects = _block_diagonal(error), _block_diagonal(F)
+    G, _, _, X, pivot = _each_equation(blocks[on_diagonal, on_diagonal], T, power, equations)
+    errors, effects = _block_diagonal(X[..., : each - own]), _block_diagonal(X[:, :own, each - own :])
     inner = blocks[:, :, :own, :own].swapaxes(1, 2).reshape(count * own, count * own)
     E = adjoint(errors) @ (W @ errors)
     added = (adjoint(effects) @ (inner @ effects)).reshape(count, top, count, top)
-    return G.reshape(-1, top), S + added.swapaxes(1, 2), E, jnp.min(pivot)
+    return G, S + added.swapaxes(1, 2), E, pivot
+
+
+def _each_equation(W, T, power, equations: Equations):
+    """From what the common columns leave of the products of each equation, (eq, col, col): G (target, top); of each
+    equation the products of its residuals, what its own columns add to S, and X = [[-D, F], [I, 0]], so that its
+    residuals are its columns times [-D; I] and what they add to the influence of the rows on G is F; the smallest
+    pivot."""
+    count, each = W.shape[:2]
+    own, top = max(equations.n_own), equations.n_top
+    n_target = each - own
+    spare = np.arange(own) >= np.asarray(equations.n_own)[:, None]
+    below = np.eye(n_target, n_target + top)
+
+    def one_equation(W, T, power, spare):
+        L = linalg.cholesky(W[:own, :own] + jnp.diag(jnp.where(spare, 1.0, 0.0)), symmetrize_input=False)
+        right = jnp.concatenate([-W[:own, own:], adjoint(T[:, :own])], axis=1)
+        half = linalg.triangular_solve(L, right, left_side=True, lower=True)
+        found = linalg.triangular_solve(L, half, left_side=True, lower=True, transpose_a=True, conjugate_a=True)
+        products = adjoint(half) @ half
+        G = (T[:, own:] + products[n_target:, :n_target]).T
+        E, added = W[own:, own:] - products[:n_target, :n_target], products[n_target:, n_target:]
+        pivots = jnp.diagonal(L).real ** 2 / jnp.where(spare, 1.0, power[:own])
+        return G, E, added, jnp.concatenate([found, below]), jnp.min(pivots)
+
+    parts = T.reshape(top, count, each).swapaxes(0, 1)
+    G, E, added, X, pivot = jax.vmap(one_equation)(W, parts, power.reshape(count, each), spare)
+    return G.reshape(-1, top), E, added, X, jnp.min(pivot)
 
 
 def _block_diagonal(x):
