@@ -167,6 +167,32 @@ def select_periods(data: Experiment, start: int, stop: int | None = None) -> Exp
     )
 
 
+def segments(data: Experiment, length: int) -> Experiment:
+    """A long record that is not periodic, cut into pieces of `length` samples: as many more experiments.
+
+    Local methods with a transient term take them together (each piece has a transient of its own): lines fs/length Hz
+    apart instead of fs/duration, and as many times fewer of them. What is left at the end is not used.
+
+    **Raises:** `jaxfrf.InputError` if the record has a period (choose whole periods: `select_periods`), or is shorter.
+    """
+    n = data.n_time // length if length == int(length) and length >= 8 else 0
+    if data.period or n < 1:
+        raise input_error(
+            "segment",
+            f"{length} samples of a record of {data.n_time}" + (f" with period {data.period}" if data.period else ""),
+            "a whole number from 8 to the length of a record without a period",
+            "Choose another, or choose whole periods (--periods).",
+        )
+
+    def cut(x):
+        if x is None:
+            return None
+        x = x[:, :, : n * length].reshape(x.shape[0], -1, n, length, x.shape[3])
+        return x.reshape(x.shape[0], -1, length, x.shape[4])
+
+    return _rebuild(data, u=cut(data.u), y=cut(data.y), r=cut(data.r))
+
+
 def _rebuild(data: Experiment, **changes) -> Experiment:
     fields = {f.name: getattr(data, f.name) for f in dataclasses.fields(data)}
     return Experiment(**(fields | changes))

@@ -7,7 +7,7 @@ import numpy as np
 
 from ._errors import InputError
 from ._status import describe
-from .frf import FRF, AbstractMethod, concatenate_positions, describe_method, estimate
+from .frf import FRF, AbstractMethod, adapted, concatenate_positions, describe_method, estimate
 from .frf.features import features
 from .parts import Parts, files_text, numbers_text
 from .spectra import Spectra, select_positions
@@ -25,6 +25,7 @@ def estimate_in_parts(spectra: Spectra, method: AbstractMethod, parts: Parts, *,
     """
     from .io import read_frf, write_frf
 
+    method = adapted(method, spectra)
     method.check(spectra)
     parts.begin(_about(spectra, method), _PART_FILES)
     if spectra.n_pos == 1:

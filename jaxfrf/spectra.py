@@ -6,6 +6,7 @@ from collections.abc import Callable
 import equinox as eqx
 import numpy as np
 import scipy.fft
+import scipy.signal
 from jaxtyping import Complex, Float, Int
 
 from ._errors import input_error
@@ -14,6 +15,7 @@ from .experiment import QUANTITIES, Experiment, Source, how_to_set, seen_period
 from .periodic import FoundLines, find_lines
 
 _SILENT = 1e-14  # power, relative to the median line, below which a line carries nothing (rounding)
+_STRONG, _STRONG_IN_BAND = 1e-4, 1e-10  # power, of the strongest line's, from which a line of a whole record counts
 _SILENT_SHARE = 1e-24  # the same relative to the whole signal, for when the median line is rounding itself
 
 
@@ -28,6 +30,7 @@ class Spectra(eqx.Module):
       (pos, exp, freq, sig, sig); `None` with fewer than two periods.
     - `n_periods`: periods averaged. `periodic`: false where the record was taken whole, with leakage
       (`record_spectra`); only methods with a transient term can use it then.
+    - `segments`: of every experiment that stand for experiments here (`segment_spectra`); 0 otherwise.
     - `q`, `fs`, `period`, `y_quantity`, `sources`, `warnings`: as in `Experiment`.
     """
 
@@ -42,6 +45,7 @@ class Spectra(eqx.Module):
     period: int = eqx.field(static=True, default=0)
     n_periods: int = eqx.field(static=True, default=1)
     periodic: bool = eqx.field(static=True, default=True)
+    segments: int = eqx.field(static=True, default=0)
     y_quantity: str = eqx.field(static=True, default="velocity")
     sources: tuple[Source, ...] = eqx.field(static=True, default=())
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
@@ -90,8 +94,8 @@ def dft(data: Experiment) -> Spectra:
             _where(data, "period"),
             "0: the record is not periodic",
             "whole steady periods, which this method needs (the DFT of anything else leaks)",
-            f"{period_advice(data)} Otherwise use a local method with a transient term (--method lpm --option "
-            "transient=2), which takes the record whole.",
+            f"{period_advice(data)} Otherwise use a local method with a transient term (--method auto --option "
+            "transient=2), which takes the record whole, or --method welch.",
         )
     lines = known_lines(data)
     spectra = _at_lines(data, lines)
@@ -132,29 +136,79 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     """Spectra of the whole record, for data that are not periodic: all DFT lines of the record in `band` (Hz).
 
     Leakage makes Y = G U + T with a transient T that is smooth in frequency: only estimators with a transient term
-    take such spectra. Without `band`, the lines from the lowest to the highest one that holds at least 1e-4 of the
-    strongest reference power (input power where there is no reference).
+    take such spectra. Lines that hold less than 1e-4 of the strongest reference power (input power where there is no
+    reference) are left out: in closed loop the response there would be that of the controller. With `band` all lines in
+    it are taken but those that hold less than 1e-10.
     """
     n = data.n_time
     k = np.arange(1, (n - 1) // 2 + 1)
     whole = _rebuild_whole(data)
+    strength = _strength(whole, k)
+    strong = strength >= (_STRONG if band is None else _STRONG_IN_BAND) * strength.max()
     if band is None:
-        strength = _strength(whole, k)
-        strong = np.flatnonzero(strength >= 1e-4 * strength.max())
-        k = k[strong[0] : strong[-1] + 1]
+        k = k[strong]
     else:
         f = k * data.fs / n
-        k = k[(f >= band[0]) & (f <= band[1])]
+        k = k[(f >= band[0]) & (f <= band[1]) & strong]
         if k.size == 0:
             raise input_error(
                 "band",
                 f"{band[0]:g} to {band[1]:g} Hz",
-                f"a band that holds lines between {data.fs / n:.4g} and {data.fs / 2:g} Hz",
+                f"a band that holds excited lines between {data.fs / n:.4g} and {data.fs / 2:g} Hz",
                 "Widen the band.",
             )
     spectra = _at_lines(whole, k)
     return dataclasses.replace(
         spectra, periodic=False, noise=None, warnings=(*spectra.warnings, _what_it_can_give(data, spectra))
+    )
+
+
+def segment_spectra(
+    data: Experiment, segment: int | None = None, *, overlap: float = 0.5, window: str = "hann"
+) -> Spectra:
+    """Spectra of windowed segments of a record, as experiments beside each other: what Welch's method averages.
+
+    As in `scipy.signal.welch` the mean of every segment is taken off, and what is left at the end is not used. With them
+    `jaxfrf.coherence(spectra)` is `scipy.signal.coherence`, and `jaxfrf.estimate(spectra, jaxfrf.Welch())` is
+    csd(u, y)/welch(u). Leakage from line to line is as the window makes it.
+
+    **Arguments:** `segment`, in samples; `None`: as long as eight with half an overlap can be. `overlap`: share of a
+    segment. `window`: as `scipy.signal.get_window` names it.
+
+    **Raises:** `jaxfrf.InputError` if the record is shorter than a segment.
+    """
+    n = data.n_time
+    length = max(2 * n // 9, 8) if segment is None else int(segment)
+    if not 8 <= length <= n:
+        raise input_error("segment", f"{length} samples of a record of {n}", f"from 8 to {n} samples", "Shorten it.")
+    hop = max(length - int(length * overlap), 1)
+    taper = scipy.signal.get_window(window, length)
+    k = np.arange(1, (length - 1) // 2 + 1)
+
+    def cut(x):
+        if x is None:
+            return None
+        starts = range(0, n - length + 1, hop)
+        pieces = np.stack([x[:, :, s : s + length] for s in starts], axis=2)
+        pieces = (pieces - pieces.mean(axis=3, keepdims=True)) * taper[:, None]
+        found = scipy.fft.rfft(pieces, axis=3, workers=-1)[:, :, :, k] / taper.sum()
+        return found.reshape(found.shape[0], -1, *found.shape[3:])
+
+    return Spectra(
+        U=cut(data.u),
+        Y=cut(data.y),
+        R=cut(data.r),
+        lines=k,
+        frequency=k * data.fs / length,
+        noise=None,
+        q=data.q,
+        fs=data.fs,
+        period=length,
+        periodic=False,
+        segments=(n - length) // hop + 1,
+        y_quantity=data.y_quantity,
+        sources=data.sources,
+        warnings=data.warnings,
     )
 
 

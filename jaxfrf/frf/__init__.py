@@ -1,5 +1,6 @@
 """Estimators of frequency response functions."""
 
+from .aperiodic import adapted as adapted
 from .average import ArithmeticMean as ArithmeticMean, LogMean as LogMean
 from .classical import H1 as H1, H2 as H2, Hv as Hv
 from .coherence import coherence as coherence, multiple_coherence as multiple_coherence
@@ -13,3 +14,4 @@ from .local import LPM as LPM, LRM as LRM, MisoLRM as MisoLRM
 from .method import AbstractMethod as AbstractMethod, Estimate as Estimate, Signals as Signals
 from .response import FRF as FRF, concatenate_positions as concatenate_positions
 from .select import Auto as Auto
+from .welch import Welch as Welch

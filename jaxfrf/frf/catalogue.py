@@ -12,6 +12,7 @@ from .joint import JointInputOutput
 from .local import LPM, LRM, MisoLRM
 from .method import AbstractMethod
 from .select import Auto
+from .welch import Welch
 
 METHODS: dict[str, tuple[str, AbstractMethod]] = {
     "auto": ("stacked LRM through the reference, window chosen from the data", Auto()),
@@ -35,6 +36,7 @@ METHODS: dict[str, tuple[str, AbstractMethod]] = {
         "one denominator for y and u, through the reference",
         JointInputOutput(CommonDenominatorLRM()),
     ),
+    "welch": ("cross spectra averaged over segments of a record, as SciPy's csd/welch and MATLAB's tfestimate", Welch()),
 }
 """Name: what it is, and the method with its default options. The paper's are h1 to lrm-jio."""
 

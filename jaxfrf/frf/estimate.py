@@ -12,6 +12,7 @@ from .._status import Status, describe
 from .._types import require_x64
 from ..experiment import Experiment
 from ..spectra import Spectra, select_positions
+from .aperiodic import adapted
 from .from_record import spectra_of
 from .method import AbstractMethod, Estimate
 from .response import FRF
@@ -28,8 +29,9 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod, *, progress=Non
     **Arguments:**
 
     - `data`: spectra, e.g. from `jaxfrf.dft`; or a record, of which `jaxfrf.dft` then takes the mean steady period, or,
-      where it is not periodic and the method has a transient term (`jaxfrf.LPM(transient=2)`),
-      `jaxfrf.record_spectra` takes the whole, as `jaxfrf estimate` does.
+      where it is not periodic, `jaxfrf.record_spectra` the whole, for methods that can have a transient term (local
+      ones and `jaxfrf.Auto`; see `jaxfrf.frf.adapted` for what becomes of them), and `jaxfrf.segment_spectra` segments
+      for `jaxfrf.Welch`, as `jaxfrf estimate` does.
     - `method`: e.g. `jaxfrf.LRM(order=2)`, `jaxfrf.LogMean()`, `jaxfrf.JointInputOutput(jaxfrf.LRM())`.
     - `progress`: called with (operating points done, of how many) after every group of them.
 
@@ -45,6 +47,7 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod, *, progress=Non
             "method", repr(method), "a method, e.g. jaxfrf.LRM(order=2)", "Names are for the command line (--method)."
         )
     spectra = _spectra(data, method)
+    method = adapted(method, spectra)
     method.check(spectra)
     _check_rank(spectra, method)
     groups = _groups(spectra)

@@ -122,12 +122,12 @@ class AbstractLeastSquares(AbstractMethod):
 
     def regressed(self, signals: Signals, joint: bool, lines=None) -> Estimate:
         plan = self.plan(signals, joint)
-        every = _side_by_side(signals, joint, self.transient_order)
+        every = side_by_side(signals, joint, self.transient_order)
         return estimate_windows(every, plan, self.combined(joint), lines)
 
     def regressed_with(self, signals: Signals, joint: bool, plan: "Plan", windows: Windows) -> Estimate:
         """The estimates with several `windows`, stacked along a leading axis that the result has too."""
-        every = _side_by_side(signals, joint, self.transient_order)
+        every = side_by_side(signals, joint, self.transient_order)
         of = products(every)
 
         def one(windows):
@@ -190,7 +190,7 @@ def estimate_windows(signals: Complex[Array, "exp freq sig"], plan: Plan, combin
     )
 
 
-def _side_by_side(signals: Signals, joint: bool, transient: int | None):
+def side_by_side(signals: Signals, joint: bool, transient: int | None):
     """All signals side by side, with one constant per experiment where a transient is wanted: (exp, freq, sig)."""
     parts = [signals.R, signals.Y, signals.U] if joint else [signals.U, signals.Y]
     if transient is not None:

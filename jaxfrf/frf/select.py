@@ -1,45 +1,64 @@
-"""The estimator that chooses its window from the data."""
+"""The estimator that chooses its windows from the data."""
 
 import dataclasses
+import math
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float
 
 from .._errors import input_error
 from .._types import Array
 from ..spectra import Spectra
-from .covariance import variances
+from .classical import H1
+from .covariance import KroneckerSum, dense, variances
 from .joint import JointInputOutput
 from .local import LRM, AbstractLocal
 from .method import AbstractMethod, Estimate, Signals, on_host, run, solved_again
+from .scaled import Scaled
+from .two_stage import has_second_stage, prediction, second_stage
+
+_STEP = 2.6  # least ratio of neighbouring windows, where there are many lines
+_PILOT_LINES = 2  # on either side, over which the noise of the narrowest estimate is averaged
+_NEAR, _FAR = 16, 4  # part of a window over which bias is averaged: for the estimate, and for its interval
+_LEAST_NEAR = 2  # lines on either side
+_OTHERS = 0.25  # weight of all elements together beside the element itself, for the interval
+_UNSEEN = 0.1  # bias that no test sees, of the variance of the difference of two windows
+_LEAST = 0.1  # of the narrower estimate's variance: what a difference of two estimates at least varies by
 
 
 class Auto(AbstractMethod):
     """Stacked local rational estimate through the reference where there is one, its window chosen at every line.
 
-    From narrow to wide, a window is accepted while its estimate agrees with those of all narrower ones: rms over the
-    elements of |G_w - G_v| / (s_w + s_v) at most `threshold`, s the standard deviations (intersection of confidence
-    intervals: Goldenshluger & Nemirovski 1997). Wide windows average more noise, and are given up where the response
-    bends too much for them. The choice is smoothed over neighbouring lines by a median.
+    From narrow to wide, every window's estimate G_w (variance s_w^2) is set against what was found before it, G with
+    variance s^2. Without bias their difference has the variance s^2 - s_w^2, since a wider window holds what the
+    narrower one does and more (Hausman 1978); what |G - G_w|^2 has beyond, averaged over some lines, is the
+    bias^2 of the wider window. The best mean of both then is
 
-    The covariance is that of the chosen window, as if it had been chosen beforehand; what bias the choice lets through
-    is at most about `threshold` standard deviations of a narrower window. The default was tuned on plants with 1, 2
-    and 6 axes, 1 to 6 experiments, 2 and 10 % disturbance (`benchmarks/bench_accuracy.py`, which reports on other
-    seeds). Nearly constant responses are averaged less widely than they could be.
+        G <- G_w + lambda (G - G_w),   s^2 <- s_w^2 + lambda (s^2 - s_w^2),   lambda = bias^2/(bias^2 + s^2 - s_w^2),
+
+    element by element: a resonance keeps its narrow windows, smooth responses and nearly constant ones get the widest.
+    s^2 is the mean square error, bias included, that is stated as variance; for it bias is averaged over more lines,
+    and a tenth of s^2 - s_w^2 is added for what no test sees. Where there are more experiments than inputs, the first
+    of all is `H1` (through the reference), which has no window and no bias of one.
+
+    Fractions are fitted in two stages, which removes the bias of the noise in their regressors (`jaxfrf.frf.two_stage`).
+    The choices were made on the tuning plants of `benchmarks/bench_coverage.py`, which reports on others. In closed
+    loop without a reference, the noise in u biases every window alike, and nothing of that is seen.
 
     **Arguments:**
 
-    - `method`: the local method whose `width` is chosen; default `LRM()`, R = 2.
-    - `widths`: windows to choose from, in lines; by default six from the narrowest useful one to a third of the band.
-    - `threshold`: see above. `use_reference`: estimate through r where it is recorded.
+    - `method`: the local method whose `width` is chosen; default LRM, R = 2, with the distance of lines in Hz: lines
+      that are rounded to a grid are not equally spaced on any scale, and G is not smooth over their index.
+    - `widths`: windows to choose from, in lines; by default at least six from the narrowest useful one to a third of
+      the band.
+    - `use_reference`: estimate through r where it is recorded.
     """
 
-    method: AbstractLocal = LRM()
+    method: AbstractLocal = LRM(variable="frequency")
     widths: tuple[int, ...] | None = None
-    threshold: float = 0.85
     use_reference: bool = True
 
     def __check_init__(self):
@@ -66,37 +85,55 @@ class Auto(AbstractMethod):
         n = self.method.n_parameters(spectra, spectra.n_in, max(spectra.n_out, spectra.n_in))
         least = min(-(-n // spectra.n_exp) + max(4, -(-n // (2 * spectra.n_exp))), n_lines)
         most = max(n_lines // 3, least)
-        return tuple(sorted({round(w) for w in np.geomspace(least, most, 6)}))
+        count = max(6, 1 + math.ceil(math.log(most / least, _STEP)))
+        return tuple(sorted({round(w) for w in np.geomspace(least, most, count)}))
 
     def residual_dof(self, signals: Signals) -> float:
         return self._with_width(self.candidates(signals)[0], signals).residual_dof(signals)
 
     def at_point(self, signals: Signals, lines=None) -> Estimate:
-        tried = self._tried(signals)
-        choice = _choice(tried, self.threshold)
-        if lines is None:
-            return _chosen(tried, choice)
-        again = [self._with_width(w, signals).at_point(signals, lines) for w in self.candidates(signals)]
-        return _chosen(jax.tree.map(lambda *x: jnp.stack(x), *again), choice[lines])
+        blended = _blend(self._tried(signals), self._reach(signals))
+        return blended if lines is None else jax.tree.map(lambda x: x[lines], blended)
 
     def estimate(self, spectra: Spectra) -> Estimate:
-        """As everywhere; but doubtful lines are solved again before the choice, which looks at neighbours."""
+        """As everywhere; but doubtful lines are solved again before the windows are compared."""
         tried = on_host(run(Auto._tried, self, spectra))
+        first = tried.G.shape[1] - len(self.candidates(spectra))
         each = [jax.tree.map(lambda x, i=i: x[:, i], tried) for i in range(tried.G.shape[1])]
-        methods = [self._with_width(w, spectra) for w in self.candidates(spectra)]
-        each = [solved_again(x, method, spectra) for x, method in zip(each, methods, strict=True)]
-        tried = jax.tree.map(lambda *x: np.stack(x, axis=1), *each)
-        return on_host(_choose(tried, self.threshold))
+        if any(x.doubtful.any() for x in each[first:]):
+            methods = [_OneWidth(self, w) for w in self.candidates(spectra)]
+            again = [solved_again(x, m, spectra) for x, m in zip(each[first:], methods, strict=True)]
+            tried = jax.tree.map(lambda *x: np.stack(x, axis=1), *each[:first], *again)
+        return on_host(_blended(tried, self._reach(spectra)))
+
+    def _reach(self, spectra: Spectra | Signals) -> tuple[int, ...]:
+        widths = self.candidates(spectra)
+        return (1, *widths) if self._has_pilot(spectra) else widths
+
+    def _has_pilot(self, spectra: Spectra | Signals) -> bool:
+        return self.method.transient is None and spectra.n_exp > spectra.n_in
 
     def _tried(self, signals: Signals) -> Estimate:
-        """The estimates with every width, which is the leading axis."""
+        """The estimates with every width, which is the leading axis, the pilot in front of them."""
         joint = self._through_reference(signals)
         methods = [dataclasses.replace(self.method, width=w) for w in self.candidates(signals)]
         plans = [method.plan(signals, joint) for method in methods]
         span = max(plan.windows.span for plan in plans)
         every = [dataclasses.replace(plan.windows, span=span) for plan in plans]
         windows = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(y) for y in x]), *every)
-        return self.method.regressed_with(signals, joint, plans[0], windows)
+        if has_second_stage(self.method):
+            predicted = self._prediction(signals, joint)
+            found = second_stage(methods[0], signals, joint, predicted, windows)
+        else:
+            found = self.method.regressed_with(signals, joint, plans[0], windows)
+        if not self._has_pilot(signals):
+            return found
+        pilot = _pilot(JointInputOutput(H1()) if joint else H1(), signals, found)
+        return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pilot, found)
+
+    def _prediction(self, signals: Signals, joint: bool):
+        widths = self.candidates(signals)
+        return prediction(dataclasses.replace(self.method, width=widths[min(1, len(widths) - 1)]), signals, joint)
 
     def _through_reference(self, spectra: Spectra | Signals) -> bool:
         return self.use_reference and spectra.R is not None and spectra.R.shape[-1] == spectra.n_in
@@ -106,31 +143,118 @@ class Auto(AbstractMethod):
         return JointInputOutput(method) if self._through_reference(spectra) else method
 
 
+class _OneWidth(AbstractMethod):
+    """The estimate of `Auto` with one of its windows, for lines that are solved again."""
+
+    of: Auto
+    width: int
+
+    def block_size(self, spectra) -> int:
+        return 1
+
+    def check(self, spectra) -> None:
+        self.of.check(spectra)
+
+    def residual_dof(self, signals: Signals) -> float:
+        return self.of.residual_dof(signals)
+
+    def at_point(self, signals: Signals, lines=None) -> Estimate:
+        method = dataclasses.replace(self.of.method, width=self.width)
+        joint = self.of._through_reference(signals)
+        if has_second_stage(method):
+            return second_stage(method, signals, joint, self.of._prediction(signals, joint), lines=lines)
+        return method.regressed(signals, joint, lines)
+
+
+def _pilot(method: AbstractMethod, signals: Signals, like: Estimate) -> Estimate:
+    """H1 with its noise averaged over some lines, with a covariance of the kind that `like` has."""
+    found = method.at_point(signals)
+    right = _mean(found.cov.right, _neighbours(signals.U.shape[1], _PILOT_LINES))
+    lines = 2 * _PILOT_LINES + 1
+    return dataclasses.replace(
+        found,
+        cov=_of_kind(KroneckerSum(found.cov.left, right), like.cov),
+        dof=found.dof * min(lines, len(right)),
+        doubtful=jnp.zeros_like(found.doubtful),
+        cov_noise=None if like.cov_noise is None else _of_kind(found.cov_noise, like.cov_noise),
+    )
+
+
+def _of_kind(cov: KroneckerSum, like):
+    """The same covariance with as many terms, or written out, as `like`."""
+    if not isinstance(like, KroneckerSum):
+        return dense(cov)
+    missing = like.left.shape[-3] - cov.left.shape[-3]
+    wide = lambda x: jnp.concatenate([x, jnp.zeros((x.shape[0], missing, *x.shape[2:]), x.dtype)], axis=1)
+    return KroneckerSum(wide(cov.left), wide(cov.right)) if missing else cov
+
+
 @eqx.filter_jit
-def _choose(tried: Estimate, threshold: float) -> Estimate:
-    """The chosen estimate at every operating point, from (pos, width, freq, ...)."""
-    return jax.vmap(lambda x: _chosen(x, _choice(x, threshold)))(tried)
+def _blended(tried: Estimate, widths: tuple[int, ...]) -> Estimate:
+    """`_blend` at every operating point, from (pos, width, freq, ...)."""
+    return jax.vmap(lambda x: _blend(x, widths))(tried)
 
 
-def _choice(tried: Estimate, threshold: float) -> Int[Array, "freq"]:
-    """Number of the widest window that agrees with all narrower ones, smoothed; `tried` is (width, freq, ...)."""
-    G = tried.G
-    std = jnp.sqrt(jnp.maximum(variances(tried.cov), 0)).reshape(*G.shape[:2], G.shape[3], G.shape[2]).mT
-    agreed = jnp.ones(G.shape[1], bool)
-    choice = jnp.zeros(G.shape[1], int)
-    for wide in range(1, G.shape[0]):
-        step = jnp.abs(G[wide] - G[:wide]) / (std[wide] + std[:wide])
-        agreed &= ~jnp.any(jnp.sqrt(jnp.mean(step**2, axis=(-2, -1))) > threshold, axis=0)
-        choice = jnp.where(agreed, wide, choice)
-    return _median(choice, min(9, G.shape[1]))
+def _blend(tried: Estimate, widths: tuple[int, ...]) -> Estimate:
+    """From narrow to wide windows, (width, freq, ...), the mean that errs least; see `Auto`."""
+    own = jnp.maximum(variances(tried.cov), 0)
+    every = own.reshape(*own.shape[:2], tried.G.shape[3], tried.G.shape[2]).mT
+    every = jnp.where(jnp.isfinite(every), every, jnp.inf)
+    n_freq = tried.G.shape[1]
+    near, far = (
+        jnp.asarray([_neighbours(n_freq, max(_LEAST_NEAR, width // part)) for width in widths[1:]], int)
+        for part in (_NEAR, _FAR)
+    )
+
+    def wider(before, found):
+        G, variance, stated, dof, window, choice = before
+        k, G_wide, own, dof_wide, window_wide, near, far = found
+        wide = jnp.minimum(own, variance)
+        known = jnp.isfinite(variance)
+        between = jnp.where(known, jnp.maximum(variance - wide, _LEAST * variance), 1.0)
+        excess = jnp.where(known, jnp.abs(G_wide - G) ** 2 / between, 0.0)
+        bias = jnp.maximum(_mean(excess, near) - 1, 0)
+        keep = bias / (1 + bias)
+        told = (1 - _OTHERS) * excess + _OTHERS * excess.mean(axis=(-2, -1), keepdims=True)
+        told = jnp.maximum(_mean(told, far) - 1, 0) + _UNSEEN
+        keep_stated = jnp.maximum(told / (1 + told), keep)
+        share = keep.mean(axis=(-2, -1))
+        mixed = 1 / ((1 - share) / dof_wide + share / jnp.where(dof > 0, dof, 1.0))
+        after = (
+            jnp.where(keep > 0, G_wide + keep * (G - G_wide), G_wide),
+            _between(wide, variance, keep),
+            _between(jnp.minimum(own, stated), stated, keep_stated),
+            jnp.where(dof > 0, mixed, dof_wide),
+            (1 - share) * window_wide + share * window,
+            jnp.where(share < 0.5, k, choice),
+        )
+        return after, None
+
+    first = (tried.G[0], every[0], every[0], tried.dof[0], tried.window[0], jnp.zeros(n_freq, int))
+    rest = (tried.G, every, tried.dof, tried.window)
+    number = jnp.arange(1, len(widths))
+    found = (number, *(x[1:] for x in rest), near, far)
+    (G, _, stated, dof, window, choice), _ = jax.lax.scan(wider, first, found)
+    chosen = jax.tree.map(lambda x: x[choice, jnp.arange(len(choice))], tried)
+    of = jnp.take_along_axis(own, choice[None, :, None], axis=0)[0]
+    scale = jnp.sqrt(stated.mT.reshape(of.shape) / jnp.where(of > 0, of, 1.0))
+    return dataclasses.replace(
+        chosen, G=G, cov=Scaled(chosen.cov, jnp.where(of > 0, scale, 1.0)), dof=dof, window=window
+    )
 
 
-def _median(x, span: int):
-    """Running median of integers over `span` neighbours (for even spans one more before than after), as of the value at
-    the ends beyond them."""
-    padded = jnp.pad(x, (span // 2, span - 1 - span // 2), mode="edge")
-    return jnp.sort(padded[jnp.arange(len(x))[:, None] + jnp.arange(span)], axis=1)[:, span // 2]
+def _between(wide, narrow, keep):
+    """wide + keep (narrow - wide), where the narrow one may be infinite: unknown."""
+    return jnp.where(keep > 0, wide + keep * jnp.where(jnp.isfinite(narrow), narrow - wide, 0.0), wide)
 
 
-def _chosen(tried: Estimate, choice) -> Estimate:
-    return jax.tree.map(lambda x: x[choice, jnp.arange(len(choice))], tried)
+def _neighbours(n: int, reach: int) -> np.ndarray:
+    """The first line within `reach` of every line, and the one after the last: (2, freq)."""
+    return np.stack([np.maximum(np.arange(n) - reach, 0), np.minimum(np.arange(n) + reach + 1, n)])
+
+
+def _mean(x: Float[Array, "freq ..."], near):
+    """Mean over `_neighbours`."""
+    first, last = near
+    total = jnp.concatenate([jnp.zeros((1, *x.shape[1:]), x.dtype), jnp.cumsum(x, axis=0)])
+    return (total[last] - total[first]) / (last - first).reshape(-1, *[1] * (x.ndim - 1))

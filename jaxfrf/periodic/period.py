@@ -21,6 +21,7 @@ _LEAST_LAG = 8  # samples; what repeats sooner has no lines to speak of
 _LONGEST = 2 / 3  # of the record: the comparison needs the rest
 _LARGE = 2**21  # samples x channels that are looked at; channels beyond are left out
 _SURE = 6.0  # standard deviations of the correlation at other lags
+_MOST = 0.85  # mismatch of a period: of what repeats so little most is something else
 _EXACT = 1e-3  # mismatch of a record that repeats whatever the statistics say
 _MULTIPLES = 0.6  # of the match after one period, that must be left after two, three, ... of them
 _AS_GOOD = 1.35  # mismatch of the shortest period over the best one (multiples of it), beyond which it is another
@@ -111,7 +112,7 @@ def _clearest(D: np.ndarray) -> FoundPeriod | None:
     usual = np.median(D[max(first, _LEAST_LAG) :])
     spread = 1.4826 * np.median(np.abs(D[max(first, _LEAST_LAG) :] - usual)) + 1e-12
     sure = (usual - D[lags]) / (spread * np.sqrt(n / (n - lags)))
-    lags = lags[(sure > _SURE) | (D[lags] < _EXACT)]
+    lags = lags[((sure > _SURE) & (D[lags] < _MOST)) | (D[lags] < _EXACT)]
     if not lags.size:
         return None
     good = lags[D[lags] <= _AS_GOOD * D[lags].min() + 1e-9]

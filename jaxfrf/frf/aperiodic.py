@@ -1,0 +1,57 @@
+"""Methods made ready for records without a period."""
+
+import dataclasses
+
+from ..spectra import Spectra
+from .average import AbstractAverage
+from .joint import JointInputOutput
+from .local import AbstractLocal
+from .method import AbstractMethod
+from .select import Auto
+
+
+def adapted(method: AbstractMethod, spectra: Spectra) -> AbstractMethod:
+    """The method as it is used on these spectra: on those of whole periods as it stands.
+
+    On those of a record without a period local methods get a transient term of their own order where they have none,
+    count the distance between lines in Hz (a transient is smooth in frequency), and, where no width is given, choose
+    their window at every line (`jaxfrf.Auto`): as wide as for a multisine is far too narrow for lines that lie as close
+    as 1/duration and carry as little as a part of a sweep or of noise. Others stay as they are, and say what they need.
+    """
+    return method if spectra.periodic or spectra.segments else _without_period(method)
+
+
+def _without_period(method: AbstractMethod) -> AbstractMethod:
+    if isinstance(method, Auto):
+        return dataclasses.replace(method, method=_with_transient(method.method))
+    if isinstance(method, AbstractLocal):
+        method = _with_transient(method)
+        return method if method.width is not None else Auto(method, use_reference=False)
+    if isinstance(method, JointInputOutput) and isinstance(method.method, AbstractLocal):
+        inner = _with_transient(method.method)
+        return JointInputOutput(inner) if inner.width is not None else Auto(inner)
+    if isinstance(method, AbstractAverage) and takes_transients(method):
+        return dataclasses.replace(method, method=_without_period(method.inner))
+    return method
+
+
+def _with_transient(method: AbstractLocal) -> AbstractLocal:
+    transient = method.order if method.transient is None else method.transient
+    return dataclasses.replace(method, transient=transient, variable="frequency")
+
+
+def takes_transients(method: AbstractMethod) -> bool:
+    """Whether the method can have a transient term."""
+    return bool(_locals(method))
+
+
+def asks_for_transients(method: AbstractMethod) -> bool:
+    """Whether the method was given one."""
+    return any(x.transient is not None for x in _locals(method))
+
+
+def _locals(method: AbstractMethod) -> list[AbstractLocal]:
+    if isinstance(method, AbstractLocal):
+        return [method]
+    inner = [getattr(method, f.name) for f in dataclasses.fields(method)]
+    return [x for part in inner if isinstance(part, AbstractMethod) for x in _locals(part)]

@@ -1,0 +1,75 @@
+"""Local fractions in two stages: without the bias that noise in their own regressors makes.
+
+In Z = N X - sum_s x^s D_s Z + D V the regressors x^s Z hold the noise V of the targets, and the error D V is larger the
+farther a line is from the poles: both bias G, the more the wider the window, however many experiments there are. With
+the targets' prediction Z^ = G^ X + T^ of a first fit in the place of Z on the right,
+
+    Z_j = sum_s x_j^s N_s X_j - sum_{s>=1} x_j^s D_s Z^_j + T(x_j) + V_j,
+
+the regressors hold next to no noise, and the error is V itself, of equal size at all lines of a window: two-stage least
+squares (Theil 1953; Basmann 1957). It needs X without noise: a reference, or a known input. Polynomials (LPM) have no
+such regressors, and nothing to gain.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Complex
+
+from .._types import Array
+from .least_squares import Plan, estimate_windows, side_by_side
+from .local import AbstractLocal
+from .method import Estimate, Signals
+from .window import Columns, Windows, products
+
+
+def has_second_stage(method: AbstractLocal) -> bool:
+    return method.has_denominator and method.order > 0
+
+
+def prediction(method: AbstractLocal, signals: Signals, joint: bool) -> Complex[Array, "exp freq target"]:
+    """What a first fit with `method` says that the targets (y, or y and u) would be without noise; what was measured
+    where it fails."""
+    X = signals.R if joint else signals.U
+    n_exp, n_freq, n_in = X.shape
+    if method.transient is not None:
+        each = jnp.broadcast_to(jnp.eye(n_exp, dtype=complex)[:, None], (n_exp, n_freq, n_exp))
+        X = jnp.concatenate([X, each], axis=-1)  # a transient is the answer to 1 in one experiment
+        method = dataclasses.replace(method, transient=None)
+    found = []
+    for Z in (signals.Y, signals.U) if joint else (signals.Y,):
+        G = method.at_point(Signals(X, Z, None, None, signals.frequency)).G
+        said = jnp.einsum("fzi,efi->efz", G, X)
+        found.append(jnp.where(jnp.isfinite(said), said, Z))
+    return jnp.concatenate(found, axis=-1)
+
+
+def second_stage(
+    method: AbstractLocal, signals: Signals, joint: bool, predicted, windows: Windows | None = None, lines=None
+) -> Estimate:
+    """The estimate of the second stage, with the method's own window at `lines` (all by default), or with each of
+    several `windows`, stacked, as a leading axis of the result."""
+    every = side_by_side(signals, joint, method.transient)
+    plan = _on_prediction(method.plan(signals, joint), signals.n_in, predicted.shape[-1], every.shape[-1])
+    every = jnp.concatenate([every, predicted], axis=-1)
+    combine = method.combined(joint)
+    if windows is None:
+        return estimate_windows(every, plan, combine, lines)
+    of = products(every)
+
+    def one(windows):
+        return estimate_windows(every, dataclasses.replace(plan, windows=windows), combine, of=of)
+
+    return jax.lax.map(one, windows)
+
+
+def _on_prediction(plan: Plan, n_top: int, n_target: int, n_signal: int) -> Plan:
+    """x^s Z, s >= 1, by x^s Z^, whose signals stand behind all others."""
+
+    def place(power: int, signal: int) -> int:
+        return signal - n_top + n_signal if power and n_top <= signal < n_top + n_target else signal
+
+    power, signal = plan.columns.power, plan.columns.signal
+    moved = tuple(place(p, s) for p, s in zip(power, signal, strict=True))
+    return dataclasses.replace(plan, columns=Columns(power, moved))
