@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from ._arguments import expect
 from ._errors import input_error
 from ._types import Array
 from .periodic import FoundPeriod, find_period
@@ -141,6 +142,7 @@ def select_periods(data: Experiment, start: int, stop: int | None = None) -> Exp
 
     **Raises:** `jaxfrf.InputError` if the record is not periodic or nothing is left.
     """
+    expect("data", data, Experiment)
     if not data.period:
         raise input_error(
             "period",
@@ -181,7 +183,9 @@ def concatenate(records: Sequence[Experiment]) -> Experiment:
     **Raises:** `jaxfrf.InputError` where they do not fit together (other `fs`, `period`, lines, channels or
     quantities).
     """
-    records = list(records)
+    records = [records] if isinstance(records, Experiment) else list(records)
+    for record in records:
+        expect("records", record, Experiment)
     if not records:
         raise input_error("records", "none", "at least one record", "Name a file.")
     first = records[0]
@@ -265,8 +269,28 @@ def _same(a, b) -> bool:
     return a.shape == b.shape and bool(np.allclose(a, b, rtol=0, atol=1e-9))
 
 
+def _array(name: str, value) -> np.ndarray:
+    """An array; what is no array, or one of which a mask hides a part, is refused."""
+    if np.ma.is_masked(value):
+        hidden = int(np.ma.getmaskarray(value).sum())
+        raise input_error(
+            name,
+            f"a masked array that hides {hidden} samples",
+            "a record without holes",
+            "Cut it to what is whole, or fill the holes yourself (.filled) and know what that does to the spectrum.",
+        )
+    try:
+        return np.asarray(value)
+    except ValueError:
+        raise input_error(
+            name, "lists of unequal length", "numbers in rows of one length", "Cut them to their common part."
+        ) from None
+
+
 def _signal(name: str, value) -> np.ndarray:
-    x = np.asarray(value)
+    if value is None:
+        raise input_error(name, "None", "a record", "Give the signal.")
+    x = _array(name, value)
     if not (np.issubdtype(x.dtype, np.floating) or np.issubdtype(x.dtype, np.integer) or x.dtype == bool):
         kind = "complex numbers" if np.issubdtype(x.dtype, np.complexfloating) else f"{x.dtype} data"
         raise input_error(name, kind, "real numbers", "Store the time record itself, not its spectrum or a text.")
@@ -306,7 +330,7 @@ def _signal(name: str, value) -> np.ndarray:
 
 
 def _configurations(value) -> np.ndarray:
-    q = np.atleast_2d(np.asarray(value))
+    q = np.atleast_2d(_array("q", value))
     if q.ndim != 2 or q.dtype.kind not in "iuf" or not np.isfinite(q).all():
         raise input_error(
             "q", f"{q.dtype} of shape {q.shape}", "finite angles of shape (position, joint), rad", "Check q."
@@ -315,14 +339,14 @@ def _configurations(value) -> np.ndarray:
 
 
 def _line_numbers(value) -> np.ndarray:
-    k = np.atleast_1d(np.asarray(value)).ravel()
+    k = np.atleast_1d(_array("lines", value)).ravel()
     if k.size == 0 or k.dtype.kind not in "iuf" or np.any(k != np.round(k)):
         raise input_error("lines", f"{k[:5]}", "whole DFT line numbers of one period", "Line k is k*fs/period Hz.")
     return k.astype(np.int64)
 
 
 def _number(name: str, value) -> float:
-    x = np.asarray(value)
+    x = _array(name, value)
     if x.size != 1 or x.dtype.kind not in "biuf":
         raise input_error(name, f"{x.dtype} of shape {x.shape}", "one real number", f"Set it, e.g. --set {name}=2000.")
     return float(x.item())

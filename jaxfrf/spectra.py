@@ -8,6 +8,7 @@ import numpy as np
 import scipy.fft
 from jaxtyping import Complex, Float, Int
 
+from ._arguments import expect
 from ._errors import input_error
 from ._types import Array
 from .experiment import QUANTITIES, Experiment, Source, how_to_set, seen_period
@@ -85,6 +86,7 @@ def dft(data: Experiment) -> Spectra:
 
     **Raises:** `jaxfrf.InputError` if the record is not periodic, or an excited line carries no power.
     """
+    expect("data", data, Experiment)
     if not data.period:
         raise input_error(
             _where(data, "period"),
@@ -113,6 +115,7 @@ def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None)
     What stands there is noise and nonlinear distortion: even lines show even, odd lines odd nonlinearity.
     In closed loop it is the loop's reaction too; `jaxfrf.distortion` subtracts G U first.
     """
+    expect("data", data, Experiment)
     excited = dft(data)
     low, high = (excited.frequency[0], excited.frequency[-1]) if band is None else band
     k = np.arange(1, (data.period - 1) // 2 + 1)
@@ -135,6 +138,7 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     take such spectra. Without `band`, the lines from the lowest to the highest one that holds at least 1e-4 of the
     strongest reference power (input power where there is no reference).
     """
+    expect("data", data, Experiment)
     n = data.n_time
     k = np.arange(1, (n - 1) // 2 + 1)
     whole = _rebuild_whole(data)
@@ -202,6 +206,7 @@ def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
 
     **Raises:** `jaxfrf.InputError` if a channel carries no power.
     """
+    expect("data", data, Experiment)
     return found_lines(data).lines
 
 
@@ -334,6 +339,7 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
 
     **Raises:** `jaxfrf.InputError` if no line is left.
     """
+    expect("spectra", spectra, Spectra)
     inside = (spectra.frequency >= low) & (spectra.frequency <= high)
     if not inside.any():
         raise input_error(
@@ -349,6 +355,7 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
 
 def select_positions(spectra: Spectra, positions) -> Spectra:
     """The same spectra at some operating points only (a slice or a list of indices)."""
+    expect("spectra", spectra, Spectra)
 
     q = None if spectra.q is None else spectra.q[positions]
     return dataclasses.replace(spectra, **changed_signals(spectra, lambda x: x[positions]), q=q)
@@ -367,6 +374,7 @@ def differentiate(X, omega, times: int):
 
 def with_output_quantity(spectra: Spectra, quantity: str) -> Spectra:
     """The same spectra with the output as `position`, `velocity` or `acceleration`, by (j omega)^n."""
+    expect("spectra", spectra, Spectra)
     if quantity not in QUANTITIES:
         raise input_error("quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them.")
     times = QUANTITIES[quantity] - QUANTITIES[spectra.y_quantity]

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from .._errors import InputError, input_error
-from .._files import replacing
+from .._files import check_readable, replacing
 
 _FORMATS = {".nc": "_netcdf", ".mat": "_matlab", ".npz": "_npz", ".csv": "_csv"}
 _SAVED = (".nc", ".mat", ".npz")
@@ -45,16 +45,20 @@ def load(path: str | os.PathLike) -> dict[str, Leaf]:
     """
     path = pathlib.Path(path)
     reader = _format(path, tuple(_FORMATS), "read")
-    if not path.exists():
-        raise input_error(str(path), "no such file", "a measurement file", "Check the name and the folder.")
-    if path.is_dir():
-        raise input_error(str(path), "a folder", "a file", "Name the files in it.")
+    check_readable(path, "a measurement file")
     if path.stat().st_size == 0:
         raise input_error(str(path), "an empty file (0 bytes)", "a measurement file", "Export or copy it again.")
     try:
         found = reader.load(path)
-    except (InputError, ImportError, MemoryError):
+    except (InputError, ImportError):
         raise
+    except MemoryError as error:
+        raise input_error(
+            str(path),
+            f"more than fits into memory ({_first_line(error)})",
+            "a record that fits",
+            "Split it, or cut it.",
+        ) from error
     except Exception as error:  # parsers of broken files raise anything, from zlib.error to IndexError
         raise input_error(
             str(path),

@@ -5,6 +5,7 @@ attribute `MATLAB_class` was written the MATLAB way and is turned round; one wit
 name `.mat`) is taken as it is.
 """
 
+import math
 import pathlib
 import warnings
 from collections.abc import Mapping
@@ -13,7 +14,11 @@ import numpy as np
 import scipy.io
 import scipy.sparse
 
+from .._files import check_room
+from .._memory import check_memory
 from ._container import Attributes, Leaf, Unreadable, Variable, text
+from ._hdf5 import check_walkable
+from ._mat5 import check_whole
 from ._optional import require
 
 KIND = "a MATLAB file"
@@ -32,7 +37,11 @@ _HEADER = b"MATLAB 7.3 MAT-file, Platform: jaxfrf, Created on: -, HDF5 schema 1.
 
 def load(path: pathlib.Path) -> dict[str, Leaf]:
     """Every variable, fields of structs as `struct.field`; objects, cells and functions stay closed."""
-    return _load_v73(path) if _is_hdf5(path) else _load_v5(path)
+    if _is_hdf5(path):
+        check_walkable(path)
+        return _load_v73(path)
+    check_whole(path)
+    return _load_v5(path)
 
 
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
@@ -51,6 +60,7 @@ def save_v5(path: pathlib.Path, variables: Mapping[str, Variable], attributes: A
 
 def save_v73(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
     """HDF5 behind MATLAB's 512-byte header; position by position, without a second copy of an array."""
+    check_room(path, sum(8 * np.size(v.value) for v in variables.values()) + 2**20)
     with require("h5py", "io").File(path, "w", userblock_size=512) as file:
         for name, variable in variables.items():
             _store_array(file, name, np.atleast_2d(variable.value))
@@ -116,7 +126,21 @@ def _flat_v5(name: str, x):
 def _load_v73(path: pathlib.Path) -> dict[str, Leaf]:
     h5py = require("h5py", "io")
     with h5py.File(path, "r") as file:
+        check_memory(str(path), _stored(h5py, file), "Split the record into several files.")
         return dict(pair for name in file if not name.startswith("#") for pair in _flat_v73(h5py, name, file[name]))
+
+
+def _stored(h5py, group) -> int:
+    """Bytes of all arrays of a file that is not followed in circles: `visititems` sees every object once."""
+    total = 0
+
+    def add(name, node):
+        nonlocal total
+        if isinstance(node, h5py.Dataset) and node.dtype.kind in "biufcV" and node.shape is not None:
+            total += math.prod(node.shape) * node.dtype.itemsize
+
+    group.visititems(add)
+    return total
 
 
 def _flat_v73(h5py, name: str, node):

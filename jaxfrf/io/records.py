@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from .._arguments import expect
 from .._errors import InputError, input_error
 from ..experiment import QUANTITIES, UNITS, Experiment, Source, concatenate
 from ..screening import ACROSS, CHECKS, screened
@@ -52,6 +53,10 @@ def read(
     **Raises:** `jaxfrf.InputError` naming the file, the variable, what was found, what was expected and what
     to do.
     """
+    for path in paths:
+        if not isinstance(path, str | os.PathLike):
+            several = "Give them one by one: read(*paths)." if isinstance(path, list | tuple) else "Name a file."
+            raise input_error("files", f"{type(path).__name__} {path!r:.60}", "names of files", several)
     if not paths:
         raise input_error("files", "none", "at least one measurement file", "Name a file.")
     given = _Given(check_names(names), check_values(values), check_scale(scale), anyway)
@@ -67,6 +72,7 @@ def write(path: str | os.PathLike, data: Experiment) -> None:
 
     **Raises:** `jaxfrf.InputError` if the folder does not exist or the extension is not known.
     """
+    expect("data", data, Experiment)
     units = {"u": "N m", "r": UNITS[data.r_quantity], "y": UNITS[data.y_quantity]}
     variables = {}
     for name in SIGNALS:

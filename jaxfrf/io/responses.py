@@ -27,12 +27,14 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from .._arguments import expect
 from .._errors import input_error
 from .._files import replacing
 from .._status import Status
 from ..experiment import QUANTITIES, UNITS, Source
 from ..frf import FRF
 from ._container import Unreadable, load
+from ._netcdf import write_dataset
 from ._optional import require
 
 _AXES = {
@@ -56,6 +58,7 @@ def write_frf(path, frf: FRF) -> None:
 
     **Raises:** `jaxfrf.InputError` if the suffix is another, or the folder is not there.
     """
+    expect("frf", frf, FRF)
     path = pathlib.Path(path)
     write = _WRITERS[_suffix(path)]
     with replacing(path) as draft:
@@ -260,8 +263,7 @@ def _write_nc(path: pathlib.Path, names: Mapping) -> None:
     }
     arrays = {name: (axes, names[name], notes.get(name, {})) for name, axes in _AXES.items() if name in names}
     texts = {name: value for name, value in names.items() if name not in _AXES}
-    as_they_are = {name: {"_FillValue": None} for name in arrays}
-    xarray.Dataset(arrays, attrs=texts).to_netcdf(path, engine="h5netcdf", encoding=as_they_are)
+    write_dataset(path, xarray.Dataset(arrays, attrs=texts))
 
 
 def _write_mat(path: pathlib.Path, names: Mapping) -> None:

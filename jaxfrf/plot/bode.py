@@ -8,6 +8,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
+from .._arguments import expect
 from .._errors import input_error
 from .._status import Status
 from .._types import Array
@@ -88,7 +89,9 @@ def bode(
     **Raises:** `jaxfrf.InputError` if an element or operating point does not exist, or the estimates do not
     fit together.
     """
-    frfs = [frfs] if isinstance(frfs, FRF) else list(frfs)
+    frfs = list(frfs) if isinstance(frfs, list | tuple) else [frfs]
+    for frf in frfs:
+        expect("frfs", frf, FRF)
     labels = _labels(frfs) if labels is None else list(labels)
     _check(frfs, labels, elements, position)
     cells = _cells(frfs[0], elements)
