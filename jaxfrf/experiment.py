@@ -18,6 +18,9 @@ QUANTITIES = {"position": 0, "velocity": 1, "acceleration": 2}
 UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
 
 
+_LARGEST = 1e100
+
+
 class Source(eqx.Module):
     """Where data come from: a file name and the sha256 of its bytes."""
 
@@ -39,6 +42,8 @@ class Experiment(eqx.Module):
     - `lines`: excited DFT lines of one period; `None` = to be found in `r` (or `u`).
     - `transient_periods`: leading periods that are not steady and are dropped by `jaxfrf.dft`.
     - `r_quantity`, `y_quantity`: `position`, `velocity` or `acceleration`.
+    - `u_unit`, `y_unit`: SI units for pictures and files, where they are not those above (a force in N, a current in A,
+      a position in m). The numbers are not converted: `jaxfrf.io.read` does that.
 
     Fewer dimensions are accepted where the meaning is plain: (time, channel) is one operating point and one
     experiment, (exp, time, channel) one operating point. Signals are held in double precision on the host.
@@ -56,6 +61,8 @@ class Experiment(eqx.Module):
     transient_periods: int = eqx.field(static=True)
     r_quantity: str = eqx.field(static=True)
     y_quantity: str = eqx.field(static=True)
+    u_unit: str = eqx.field(static=True)
+    y_unit: str = eqx.field(static=True)
     sources: tuple[Source, ...] = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True)
 
@@ -72,6 +79,8 @@ class Experiment(eqx.Module):
         transient_periods: int = 0,
         r_quantity: str = "velocity",
         y_quantity: str = "velocity",
+        u_unit: str = "",
+        y_unit: str = "",
         sources: Sequence[Source] = (),
         warnings: Sequence[str] = (),
     ):
@@ -85,6 +94,8 @@ class Experiment(eqx.Module):
         self.transient_periods = _count("transient_periods", transient_periods)
         self.r_quantity = _quantity("r_quantity", r_quantity)
         self.y_quantity = _quantity("y_quantity", y_quantity)
+        self.u_unit = str(u_unit)
+        self.y_unit = str(y_unit)
         self.sources = tuple(sources)
         self.warnings = tuple(warnings)
 
@@ -240,6 +251,8 @@ def _check_compatible(first: Experiment, other: Experiment) -> None:
         "references": (_width(first.r), _width(other.r)),
         "r_quantity": (first.r_quantity, other.r_quantity),
         "y_quantity": (first.y_quantity, other.y_quantity),
+        "u_unit": (first.u_unit, other.u_unit),
+        "y_unit": (first.y_unit, other.y_unit),
         "joints in q": (_width(first.q), _width(other.q)),
     }
     for name, (a, b) in pairs.items():
@@ -325,6 +338,13 @@ def _signal(name: str, value) -> np.ndarray:
             f"sample {time}, channel {channel}",
             "finite numbers",
             "Repair or cut the record: a DFT spreads one bad sample over all frequencies.",
+        )
+    if max(x.max(), -x.min()) > _LARGEST:
+        raise input_error(
+            name,
+            f"numbers up to {max(x.max(), -x.min()):.3g}",
+            f"at most {_LARGEST:g}, whose squares are finite",
+            "The file is damaged, or these are no numbers of a record.",
         )
     return x
 

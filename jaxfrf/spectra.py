@@ -13,6 +13,7 @@ from ._errors import input_error
 from ._types import Array
 from .experiment import QUANTITIES, Experiment, Source, how_to_set, seen_period
 from .periodic import FoundLines, find_lines
+from .units import differentiated
 
 _SILENT = 1e-14  # power, relative to the median line, below which a line carries nothing (rounding)
 _SILENT_SHARE = 1e-24  # the same relative to the whole signal, for when the median line is rounding itself
@@ -29,7 +30,7 @@ class Spectra(eqx.Module):
       (pos, exp, freq, sig, sig); `None` with fewer than two periods.
     - `n_periods`: periods averaged. `periodic`: false where the record was taken whole, with leakage
       (`record_spectra`); only methods with a transient term can use it then.
-    - `q`, `fs`, `period`, `y_quantity`, `sources`, `warnings`: as in `Experiment`.
+    - `q`, `fs`, `period`, `y_quantity`, `u_unit`, `y_unit`, `sources`, `warnings`: as in `Experiment`.
     """
 
     U: Complex[Array, "pos exp freq in"]
@@ -44,6 +45,8 @@ class Spectra(eqx.Module):
     n_periods: int = eqx.field(static=True, default=1)
     periodic: bool = eqx.field(static=True, default=True)
     y_quantity: str = eqx.field(static=True, default="velocity")
+    u_unit: str = eqx.field(static=True, default="")
+    y_unit: str = eqx.field(static=True, default="")
     sources: tuple[Source, ...] = eqx.field(static=True, default=())
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
@@ -187,6 +190,8 @@ def _rebuild_whole(data: Experiment) -> Experiment:
         q=data.q,
         r_quantity=data.r_quantity,
         y_quantity=data.y_quantity,
+        u_unit=data.u_unit,
+        y_unit=data.y_unit,
         sources=data.sources,
         warnings=data.warnings,
     )
@@ -286,6 +291,8 @@ def _at_lines(data: Experiment, lines) -> Spectra:
         period=data.period,
         n_periods=data.n_periods,
         y_quantity=data.y_quantity,
+        u_unit=data.u_unit,
+        y_unit=data.y_unit,
         sources=data.sources,
         warnings=data.warnings,
     )
@@ -384,4 +391,5 @@ def with_output_quantity(spectra: Spectra, quantity: str) -> Spectra:
         scale = np.ones((len(factor), noise.shape[-1]), complex)
         scale[:, : spectra.n_out] = factor[:, None]
         noise = noise * scale[:, :, None] * scale[:, None, :].conj()
-    return dataclasses.replace(spectra, Y=spectra.Y * factor[:, None], noise=noise, y_quantity=quantity)
+    unit = differentiated(spectra.y_unit, times) if spectra.y_unit else ""
+    return dataclasses.replace(spectra, Y=spectra.Y * factor[:, None], noise=noise, y_quantity=quantity, y_unit=unit)

@@ -14,7 +14,12 @@ import numpy as np
 from .._errors import InputError, input_error
 from .._files import check_readable, replacing
 
-_FORMATS = {".nc": "_netcdf", ".mat": "_matlab", ".npz": "_npz", ".csv": "_csv"}
+_TABLES = (".csv", ".txt", ".tsv", ".lvm")
+_FORMATS = {
+    **{".nc": "_netcdf", ".mat": "_matlab", ".npz": "_npz"},
+    **dict.fromkeys(_TABLES, "_csv"),
+    **{".mf4": "_mdf", ".mdf": "_mdf", ".dat": "_mdf", ".parquet": "_parquet"},
+}
 _SAVED = (".nc", ".mat", ".npz")
 
 
@@ -35,11 +40,21 @@ class Variable:
 
 
 Leaf = np.ndarray | str | Unreadable
+
+
+class Variables(dict[str, Leaf]):
+    """Variables by name, with the units (as the file writes them) of those that have one."""
+
+    def __init__(self, variables: Mapping[str, Leaf], units: Mapping[str, str] | None = None):
+        super().__init__(variables)
+        self.units = {name: unit for name, unit in (units or {}).items() if unit}
+
+
 Attributes = Mapping[str, float | int | str]
 
 
 def load(path: str | os.PathLike) -> dict[str, Leaf]:
-    """All variables of a `.nc`, `.mat`, `.npz` or `.csv` file by name, fields of structs as `rec.vel`.
+    """All variables of a file by name, fields of structs as `rec.vel`; see `_FORMATS` for its kinds.
 
     **Raises:** `jaxfrf.InputError` naming the file if it is missing, empty, truncated or of no known kind.
     """

@@ -7,6 +7,7 @@ name `.mat`) is taken as it is.
 
 import math
 import pathlib
+import re
 import warnings
 from collections.abc import Mapping
 
@@ -26,6 +27,10 @@ KIND = "a MATLAB file"
 NAMELESS = "?"  # stands for objects whose names cannot be told; MATLAB strings ("...") are among them
 _V5_BYTES = 2**31 - 2**16  # v5 counts the bytes of a variable in 32 bits; some go to its header
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+_MOST_ELEMENTS = 1000  # of an array of structs or a cell array that is opened
+_NAMES = ("Name", "name", "label", "Label", "blockName", "BlockName")
+_DATA = ("Data", "data", "Values", "values")
+_ELEMENT = re.compile(rf"(?P<rec>.+)(?P<at>\(\d+\))\.(?:{'|'.join(_DATA)})")
 _NUMERIC = (
     "double",
     "single",
@@ -36,12 +41,45 @@ _HEADER = b"MATLAB 7.3 MAT-file, Platform: jaxfrf, Created on: -, HDF5 schema 1.
 
 
 def load(path: pathlib.Path) -> dict[str, Leaf]:
-    """Every variable, fields of structs as `struct.field`; objects, cells and functions stay closed."""
+    """Every variable: fields of structs as `rec.field`, elements of arrays of structs as `rec.Y(2).Data` (from 1) and,
+    where a field beside it names it (dSPACE, Simulink), as `rec.Y.NAME` too, those of cell arrays as `log{2}`; records
+    of a time series as (time, channel). Objects and functions stay closed.
+    """
     if _is_hdf5(path):
         check_walkable(path)
-        return _load_v73(path)
-    check_whole(path)
-    return _load_v5(path)
+        found = _load_v73(path)
+    else:
+        check_whole(path)
+        found = _load_v5(path)
+    return found | _by_name(found) | _time_first(found)
+
+
+def _by_name(found: Mapping[str, Leaf]) -> dict[str, Leaf]:
+    """`rec.Y(2).Data` as `rec.Y.speed`, where `rec.Y(2).Name` says so: dSPACE, Simulink's structures with time."""
+    named: dict[str, list[Leaf]] = {}
+    for path, value in found.items():
+        element = _ELEMENT.fullmatch(path)
+        if element is None or not isinstance(value, np.ndarray):
+            continue
+        texts = [found.get(f"{element['rec']}{element['at']}.{key}") for key in _NAMES]
+        name = next((x for x in texts if isinstance(x, str) and x.strip()), None)
+        if name is not None:
+            short = re.sub(r"\W+", "_", name.strip().split("/")[-1]).strip("_")
+            named.setdefault(f"{element['rec']}.{short}", []).append(value)
+    return {path: values[0] for path, values in named.items() if len(values) == 1 and path not in found}
+
+
+def _time_first(found: Mapping[str, Leaf]) -> dict[str, Leaf]:
+    """Data of a time series whose time is the last axis of three, as Simulink logs vectors: (time, channel)."""
+    turned = {}
+    for path, value in found.items():
+        rec, _, field = path.rpartition(".")
+        if field not in _DATA or not isinstance(value, np.ndarray) or value.ndim != 3:
+            continue
+        n_times = [np.size(found[f"{rec}.{key}"]) for key in ("Time", "time") if f"{rec}.{key}" in found]
+        if n_times and value.shape[2] == n_times[0] > 1:
+            turned[path] = np.moveaxis(value, 2, 0).reshape(n_times[0], -1)
+    return turned
 
 
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
@@ -113,8 +151,15 @@ def _flat_v5(name: str, x):
     elif x.dtype.names and x.size == 1:
         for field in x.dtype.names:
             yield from _flat_v5(f"{name}.{field}", x.item()[x.dtype.names.index(field)])
+    elif x.dtype.names and 0 < x.size <= _MOST_ELEMENTS:
+        for i, element in enumerate(x.ravel(order="F"), 1):
+            for field in x.dtype.names:
+                yield from _flat_v5(f"{name}({i}).{field}", element[field])
     elif x.dtype.names:
         yield name, Unreadable(f"a MATLAB struct array {x.shape}")
+    elif x.dtype == object and 0 < x.size <= _MOST_ELEMENTS:
+        for i, element in enumerate(x.ravel(order="F"), 1):
+            yield from _flat_v5(f"{name}{{{i}}}", element)
     elif x.dtype == object:
         yield name, Unreadable(f"a MATLAB cell array {x.shape}")
     elif x.dtype.kind == "U":
@@ -150,7 +195,7 @@ def _flat_v73(h5py, name: str, node):
             yield name, Unreadable(f"a MATLAB object or sparse array ({kind})")
             return
         for field in node:
-            yield from _flat_v73(h5py, f"{name}.{field}", node[field])
+            yield from _field_v73(h5py, name, field, node[field])
     elif "MATLAB_empty" in node.attrs:
         yield name, np.empty(0)
     elif node.dtype == object or node.dtype.kind == "O":
@@ -163,6 +208,18 @@ def _flat_v73(h5py, name: str, node):
         yield name, Unreadable(f"a MATLAB {kind}")
     else:
         yield name, _complex(node[()])
+
+
+def _field_v73(h5py, name: str, field: str, node):
+    """A field of a struct; of an array of structs it is a list of references, one for each."""
+    plain = isinstance(node, h5py.Dataset) and "MATLAB_class" not in node.attrs and node.dtype.kind == "O"
+    if not plain or not 0 < node.size <= _MOST_ELEMENTS:
+        yield from _flat_v73(h5py, f"{name}.{field}", node)
+        return
+    for i, reference in enumerate(node[()].ravel(), 1):
+        element = node.file[reference]
+        if isinstance(element, h5py.Dataset):  # groups could lead back here
+            yield from _flat_v73(h5py, f"{name}({i}).{field}", element)
 
 
 def _complex(x: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from .._files import check_room
 from .._memory import check_memory
-from ._container import Attributes, Leaf, Variable, text
+from ._container import Attributes, Leaf, Variable, Variables, text
 from ._hdf5 import check_walkable
 from ._optional import require
 
@@ -27,7 +27,9 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
     with require("xarray", "io").open_dataset(path, **options) as dataset:
         check_memory(str(path), dataset.nbytes, "Split the record into several files.")
         attributes = {str(name): _value(np.asarray(value)) for name, value in dataset.attrs.items()}
-        return attributes | {str(name): _ordered(variable) for name, variable in dataset.variables.items()}
+        arrays = {str(name): _ordered(variable) for name, variable in dataset.variables.items()}
+        units = {str(name): str(x.attrs.get("units", "")) for name, x in dataset.variables.items()}
+        return Variables(attributes | arrays, units)
 
 
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:

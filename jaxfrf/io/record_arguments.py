@@ -16,7 +16,8 @@ from .._memory import check_memory
 
 SIGNALS = ("r", "u", "y")
 MAPPED = (*SIGNALS, "q", "t", "fs", "period", "lines", "transient_periods", "r_quantity", "y_quantity")
-SET = ("fs", "period", "transient_periods", "lines", "q", "samples", "r_quantity", "y_quantity")
+_UNITS = ("r_unit", "u_unit", "y_unit", "t_unit", "q_unit")
+SET = ("fs", "period", "transient_periods", "lines", "q", "samples", "r_quantity", "y_quantity", *_UNITS)
 SCALED = (*SIGNALS, "q", "t", "fs")
 
 
@@ -25,8 +26,9 @@ def parse_map(text: str) -> dict[str, str]:
 
     On the left stands a name of the experiment file (`r u y q t fs period ...`; `t` is a time vector in s),
     on the right one of the user's file: a variable, a field of a struct (`y=rec.act_vel`), a column of a
-    table (its heading, or its number, counted from 0, where there are no headings), several of them stacked
-    as channels (`u=[tau1;tau2]`), some channels of one (`u=log[3]`, `y=log[0:3]`, counted from 0, the stop
+    table (its heading, or its number, counted from 1, where there are no headings; `u=1:3` are the first three),
+    several of them stacked as channels (`u=[tau1;tau2]`), one of several files of one record (`u=currents.csv:tau1`,
+    `u=currents.csv:[tau1;tau2]`), some channels of one (`u=log[3]`, `y=log[0:3]`, counted from 0, the stop
     not included), or one transposed (`u=torque'`).
 
     **Raises:** `jaxfrf.InputError` if the text is not of this form.
@@ -39,7 +41,8 @@ def parse_values(text: str) -> dict[str, object]:
 
     `samples=0:18720` cuts the record to these samples (counted from 0, the stop not included);
     `lines=11:251`, `lines=13:250:4` or `lines=13;17;21` lists the excited lines; `q=0;0.5;1.2` is the arm
-    configuration in rad; `r_quantity`, `y_quantity` are `position`, `velocity` or `acceleration`.
+    configuration in rad; `r_quantity`, `y_quantity` are `position`, `velocity` or `acceleration`; `u_unit=mA`,
+    `y_unit=deg/s` (`r_unit`, `q_unit`, `t_unit`) are the units that the file's numbers have: they are converted to SI.
 
     **Raises:** `jaxfrf.InputError` if the text is not of this form.
     """
@@ -128,7 +131,7 @@ def _check_keys(option: str, given: Mapping, known: Sequence[str]) -> None:
 
 
 def _value(key: str, value):
-    if key in ("r_quantity", "y_quantity"):
+    if key in ("r_quantity", "y_quantity", *_UNITS):
         return value
     if key == "samples":
         return _samples(value)

@@ -12,9 +12,9 @@ from .._arguments import expect
 from .._errors import input_error
 from .._status import Status
 from .._types import Array
-from ..experiment import UNITS
 from ..frf import FRF
 from ..io._optional import require
+from ..units import response_unit
 from . import _style
 
 _SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
@@ -98,7 +98,7 @@ def bode(
     radii = [None if confidence is None else confidence_radius(f, confidence)[position] for f in frfs]
     handles = _legend(frfs, labels, radii, confidence, position)
     if axes is None:
-        note = f"magnitude in dB re 1 ({UNITS[frfs[0].y_quantity]})/(N m)"
+        note = f"magnitude in dB re 1 {response_unit(frfs[0])}"
         figure, axes = _new(cells, handles, note, title, size)
     else:
         figure, axes = _given(axes, cells)
