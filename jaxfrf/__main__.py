@@ -28,6 +28,8 @@ def main(arguments=None) -> int:
             summary = given.run(given)
     except (InputError, ImportError, OSError) as error:
         return _stopped(given.command, _plain(error), error, 2)
+    except (MemoryError, RecursionError) as error:
+        return _stopped(given.command, _too_large(error), error, 2)
     except KeyboardInterrupt as error:
         return _stopped(given.command, "interrupted.", error, 130)
     code = summary.pop("code", 0)
@@ -47,6 +49,14 @@ def _stopped(command: str, text: str, error: BaseException, code: int) -> int:
     notes = getattr(error, "__notes__", ())
     print(f"jaxfrf {command}:", f"{text.rstrip('.')}." if notes else text, *notes, file=sys.stderr)
     return code
+
+
+def _too_large(error: Exception) -> str:
+    if isinstance(error, RecursionError):
+        return "the input is nested too deeply to be read. Simplify it."
+    return (
+        f"there is not enough memory ({str(error) or 'MemoryError'}). Cut the record, or take fewer lines or positions."
+    )
 
 
 def _plain(error: Exception) -> str:

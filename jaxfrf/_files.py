@@ -1,12 +1,17 @@
 """Files are written whole or not at all, and whether they can be is tried before the work."""
 
 import contextlib
+import difflib
+import errno
+import itertools
 import os
 import pathlib
 import secrets
+import shutil
+import stat
 from collections.abc import Iterator
 
-from ._errors import output_error
+from ._errors import input_error, output_error
 
 _WRITABLE = 0o222  # permission bits; they say what is meant to stay even to root, whom they do not stop
 
@@ -28,6 +33,57 @@ def replacing(path: pathlib.Path) -> Iterator[pathlib.Path]:
         raise
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_readable(path: pathlib.Path, what: str) -> None:
+    """**Raises:** `jaxfrf.InputError` unless `path` is a plain file."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        near = _like(path)
+        raise input_error(
+            str(path), "no such file", what, f"Did you mean {near}?" if near else "Check the name and the folder."
+        ) from None
+    except OSError as error:  # links that go round, names that are too long
+        raise input_error(str(path), error.strerror or "no file", what, "Check the name and the folder.") from None
+    except ValueError:  # a zero byte
+        raise input_error(repr(str(path)), "a name that no file can have", what, "Correct the name.") from None
+    if stat.S_ISDIR(found.st_mode):
+        raise input_error(str(path), "a folder", what, "Name the files in it.")
+    if not stat.S_ISREG(found.st_mode):
+        raise input_error(str(path), "a pipe or a device", f"{what}, a plain file", "Save what comes out of it first.")
+
+
+def _like(path: pathlib.Path) -> pathlib.Path | None:
+    """A file of a name like this one, in the same folder."""
+    try:
+        names = [x.name for x in itertools.islice(path.parent.iterdir(), 10_000)]
+    except OSError:
+        return None
+    near = difflib.get_close_matches(path.name, names, 1, cutoff=0.75)
+    return path.with_name(near[0]) if near else None
+
+
+def check_room(path: pathlib.Path, n_bytes: int) -> None:
+    """Refuse what does not fit on the disk: libraries that write piece by piece may not survive a full one.
+
+    **Raises:** `jaxfrf.InputError` with what is needed.
+    """
+    try:
+        if hasattr(os, "posix_fallocate"):
+            with path.open("wb") as file:
+                if n_bytes:
+                    os.posix_fallocate(file.fileno(), 0, n_bytes)
+        elif shutil.disk_usage(path.absolute().parent).free < n_bytes:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            return  # the file system cannot say; writing will
+        raise output_error(
+            str(path.parent), f"no room for {n_bytes / 1e6:.3g} MB ({error.strerror})", "room", "Write elsewhere."
+        ) from None
+    finally:
+        path.unlink(missing_ok=True)
 
 
 def draft_name(name: str) -> str:

@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from ._arguments import expect
 from ._errors import input_error
 from ._types import Array
 from .periodic import FoundPeriod, find_period
@@ -15,6 +16,9 @@ QUANTITIES = {"position": 0, "velocity": 1, "acceleration": 2}
 """How many times each quantity is the time derivative of a position."""
 
 UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
+
+
+_LARGEST = 1e100
 
 
 class Source(eqx.Module):
@@ -38,6 +42,8 @@ class Experiment(eqx.Module):
     - `lines`: excited DFT lines of one period; `None` = to be found in `r` (or `u`).
     - `transient_periods`: leading periods that are not steady and are dropped by `jaxfrf.dft`.
     - `r_quantity`, `y_quantity`: `position`, `velocity` or `acceleration`.
+    - `u_unit`, `y_unit`: SI units for pictures and files, where they are not those above (a force in N, a current in A,
+      a position in m). The numbers are not converted: `jaxfrf.io.read` does that.
 
     Fewer dimensions are accepted where the meaning is plain: (time, channel) is one operating point and one
     experiment, (exp, time, channel) one operating point. Signals are held in double precision on the host.
@@ -55,6 +61,8 @@ class Experiment(eqx.Module):
     transient_periods: int = eqx.field(static=True)
     r_quantity: str = eqx.field(static=True)
     y_quantity: str = eqx.field(static=True)
+    u_unit: str = eqx.field(static=True)
+    y_unit: str = eqx.field(static=True)
     sources: tuple[Source, ...] = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True)
 
@@ -71,6 +79,8 @@ class Experiment(eqx.Module):
         transient_periods: int = 0,
         r_quantity: str = "velocity",
         y_quantity: str = "velocity",
+        u_unit: str = "",
+        y_unit: str = "",
         sources: Sequence[Source] = (),
         warnings: Sequence[str] = (),
     ):
@@ -84,6 +94,8 @@ class Experiment(eqx.Module):
         self.transient_periods = _count("transient_periods", transient_periods)
         self.r_quantity = _quantity("r_quantity", r_quantity)
         self.y_quantity = _quantity("y_quantity", y_quantity)
+        self.u_unit = str(u_unit)
+        self.y_unit = str(y_unit)
         self.sources = tuple(sources)
         self.warnings = tuple(warnings)
 
@@ -141,6 +153,7 @@ def select_periods(data: Experiment, start: int, stop: int | None = None) -> Exp
 
     **Raises:** `jaxfrf.InputError` if the record is not periodic or nothing is left.
     """
+    expect("data", data, Experiment)
     if not data.period:
         raise input_error(
             "period",
@@ -207,7 +220,9 @@ def concatenate(records: Sequence[Experiment]) -> Experiment:
     **Raises:** `jaxfrf.InputError` where they do not fit together (other `fs`, `period`, lines, channels or
     quantities).
     """
-    records = list(records)
+    records = [records] if isinstance(records, Experiment) else list(records)
+    for record in records:
+        expect("records", record, Experiment)
     if not records:
         raise input_error("records", "none", "at least one record", "Name a file.")
     first = records[0]
@@ -262,6 +277,8 @@ def _check_compatible(first: Experiment, other: Experiment) -> None:
         "references": (_width(first.r), _width(other.r)),
         "r_quantity": (first.r_quantity, other.r_quantity),
         "y_quantity": (first.y_quantity, other.y_quantity),
+        "u_unit": (first.u_unit, other.u_unit),
+        "y_unit": (first.y_unit, other.y_unit),
         "joints in q": (_width(first.q), _width(other.q)),
     }
     for name, (a, b) in pairs.items():
@@ -291,8 +308,28 @@ def _same(a, b) -> bool:
     return a.shape == b.shape and bool(np.allclose(a, b, rtol=0, atol=1e-9))
 
 
+def _array(name: str, value) -> np.ndarray:
+    """An array; what is no array, or one of which a mask hides a part, is refused."""
+    if np.ma.is_masked(value):
+        hidden = int(np.ma.getmaskarray(value).sum())
+        raise input_error(
+            name,
+            f"a masked array that hides {hidden} samples",
+            "a record without holes",
+            "Cut it to what is whole, or fill the holes yourself (.filled) and know what that does to the spectrum.",
+        )
+    try:
+        return np.asarray(value)
+    except ValueError:
+        raise input_error(
+            name, "lists of unequal length", "numbers in rows of one length", "Cut them to their common part."
+        ) from None
+
+
 def _signal(name: str, value) -> np.ndarray:
-    x = np.asarray(value)
+    if value is None:
+        raise input_error(name, "None", "a record", "Give the signal.")
+    x = _array(name, value)
     if not (np.issubdtype(x.dtype, np.floating) or np.issubdtype(x.dtype, np.integer) or x.dtype == bool):
         kind = "complex numbers" if np.issubdtype(x.dtype, np.complexfloating) else f"{x.dtype} data"
         raise input_error(name, kind, "real numbers", "Store the time record itself, not its spectrum or a text.")
@@ -328,11 +365,18 @@ def _signal(name: str, value) -> np.ndarray:
             "finite numbers",
             "Repair or cut the record: a DFT spreads one bad sample over all frequencies.",
         )
+    if max(x.max(), -x.min()) > _LARGEST:
+        raise input_error(
+            name,
+            f"numbers up to {max(x.max(), -x.min()):.3g}",
+            f"at most {_LARGEST:g}, whose squares are finite",
+            "The file is damaged, or these are no numbers of a record.",
+        )
     return x
 
 
 def _configurations(value) -> np.ndarray:
-    q = np.atleast_2d(np.asarray(value))
+    q = np.atleast_2d(_array("q", value))
     if q.ndim != 2 or q.dtype.kind not in "iuf" or not np.isfinite(q).all():
         raise input_error(
             "q", f"{q.dtype} of shape {q.shape}", "finite angles of shape (position, joint), rad", "Check q."
@@ -341,14 +385,14 @@ def _configurations(value) -> np.ndarray:
 
 
 def _line_numbers(value) -> np.ndarray:
-    k = np.atleast_1d(np.asarray(value)).ravel()
+    k = np.atleast_1d(_array("lines", value)).ravel()
     if k.size == 0 or k.dtype.kind not in "iuf" or np.any(k != np.round(k)):
         raise input_error("lines", f"{k[:5]}", "whole DFT line numbers of one period", "Line k is k*fs/period Hz.")
     return k.astype(np.int64)
 
 
 def _number(name: str, value) -> float:
-    x = np.asarray(value)
+    x = _array(name, value)
     if x.size != 1 or x.dtype.kind not in "biuf":
         raise input_error(name, f"{x.dtype} of shape {x.shape}", "one real number", f"Set it, e.g. --set {name}=2000.")
     return float(x.item())

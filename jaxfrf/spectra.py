@@ -9,10 +9,12 @@ import scipy.fft
 import scipy.signal
 from jaxtyping import Complex, Float, Int
 
+from ._arguments import expect
 from ._errors import input_error
 from ._types import Array
 from .experiment import QUANTITIES, Experiment, Source, how_to_set, seen_period
 from .periodic import FoundLines, find_lines
+from .units import differentiated
 
 _SILENT = 1e-14  # power, relative to the median line, below which a line carries nothing (rounding)
 _STRONG, _STRONG_IN_BAND = 1e-4, 1e-10  # power, of the strongest line's, from which a line of a whole record counts
@@ -31,7 +33,7 @@ class Spectra(eqx.Module):
     - `n_periods`: periods averaged. `periodic`: false where the record was taken whole, with leakage
       (`record_spectra`); only methods with a transient term can use it then.
     - `segments`: of every experiment that stand for experiments here (`segment_spectra`); 0 otherwise.
-    - `q`, `fs`, `period`, `y_quantity`, `sources`, `warnings`: as in `Experiment`.
+    - `q`, `fs`, `period`, `y_quantity`, `u_unit`, `y_unit`, `sources`, `warnings`: as in `Experiment`.
     """
 
     U: Complex[Array, "pos exp freq in"]
@@ -47,6 +49,8 @@ class Spectra(eqx.Module):
     periodic: bool = eqx.field(static=True, default=True)
     segments: int = eqx.field(static=True, default=0)
     y_quantity: str = eqx.field(static=True, default="velocity")
+    u_unit: str = eqx.field(static=True, default="")
+    y_unit: str = eqx.field(static=True, default="")
     sources: tuple[Source, ...] = eqx.field(static=True, default=())
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
@@ -89,6 +93,7 @@ def dft(data: Experiment) -> Spectra:
 
     **Raises:** `jaxfrf.InputError` if the record is not periodic, or an excited line carries no power.
     """
+    expect("data", data, Experiment)
     if not data.period:
         raise input_error(
             _where(data, "period"),
@@ -117,6 +122,7 @@ def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None)
     What stands there is noise and nonlinear distortion: even lines show even, odd lines odd nonlinearity.
     In closed loop it is the loop's reaction too; `jaxfrf.distortion` subtracts G U first.
     """
+    expect("data", data, Experiment)
     excited = dft(data)
     low, high = (excited.frequency[0], excited.frequency[-1]) if band is None else band
     k = np.arange(1, (data.period - 1) // 2 + 1)
@@ -140,6 +146,7 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     reference) are left out: in closed loop the response there would be that of the controller. With `band` all lines in
     it are taken but those that hold less than 1e-10.
     """
+    expect("data", data, Experiment)
     n = data.n_time
     k = np.arange(1, (n - 1) // 2 + 1)
     whole = _rebuild_whole(data)
@@ -237,6 +244,8 @@ def _rebuild_whole(data: Experiment) -> Experiment:
         q=data.q,
         r_quantity=data.r_quantity,
         y_quantity=data.y_quantity,
+        u_unit=data.u_unit,
+        y_unit=data.y_unit,
         sources=data.sources,
         warnings=data.warnings,
     )
@@ -256,6 +265,7 @@ def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
 
     **Raises:** `jaxfrf.InputError` if a channel carries no power.
     """
+    expect("data", data, Experiment)
     return found_lines(data).lines
 
 
@@ -335,6 +345,8 @@ def _at_lines(data: Experiment, lines) -> Spectra:
         period=data.period,
         n_periods=data.n_periods,
         y_quantity=data.y_quantity,
+        u_unit=data.u_unit,
+        y_unit=data.y_unit,
         sources=data.sources,
         warnings=data.warnings,
     )
@@ -388,6 +400,7 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
 
     **Raises:** `jaxfrf.InputError` if no line is left.
     """
+    expect("spectra", spectra, Spectra)
     inside = (spectra.frequency >= low) & (spectra.frequency <= high)
     if not inside.any():
         raise input_error(
@@ -403,6 +416,7 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
 
 def select_positions(spectra: Spectra, positions) -> Spectra:
     """The same spectra at some operating points only (a slice or a list of indices)."""
+    expect("spectra", spectra, Spectra)
 
     q = None if spectra.q is None else spectra.q[positions]
     return dataclasses.replace(spectra, **changed_signals(spectra, lambda x: x[positions]), q=q)
@@ -421,6 +435,7 @@ def differentiate(X, omega, times: int):
 
 def with_output_quantity(spectra: Spectra, quantity: str) -> Spectra:
     """The same spectra with the output as `position`, `velocity` or `acceleration`, by (j omega)^n."""
+    expect("spectra", spectra, Spectra)
     if quantity not in QUANTITIES:
         raise input_error("quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them.")
     times = QUANTITIES[quantity] - QUANTITIES[spectra.y_quantity]
@@ -430,4 +445,5 @@ def with_output_quantity(spectra: Spectra, quantity: str) -> Spectra:
         scale = np.ones((len(factor), noise.shape[-1]), complex)
         scale[:, : spectra.n_out] = factor[:, None]
         noise = noise * scale[:, :, None] * scale[:, None, :].conj()
-    return dataclasses.replace(spectra, Y=spectra.Y * factor[:, None], noise=noise, y_quantity=quantity)
+    unit = differentiated(spectra.y_unit, times) if spectra.y_unit else ""
+    return dataclasses.replace(spectra, Y=spectra.Y * factor[:, None], noise=noise, y_quantity=quantity, y_unit=unit)

@@ -38,7 +38,9 @@ def test_band_in_hertz():
     band = ex.band_lines(4.0, 80.0, 2000.0, 56000)
     assert band == (112, 2240)
     assert len(ex.log_odd_lines(*band, 366)) == 336
-    assert ex.band_lines(0.0, 1e9, 10.0, 10) == (1, 4)  # neither the mean nor half the sampling frequency
+    assert ex.band_lines(0.0, 5.0, 10.0, 10) == (1, 4)  # neither the mean nor half the sampling frequency
+    with pytest.raises(InputError, match="half the sampling frequency"):
+        ex.band_lines(0.0, 5.1, 10.0, 10)
 
 
 @given(first=st.integers(1, 500), width=st.integers(0, 700), group=st.integers(2, 9), seed=st.integers(0, 9))

@@ -153,10 +153,10 @@ def test_names_open_no_device_and_change_no_setting():
 
 # --- directions of the imports
 
-BASE = {"errors", "types", "status", "environment", "files"}
+BASE = {"errors", "types", "status", "environment", "files", "arguments", "memory"}
 EXCITATION = BASE | {"excitation", "periodic"}
 EXPERIMENT = EXCITATION | {"experiment"}
-SPECTRA = EXPERIMENT | {"spectra"}
+SPECTRA = EXPERIMENT | {"spectra", "units"}
 FRF = SPECTRA | {"screening", "frf"}
 ROBOT = BASE | {"effects", "robot"}
 SIMULATION = EXPERIMENT | ROBOT | {"simulation"}
@@ -171,7 +171,8 @@ MAY_IMPORT = {
     "excitation": BASE | {"excitation"},
     "periodic": BASE | {"periodic"},
     "experiment": BASE | {"periodic", "experiment"},
-    "spectra": BASE | {"periodic", "experiment", "spectra"},
+    "units": BASE | {"experiment"},
+    "spectra": BASE | {"periodic", "experiment", "units", "spectra"},
     "screening": BASE | {"periodic", "experiment", "spectra", "screening"},
     "frf": FRF - {"excitation"},
     "examples": EXPERIMENT,

@@ -147,7 +147,7 @@ def test_wrong_tables(table, path, value, message):
 def test_no_toml(tmp_path):
     path = tmp_path / "robot.toml"
     path.write_text("name = R3X")
-    with pytest.raises(InputError, match=r"robot.toml: found .*expected a TOML file"):
+    with pytest.raises(InputError, match=r"robot.toml: found .*expected a robot in TOML"):
         read_robot(path)
 
 

@@ -98,6 +98,11 @@ def check_x64(who: str) -> None:
         raise InputError(str(error)) from None
 
 
+def check_seed(seed: int) -> None:
+    if not 0 <= seed < 2**53:
+        raise input_error("--seed", f"{seed}", "a whole number from 0 to 2^53", "Choose another.")
+
+
 def check_picture(path: str | os.PathLike) -> None:
     from ..io._optional import require
 
@@ -115,7 +120,7 @@ def check_target(path: str | os.PathLike, suffixes: Iterable[str]) -> None:
 
 def check_result(path: str, inputs: Iterable[str], what: str) -> None:
     """Refuse to put a result in the place of what it is made from."""
-    if pathlib.Path(path).resolve() in [pathlib.Path(name).resolve() for name in inputs]:
+    if os.path.realpath(path) in [os.path.realpath(name) for name in inputs]:
         raise input_error(path, f"the {what} itself", "another file for the result", "Choose another name.")
 
 

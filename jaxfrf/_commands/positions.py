@@ -1,7 +1,8 @@
 """`jaxfrf positions`."""
 
+from .._errors import input_error
 from . import own_effects
-from .arguments import check_picture, check_target, check_x64, command
+from .arguments import check_picture, check_seed, check_target, check_x64, command
 
 
 def add(commands) -> None:
@@ -26,6 +27,9 @@ def run(given) -> dict:
     from ..simulation import random_positions
 
     check_x64("jaxfrf positions")
+    check_seed(given.seed)
+    if not 1 <= given.candidates <= 100_000:
+        raise input_error("--candidates", f"{given.candidates}", "1 to 100000", "Some hundreds are enough.")
     check_target(given.output, (".csv", ".txt"))
     if given.plot:
         check_picture(given.plot)

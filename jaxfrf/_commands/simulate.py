@@ -1,8 +1,10 @@
 """`jaxfrf simulate`."""
 
+import sys
+
 from .._errors import InputError
 from . import own_effects
-from .arguments import RECORD_FILES, Percent, check_target, command
+from .arguments import RECORD_FILES, Percent, check_seed, check_target, command
 
 
 def add(commands) -> None:
@@ -32,17 +34,20 @@ def run(given) -> dict:
 
     check_target(given.output, RECORD_FILES)
     robot, design = own_effects.robot_of(given), read_design(given.design)
+    check_seed(given.seed)
     places, noise = jr.split(jr.key(given.seed))
     data = simulate(
         robot,
         design,
-        _positions(given, robot.n_axes, places),
+        _positions(given, robot.n_axes, places, design),
         key=noise,
         run_in=None if given.transient else given.run_in,
         noise=given.noise,
         progress=None if given.json else Percent("simulated"),
     )
     write(given.output, data)
+    for text in data.warnings:
+        print(f"warning: {text}", file=sys.stderr)
     runs = data.n_pos * data.n_exp
     text = [
         f"{robot.name}: {runs} runs ({data.n_pos} positions, {data.n_exp} experiments) of "
@@ -61,16 +66,19 @@ def run(given) -> dict:
             "lines": len(data.lines),
             "seed": given.seed,
             "y_quantity": data.y_quantity,
+            "warnings": list(data.warnings),
         },
     }
 
 
-def _positions(given, axes: int, key):
+def _positions(given, axes: int, key, design):
     from ..simulation import random_positions, read_positions
+    from ..simulation.checks import check_runs
 
     if given.configurations:
         return read_positions(given.configurations, axes)
     count = 1 if given.positions is None else given.positions
     if count < 1:
         raise InputError(f"--positions: found {count}; expected 1 or more. Say how many.")
+    check_runs(design, count)
     return random_positions(count, key, axes)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from .._arguments import expect
 from .._errors import input_error
 from .._types import require_x64
 from ..effects import Payload
@@ -80,6 +81,7 @@ def calibrate(
     **Raises:** `jaxfrf.InputError` if robot and data do not fit together, if nothing is uncertain, and where the robot
     as given cannot be simulated.
     """
+    expect("robot", robot, Robot)
     require_x64("calibrate")
     records = [data] if isinstance(data, Experiment) else list(data)
     say = say or (lambda text: None)

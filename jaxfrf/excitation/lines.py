@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Int, PRNGKeyArray
 
 from .._errors import input_error
+from .._memory import check_memory
 from .._types import Array
 from ._draw import uniform
 
@@ -24,6 +25,8 @@ def band_lines(low: float, high: float, fs: float, period: int) -> tuple[int, in
     **Raises:** `jaxfrf.InputError` if no line lies in the band below half the sampling frequency.
     """
     resolution = fs / period
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise input_error("band", f"{low:g} to {high:g} Hz", "finite frequencies", "E.g. band = [4.0, 80.0].")
     tiny = 1e-9  # 80 Hz * 28 s must be line 2240, not 2239.9999999
     first = max(math.ceil(low / resolution - tiny), 1)
     last = min(math.floor(high / resolution + tiny), (period - 1) // 2)
@@ -33,6 +36,13 @@ def band_lines(low: float, high: float, fs: float, period: int) -> tuple[int, in
             f"{low:g} to {high:g} Hz with lines every {resolution:.4g} Hz",
             f"a band that holds at least one line between {resolution:.4g} and {fs / 2:g} Hz",
             "Widen the band, or lengthen the period.",
+        )
+    if high > fs / 2:
+        raise input_error(
+            "band",
+            f"{low:g} to {high:g} Hz sampled at {fs:g} Hz",
+            f"a band below {fs / 2:g} Hz, half the sampling frequency",
+            "Lower its end, or raise fs.",
         )
     return first, last
 
@@ -83,6 +93,7 @@ def log_odd_lines(first: int, last: int, points: int) -> Grid:
     first, last = _range(first, last)
     if points < 1:
         raise input_error("points", f"{points}", "1 or more", "Say how many points to spread over the band.")
+    check_memory("points", 24.0 * points, "Spread fewer points over the band.")
     lines = np.unique(2 * np.floor(np.geomspace(first, last, points) / 2).astype(int) + 1)
     return _some(lines[lines <= last], first, last)
 
@@ -106,7 +117,9 @@ def _range(first, last) -> tuple[int, int]:
             "whole numbers with 1 <= first <= last",
             "Line k is k*fs/period Hz; `band_lines` converts a band in Hz.",
         )
-    return int(first), int(last)
+    first, last = int(first), int(last)
+    check_memory("lines", 8.0 * (last - first), "Shorten the period, or narrow the band.")
+    return first, last
 
 
 def _some(lines: Grid, first: int, last: int) -> Grid:

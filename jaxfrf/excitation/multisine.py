@@ -6,8 +6,11 @@ import numpy as np
 from jaxtyping import Complex, Float, Int, PRNGKeyArray
 
 from .._errors import input_error
+from .._memory import check_memory
 from .._types import Array
 from .phases import AbstractPhases, RandomPhases, fourier_phases
+
+_LARGEST_SEED = 2**53  # larger ones are not exact in every file
 
 
 class SlowSine(eqx.Module):
@@ -107,13 +110,16 @@ class Multisine(eqx.Module):
         self.periods = _whole_number("periods", periods, least=1)
         self.transient_periods = _whole_number("transient_periods", transient_periods, least=0)
         self.ramp = _number("ramp", ramp)
-        self.seed = _whole_number("seed", seed, least=0)
+        self.seed = _whole_number("seed", seed, least=0, most=_LARGEST_SEED)
         self.phases = phases
         self.slow = slow
         rms = None if rms is None else _numbers("rms", rms)
         amplitude = None if amplitude is None else _numbers("amplitude", amplitude)
         velocity_limit = None if velocity_limit is None else _numbers("velocity_limit", velocity_limit)
         n_in = _agree(n_in, rms, amplitude, slow, velocity_limit)
+        check_memory(
+            f"a design of {n_in} inputs", 8.0 * n_in * (n_in + len(self.lines)), "Design fewer inputs at once."
+        )
         self.amplitude = _amplitude(amplitude, rms, len(self.lines), n_in)
         self.velocity_limit = None if velocity_limit is None else _per_channel("velocity_limit", velocity_limit, n_in)
 
@@ -179,6 +185,11 @@ def reference_spectra(design: Multisine, *, key: PRNGKeyArray | None = None) -> 
     that a design can be continued. `key` defaults to `jax.random.key(design.seed)`.
     """
     key = jr.key(design.seed) if key is None else key
+    check_memory(
+        f"references of {design.n_exp} experiments",
+        16.0 * design.n_exp * len(design.lines) * design.n_in,
+        "Ask for fewer blocks or inputs.",
+    )
     blocks = [_block(design, jr.fold_in(key, m)) for m in range(design.blocks)]
     return np.concatenate(blocks)
 
@@ -293,7 +304,7 @@ def _numbers(name: str, value, least: float = -np.inf) -> np.ndarray:
         x = np.array("")
     if x.dtype.kind not in "iuf" or x.size == 0 or not np.isfinite(x).all() or np.any(x < least):
         bound = "" if least == -np.inf else f" of at least {least:g}"
-        raise input_error(name, f"{value!r}", f"finite numbers{bound}", "Correct it.")
+        raise input_error(name, _said(value), f"finite numbers{bound}", "Correct it.")
     return x.astype(np.float64)
 
 
@@ -311,8 +322,15 @@ def _whole_numbers(name: str, value) -> np.ndarray:
     return x.astype(np.int64)
 
 
-def _whole_number(name: str, value, least: int) -> int:
+def _whole_number(name: str, value, least: int, most: float = 2**53) -> int:
     x = _numbers(name, value)
     if x.size != 1 or x != np.round(x) or x < least:
-        raise input_error(name, f"{value!r}", f"a whole number, {least} or more", "Correct it.")
+        raise input_error(name, _said(value), f"a whole number, {least} or more", "Correct it.")
+    if x > most:
+        raise input_error(name, _said(value), f"at most {most:g}", "Correct it.")
     return int(x.item())
+
+
+def _said(value) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -5,7 +5,9 @@ import numpy as np
 import scipy.fft
 from jaxtyping import Complex, Float, Int, PRNGKeyArray
 
+from .._arguments import expect
 from .._errors import input_error
+from .._memory import check_memory
 from .multisine import Multisine, reference_spectra
 
 
@@ -87,6 +89,13 @@ def reference(design: Multisine, *, key: PRNGKeyArray | None = None) -> Referenc
 
     **Raises:** `jaxfrf.InputError` where a speed exceeds `design.velocity_limit`.
     """
+    expect("design", design, Multisine)
+    samples = (design.transient_periods + design.periods) * design.period
+    check_memory(
+        f"references of {design.n_exp} experiments of {samples} samples in {design.n_in} channels",
+        16.0 * design.n_exp * samples * design.n_in + 64.0 * design.period * design.n_in,
+        "Ask for fewer periods or blocks, or a shorter one.",
+    )
     return _reference(design, reference_spectra(design, key=key))
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from .._arguments import expect
 from .._errors import input_error
 from ..spectra import Spectra
 from .classical import by_line
@@ -16,6 +17,7 @@ def coherence(spectra: Spectra) -> Float[np.ndarray, "pos freq out in"]:
 
     **Raises:** `jaxfrf.InputError` with fewer than two experiments.
     """
+    expect("spectra", spectra, Spectra)
     if spectra.n_exp < 2:
         raise _too_few(spectra, 2)
     U, Y = by_line(spectra.U), by_line(spectra.Y)
@@ -33,6 +35,7 @@ def multiple_coherence(spectra: Spectra) -> Float[np.ndarray, "pos freq out"]:
 
     **Raises:** `jaxfrf.InputError` where there are neither.
     """
+    expect("spectra", spectra, Spectra)
     U, Y = by_line(spectra.U), by_line(spectra.Y)
     power = np.sum(np.abs(Y) ** 2, axis=-1)
     if spectra.n_exp > spectra.n_in:

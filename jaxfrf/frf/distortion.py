@@ -4,6 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from .._arguments import expect
 from .._errors import input_error
 from .._types import Array
 from ..spectra import Spectra
@@ -32,6 +33,7 @@ def levels(spectra: Spectra) -> Levels:
 
     **Raises:** `jaxfrf.InputError` with fewer than two realisations (blocks of n_in experiments) or periods.
     """
+    expect("spectra", spectra, Spectra)
     if spectra.n_real < 2 or spectra.noise is None:
         raise input_error(
             "levels",

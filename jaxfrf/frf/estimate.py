@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from .. import __version__
+from .._arguments import wrong_kind
 from .._errors import input_error
 from .._status import Status, describe
 from .._types import require_x64
@@ -16,6 +17,7 @@ from .aperiodic import adapted
 from .from_record import spectra_of
 from .method import AbstractMethod, Estimate
 from .response import FRF
+from .select import Auto
 
 _BLOCK_BYTES = 4e8  # operating points are estimated in groups that need about this much memory
 _SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
@@ -23,7 +25,7 @@ _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are ro
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
 
 
-def estimate(data: Spectra | Experiment, method: AbstractMethod, *, progress=None) -> FRF:
+def estimate(data: Spectra | Experiment, method: AbstractMethod = Auto(), *, progress=None) -> FRF:
     """Estimate the FRF from u to y at every operating point and excited line.
 
     **Arguments:**
@@ -32,7 +34,8 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod, *, progress=Non
       where it is not periodic, `jaxfrf.record_spectra` the whole, for methods that can have a transient term (local
       ones and `jaxfrf.Auto`; see `jaxfrf.frf.adapted` for what becomes of them), and `jaxfrf.segment_spectra` segments
       for `jaxfrf.Welch`, as `jaxfrf estimate` does.
-    - `method`: e.g. `jaxfrf.LRM(order=2)`, `jaxfrf.LogMean()`, `jaxfrf.JointInputOutput(jaxfrf.LRM())`.
+    - `method`: e.g. `jaxfrf.LRM(order=2)`, `jaxfrf.LogMean()`, `jaxfrf.JointInputOutput(jaxfrf.LRM())`;
+      `jaxfrf.Auto()` where none is given.
     - `progress`: called with (operating points done, of how many) after every group of them.
 
     **Returns:** a `jaxfrf.FRF`, with covariance, degrees of freedom and a status at every frequency. A frequency that
@@ -43,9 +46,7 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod, *, progress=Non
     """
     require_x64("estimate")
     if not isinstance(method, AbstractMethod):
-        raise input_error(
-            "method", repr(method), "a method, e.g. jaxfrf.LRM(order=2)", "Names are for the command line (--method)."
-        )
+        raise wrong_kind("method", method, "a method, e.g. jaxfrf.LRM(order=2)", AbstractMethod)
     spectra = _spectra(data, method)
     method = adapted(method, spectra)
     method.check(spectra)
@@ -72,6 +73,8 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod, *, progress=Non
         q=spectra.q,
         method=describe_method(method),
         y_quantity=spectra.y_quantity,
+        u_unit=spectra.u_unit,
+        y_unit=spectra.y_unit,
         sources=spectra.sources,
         warnings=(*spectra.warnings, *serious),
         version=__version__,

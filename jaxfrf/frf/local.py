@@ -11,6 +11,7 @@ experiments at one operating point are *stacked*: they share N and D, so the lea
 """
 
 import math
+import numbers
 
 import numpy as np
 
@@ -40,7 +41,7 @@ class AbstractLocal(AbstractLeastSquares):
         for name in ("order", "width", "transient"):
             value = getattr(self, name)
             least = 1 if name == "width" else 0
-            if value is not None and (value != int(value) or value < least):
+            if value is not None and (not isinstance(value, numbers.Integral) or value < least):
                 raise input_error(
                     name, repr(value), f"a whole number, {least} or more", f"Choose e.g. {name}={least + 2}."
                 )

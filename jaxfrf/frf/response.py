@@ -31,7 +31,8 @@ class FRF(eqx.Module):
     - `window`: lines that took part in each estimate, (pos, freq); 1 for classical methods. The band holds about
       `sum(1/window)` independent estimates.
     - `q`: arm configurations, (pos, joint), rad, or `None`.
-    - `method`: name and options as text. `y_quantity`: what y is. `sources`, `version`, `warnings`: provenance.
+    - `method`: name and options as text. `y_quantity`: what y is. `u_unit`, `y_unit`: SI units (`jaxfrf.units`),
+      those of a robot's motors where empty. `sources`, `version`, `warnings`: provenance.
     """
 
     G: Complex[Array, "pos freq out in"]
@@ -45,6 +46,8 @@ class FRF(eqx.Module):
     q: Float[Array, "pos joint"] | None = None
     method: str = eqx.field(static=True, default="")
     y_quantity: str = eqx.field(static=True, default="velocity")
+    u_unit: str = eqx.field(static=True, default="")
+    y_unit: str = eqx.field(static=True, default="")
     sources: tuple[Source, ...] = eqx.field(static=True, default=())
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
     version: str = eqx.field(static=True, default="")

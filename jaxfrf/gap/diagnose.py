@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._arguments import expect
 from .._errors import input_error
 from .._types import require_x64
 from ..effects import AbstractEffect
@@ -70,6 +71,7 @@ def diagnose(
 
     Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
     """
+    expect("robot", robot, Robot)
     records = [data] if isinstance(data, Experiment) else list(data)
     if not robot.n_motors and not robot.n_elastic and any(not record.period for record in records):
         return _by_inverse_dynamics(robot, records, own, sealed, say or (lambda text: None))

@@ -11,6 +11,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray, PyTree
 
+from .._arguments import expect
 from .._errors import input_error
 from .._types import require_x64
 from ..frf import FRF
@@ -175,6 +176,8 @@ def fit(
 
     **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together, or no start gives a finite cost.
     """
+    expect("frf", frf, FRF)
+    expect("model", model, AbstractModel)
     require_x64("fit")
     solver = LevenbergMarquardt() if solver is None else solver
     check_solver(solver)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 import jax.random as jr
 import numpy as np
 
+from .._arguments import expect
 from .._errors import input_error
 from .._types import require_x64
 from ..calibration.heldout import heldout_numbers
@@ -82,6 +83,7 @@ def identify(
 
     **Raises:** `jaxfrf.InputError`, before anything long begins, if robot, data and arguments do not fit together.
     """
+    expect("robot", robot, Robot)
     require_x64("identify")
     held = heldout_numbers(heldout, data.n_pos)
     check_data(robot, data)

@@ -12,9 +12,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from .._errors import InputError, input_error
-from .._files import replacing
+from .._files import check_readable, replacing
 
-_FORMATS = {".nc": "_netcdf", ".mat": "_matlab", ".npz": "_npz", ".csv": "_csv"}
+_TABLES = (".csv", ".txt", ".tsv", ".lvm")
+_FORMATS = {
+    **{".nc": "_netcdf", ".mat": "_matlab", ".npz": "_npz"},
+    **dict.fromkeys(_TABLES, "_csv"),
+    **{".mf4": "_mdf", ".mdf": "_mdf", ".dat": "_mdf", ".parquet": "_parquet"},
+}
 _SAVED = (".nc", ".mat", ".npz")
 
 
@@ -35,26 +40,40 @@ class Variable:
 
 
 Leaf = np.ndarray | str | Unreadable
+
+
+class Variables(dict[str, Leaf]):
+    """Variables by name, with the units (as the file writes them) of those that have one."""
+
+    def __init__(self, variables: Mapping[str, Leaf], units: Mapping[str, str] | None = None):
+        super().__init__(variables)
+        self.units = {name: unit for name, unit in (units or {}).items() if unit}
+
+
 Attributes = Mapping[str, float | int | str]
 
 
 def load(path: str | os.PathLike) -> dict[str, Leaf]:
-    """All variables of a `.nc`, `.mat`, `.npz` or `.csv` file by name, fields of structs as `rec.vel`.
+    """All variables of a file by name, fields of structs as `rec.vel`; see `_FORMATS` for its kinds.
 
     **Raises:** `jaxfrf.InputError` naming the file if it is missing, empty, truncated or of no known kind.
     """
     path = pathlib.Path(path)
     reader = _format(path, tuple(_FORMATS), "read")
-    if not path.exists():
-        raise input_error(str(path), "no such file", "a measurement file", "Check the name and the folder.")
-    if path.is_dir():
-        raise input_error(str(path), "a folder", "a file", "Name the files in it.")
+    check_readable(path, "a measurement file")
     if path.stat().st_size == 0:
         raise input_error(str(path), "an empty file (0 bytes)", "a measurement file", "Export or copy it again.")
     try:
         found = reader.load(path)
-    except (InputError, ImportError, MemoryError):
+    except (InputError, ImportError):
         raise
+    except MemoryError as error:
+        raise input_error(
+            str(path),
+            f"more than fits into memory ({_first_line(error)})",
+            "a record that fits",
+            "Split it, or cut it.",
+        ) from error
     except Exception as error:  # parsers of broken files raise anything, from zlib.error to IndexError
         raise input_error(
             str(path),

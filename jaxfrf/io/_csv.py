@@ -1,16 +1,18 @@
 """Tables of numbers as text, with or without a line of headings."""
 
 import pathlib
+import re
 
 import numpy as np
 
 from .._errors import InputError, input_error
-from ._container import Leaf
+from ._container import Leaf, Variables
 
 KIND = "a table of numbers"
 
 _COMMENTS = ("#", "%")
 _SEPARATORS = (";", "\t", ",", None)
+_HEADING = re.compile(r"(?P<name>[^\[(]*\w[^\[(]*)[\[(](?P<unit>[^\[\]()\d]{1,9}\d?)[\])]")
 _LOOK = 20  # last lines that tell the separator
 _UNITS = {
     *("", "-", "1", "s", "ms", "us", "µs", "hz", "v", "mv", "a", "ma", "n", "nm", "n m", "n*m", "m", "mm", "um", "µm"),
@@ -36,7 +38,7 @@ _UNITS = {
 
 
 def load(path: pathlib.Path) -> dict[str, Leaf]:
-    """The columns by heading, or by number ("0" is the first) where there are no headings.
+    """The columns by heading, or by number ("1" is the first) where there are no headings.
 
     Semicolons, tabs, commas or (runs of) blanks separate the columns, whichever makes the lines numbers (tried in this
     order); one may end every line. A comma between digits is a decimal comma where something else separates. Lines that
@@ -45,6 +47,8 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
     UTF-8 and UTF-16 are read, with or without a mark at the beginning.
     """
     lines = _text(path).splitlines()
+    if lines and lines[0].startswith("LabVIEW Measurement"):
+        lines = _labview(lines)
     numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.startswith(_COMMENTS)]
     if not numbered:
         raise input_error(str(path), "no lines of numbers", "a table", "Export or copy it again.")
@@ -60,9 +64,27 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
     if headings is None:
         headings = _commented_headings(lines, numbered[0][0], separator, table.shape[1])
     if headings is None:
-        headings = [str(i) for i in range(table.shape[1])]
+        headings = [str(i) for i in range(1, table.shape[1] + 1)]
+    units = _units(text, separator, table.shape[1])
+    headings, bracketed = _without_units(headings)
     _check_headings(path, headings, table.shape[1])
-    return {name: table[:, i] for i, name in enumerate(headings)}
+    columns = {name: table[:, i] for i, name in enumerate(headings)}
+    return Variables(columns, dict(zip(headings, units or bracketed, strict=True)))
+
+
+def _units(text: list[str], separator: str | None, width: int) -> list[str] | None:
+    """The line of units below the headings, if there is one."""
+    fitting = [fields for fields in (_fields(line, separator) for line in text) if len(fields) == width]
+    return [x.strip("[]() ") for x in fitting[-1]] if len(fitting) > 1 and _are_units(fitting[-1]) else None
+
+
+def _without_units(headings: list[str]) -> tuple[list[str], list[str]]:
+    """Headings, and the units that they end with: `speed [deg/s]`, `torque (N m)`."""
+    found = [_HEADING.fullmatch(name) for name in headings]
+    plain = [m["name"].strip() if m else name for m, name in zip(found, headings, strict=True)]
+    if len(set(plain)) < len(plain):
+        return headings, [""] * len(headings)
+    return plain, [m["unit"].strip() if m else "" for m in found]
 
 
 def _text(path: pathlib.Path) -> str:
@@ -73,6 +95,17 @@ def _text(path: pathlib.Path) -> str:
     if b"\0" in data[:200]:  # every other byte of plain text in UTF-16
         return data.decode("utf-16-be" if data[:1] == b"\0" else "utf-16-le", errors="replace")
     return data.decode("utf-8-sig", errors="replace")
+
+
+def _labview(lines: list[str]) -> list[str]:
+    """The table of a `.lvm` file: what stands below its last header, without columns that are empty (the comments, and
+    the time where none was logged)."""
+    ends = [i for i, line in enumerate(lines) if line.startswith("***End_of_Header***")]
+    rows = [line.split("\t") for line in lines[ends[-1] + 1 :] if line.strip()] if ends else []
+    width = max((len(row) for row in rows), default=0)
+    rows = [row + [""] * (width - len(row)) for row in rows]
+    filled = [k for k in range(width) if any(row[k].strip() for row in rows[1:])]
+    return ["\t".join(row[k] for k in filled) for row in rows]
 
 
 def _separator(lines: list[str]) -> str | None:
@@ -168,7 +201,7 @@ def _first_fault(path: pathlib.Path, numbered: list[tuple[int, str]], separator:
         wrong = [k for k, field in enumerate(fields) if not _is_number(field, separator)]
         if wrong:
             return input_error(
-                f"{path}: line {i}, column {wrong[0]}",
+                f"{path}: line {i}, column {wrong[0] + 1}",
                 repr(fields[wrong[0]]),
                 "a number (after one line of headings at most)",
                 "Fill or cut that line; write decimal points, or separate columns by semicolons.",

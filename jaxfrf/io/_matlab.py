@@ -5,7 +5,9 @@ attribute `MATLAB_class` was written the MATLAB way and is turned round; one wit
 name `.mat`) is taken as it is.
 """
 
+import math
 import pathlib
+import re
 import warnings
 from collections.abc import Mapping
 
@@ -13,7 +15,11 @@ import numpy as np
 import scipy.io
 import scipy.sparse
 
+from .._files import check_room
+from .._memory import check_memory
 from ._container import Attributes, Leaf, Unreadable, Variable, text
+from ._hdf5 import check_walkable
+from ._mat5 import check_whole
 from ._optional import require
 
 KIND = "a MATLAB file"
@@ -21,6 +27,10 @@ KIND = "a MATLAB file"
 NAMELESS = "?"  # stands for objects whose names cannot be told; MATLAB strings ("...") are among them
 _V5_BYTES = 2**31 - 2**16  # v5 counts the bytes of a variable in 32 bits; some go to its header
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+_MOST_ELEMENTS = 1000  # of an array of structs or a cell array that is opened
+_NAMES = ("Name", "name", "label", "Label", "blockName", "BlockName")
+_DATA = ("Data", "data", "Values", "values")
+_ELEMENT = re.compile(rf"(?P<rec>.+)(?P<at>\(\d+\))\.(?:{'|'.join(_DATA)})")
 _NUMERIC = (
     "double",
     "single",
@@ -31,8 +41,45 @@ _HEADER = b"MATLAB 7.3 MAT-file, Platform: jaxfrf, Created on: -, HDF5 schema 1.
 
 
 def load(path: pathlib.Path) -> dict[str, Leaf]:
-    """Every variable, fields of structs as `struct.field`; objects, cells and functions stay closed."""
-    return _load_v73(path) if _is_hdf5(path) else _load_v5(path)
+    """Every variable: fields of structs as `rec.field`, elements of arrays of structs as `rec.Y(2).Data` (from 1) and,
+    where a field beside it names it (dSPACE, Simulink), as `rec.Y.NAME` too, those of cell arrays as `log{2}`; records
+    of a time series as (time, channel). Objects and functions stay closed.
+    """
+    if _is_hdf5(path):
+        check_walkable(path)
+        found = _load_v73(path)
+    else:
+        check_whole(path)
+        found = _load_v5(path)
+    return found | _by_name(found) | _time_first(found)
+
+
+def _by_name(found: Mapping[str, Leaf]) -> dict[str, Leaf]:
+    """`rec.Y(2).Data` as `rec.Y.speed`, where `rec.Y(2).Name` says so: dSPACE, Simulink's structures with time."""
+    named: dict[str, list[Leaf]] = {}
+    for path, value in found.items():
+        element = _ELEMENT.fullmatch(path)
+        if element is None or not isinstance(value, np.ndarray):
+            continue
+        texts = [found.get(f"{element['rec']}{element['at']}.{key}") for key in _NAMES]
+        name = next((x for x in texts if isinstance(x, str) and x.strip()), None)
+        if name is not None:
+            short = re.sub(r"\W+", "_", name.strip().split("/")[-1]).strip("_")
+            named.setdefault(f"{element['rec']}.{short}", []).append(value)
+    return {path: values[0] for path, values in named.items() if len(values) == 1 and path not in found}
+
+
+def _time_first(found: Mapping[str, Leaf]) -> dict[str, Leaf]:
+    """Data of a time series whose time is the last axis of three, as Simulink logs vectors: (time, channel)."""
+    turned = {}
+    for path, value in found.items():
+        rec, _, field = path.rpartition(".")
+        if field not in _DATA or not isinstance(value, np.ndarray) or value.ndim != 3:
+            continue
+        n_times = [np.size(found[f"{rec}.{key}"]) for key in ("Time", "time") if f"{rec}.{key}" in found]
+        if n_times and value.shape[2] == n_times[0] > 1:
+            turned[path] = np.moveaxis(value, 2, 0).reshape(n_times[0], -1)
+    return turned
 
 
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
@@ -51,6 +98,7 @@ def save_v5(path: pathlib.Path, variables: Mapping[str, Variable], attributes: A
 
 def save_v73(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
     """HDF5 behind MATLAB's 512-byte header; position by position, without a second copy of an array."""
+    check_room(path, sum(8 * np.size(v.value) for v in variables.values()) + 2**20)
     with require("h5py", "io").File(path, "w", userblock_size=512) as file:
         for name, variable in variables.items():
             _store_array(file, name, np.atleast_2d(variable.value))
@@ -103,8 +151,15 @@ def _flat_v5(name: str, x):
     elif x.dtype.names and x.size == 1:
         for field in x.dtype.names:
             yield from _flat_v5(f"{name}.{field}", x.item()[x.dtype.names.index(field)])
+    elif x.dtype.names and 0 < x.size <= _MOST_ELEMENTS:
+        for i, element in enumerate(x.ravel(order="F"), 1):
+            for field in x.dtype.names:
+                yield from _flat_v5(f"{name}({i}).{field}", element[field])
     elif x.dtype.names:
         yield name, Unreadable(f"a MATLAB struct array {x.shape}")
+    elif x.dtype == object and 0 < x.size <= _MOST_ELEMENTS:
+        for i, element in enumerate(x.ravel(order="F"), 1):
+            yield from _flat_v5(f"{name}{{{i}}}", element)
     elif x.dtype == object:
         yield name, Unreadable(f"a MATLAB cell array {x.shape}")
     elif x.dtype.kind == "U":
@@ -116,7 +171,21 @@ def _flat_v5(name: str, x):
 def _load_v73(path: pathlib.Path) -> dict[str, Leaf]:
     h5py = require("h5py", "io")
     with h5py.File(path, "r") as file:
+        check_memory(str(path), _stored(h5py, file), "Split the record into several files.")
         return dict(pair for name in file if not name.startswith("#") for pair in _flat_v73(h5py, name, file[name]))
+
+
+def _stored(h5py, group) -> int:
+    """Bytes of all arrays of a file that is not followed in circles: `visititems` sees every object once."""
+    total = 0
+
+    def add(name, node):
+        nonlocal total
+        if isinstance(node, h5py.Dataset) and node.dtype.kind in "biufcV" and node.shape is not None:
+            total += math.prod(node.shape) * node.dtype.itemsize
+
+    group.visititems(add)
+    return total
 
 
 def _flat_v73(h5py, name: str, node):
@@ -126,7 +195,7 @@ def _flat_v73(h5py, name: str, node):
             yield name, Unreadable(f"a MATLAB object or sparse array ({kind})")
             return
         for field in node:
-            yield from _flat_v73(h5py, f"{name}.{field}", node[field])
+            yield from _field_v73(h5py, name, field, node[field])
     elif "MATLAB_empty" in node.attrs:
         yield name, np.empty(0)
     elif node.dtype == object or node.dtype.kind == "O":
@@ -139,6 +208,18 @@ def _flat_v73(h5py, name: str, node):
         yield name, Unreadable(f"a MATLAB {kind}")
     else:
         yield name, _complex(node[()])
+
+
+def _field_v73(h5py, name: str, field: str, node):
+    """A field of a struct; of an array of structs it is a list of references, one for each."""
+    plain = isinstance(node, h5py.Dataset) and "MATLAB_class" not in node.attrs and node.dtype.kind == "O"
+    if not plain or not 0 < node.size <= _MOST_ELEMENTS:
+        yield from _flat_v73(h5py, f"{name}.{field}", node)
+        return
+    for i, reference in enumerate(node[()].ravel(), 1):
+        element = node.file[reference]
+        if isinstance(element, h5py.Dataset):  # groups could lead back here
+            yield from _flat_v73(h5py, f"{name}({i}).{field}", element)
 
 
 def _complex(x: np.ndarray) -> np.ndarray:

@@ -5,22 +5,31 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ._container import Attributes, Leaf, Variable, text
+from .._files import check_room
+from .._memory import check_memory
+from ._container import Attributes, Leaf, Variable, Variables, text
+from ._hdf5 import check_walkable
 from ._optional import require
 
 KIND = "a NetCDF-4 file"
 
+_OVERHEAD = 2**20  # bytes of names, attributes and tables
+_CHUNK = 2**26  # bytes that are read and checked at once
 _LEADING = ("position", "experiment", "time")  # the order of axes in memory; what is left is the channel
 
 
 def load(path: pathlib.Path) -> dict[str, Leaf]:
     """Variables and attributes; arrays that name `position`, `experiment`, `time` get them in this order."""
     require("h5netcdf", "io")
+    check_walkable(path)
     # Times stay numbers: decoding would turn seconds into timedelta64.
     options = {"engine": "h5netcdf", "decode_times": False, "decode_timedelta": False}
     with require("xarray", "io").open_dataset(path, **options) as dataset:
+        check_memory(str(path), dataset.nbytes, "Split the record into several files.")
         attributes = {str(name): _value(np.asarray(value)) for name, value in dataset.attrs.items()}
-        return attributes | {str(name): _ordered(variable) for name, variable in dataset.variables.items()}
+        arrays = {str(name): _ordered(variable) for name, variable in dataset.variables.items()}
+        units = {str(name): str(x.attrs.get("units", "")) for name, x in dataset.variables.items()}
+        return Variables(attributes | arrays, units)
 
 
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
@@ -30,9 +39,30 @@ def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attr
         {name: (v.dims, v.value, {"units": v.unit} if v.unit else {}) for name, v in variables.items()},
         attrs=dict(attributes),
     )
+    write_dataset(path, dataset)
+
+
+def write_dataset(path: pathlib.Path, dataset) -> None:
+    """An xarray dataset to a file whose arrays carry checksums: what was damaged since is noticed when it is read.
+
+    **Raises:** `jaxfrf.InputError` if the disk has no room for it, before the HDF5 library runs into its end (which a
+    process need not survive).
+    """
+    check_room(path, dataset.nbytes + _OVERHEAD)
     # No fill value: it would make every reader copy the array to mask it.
-    encoding = {name: {"_FillValue": None} for name in variables}
+    encoding = {name: _encoding(variable) for name, variable in dataset.variables.items()}
     dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+
+
+def _encoding(variable) -> dict:
+    plain: dict = {"_FillValue": None}
+    if not variable.ndim or not variable.size:
+        return plain
+    leading = max(variable.ndim - 2, 0)  # one experiment, or one position, a chunk, as long as the library takes it
+    chunks = [1] * leading + list(variable.shape[leading:])
+    row = max(variable.dtype.itemsize * int(np.prod(chunks[leading + 1 :])), 1)
+    chunks[leading] = max(min(chunks[leading], _CHUNK // row), 1)
+    return {**plain, "fletcher32": True, "chunksizes": tuple(chunks)}
 
 
 def _ordered(variable) -> Leaf:

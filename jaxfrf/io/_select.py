@@ -34,6 +34,8 @@ def select(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, expressi
     if expression.startswith("[") and expression.endswith("]"):
         parts = [select(path, variables, key, part) for part in split(expression[1:-1], ";")]
         return _stack(path, key, expression, parts)
+    if re.fullmatch(r"\d+:\d+", expression) and "1" in variables:
+        return _columns(path, variables, key, expression)
     match = _EXPRESSION.fullmatch(expression)
     name = match["name"].strip() if match else expression
     if match is None or name not in variables:
@@ -46,10 +48,26 @@ def select(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, expressi
     return x if match["pick"] is None else _pick(path, key, expression, x, match["pick"])
 
 
+def _columns(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, expression: str) -> np.ndarray:
+    """Columns `2:4` of a table without headings: the second to the fourth, as people count."""
+    first, last = (int(x) for x in expression.split(":"))
+    if not 1 <= first <= last or str(last) not in variables:
+        raise input_error(
+            f"{path}: {_label(key, expression)}",
+            f"columns {expression}",
+            f"a part of 1:{len(variables)}, the last included",
+            "Columns of a table without headings are counted from 1.",
+        )
+    parts = [_usable(path, key, str(i), variables[str(i)]) for i in range(first, last + 1)]
+    return _stack(path, key, expression, parts)
+
+
 def missing(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, name: str) -> InputError:
     """The error for a name that the file does not have: what it has, and a `--map` that would work."""
     like = nearest(name, list(variables)) if name != key else None
     do = [f"Did you mean --map {key}={_quoted(like)}?"] if like else []
+    if name.isdigit() and "1" in variables:
+        do = ["Columns of a table without headings are counted from 1."]
     example = propose(variables)
     if example:
         do.append(f'Say which is which, for example --map "{example}".')
@@ -128,7 +146,10 @@ def _usable(path: pathlib.Path, key: str, name: str, x: Leaf) -> np.ndarray | st
         if key.endswith("_quantity"):
             do = f"Store a char array (single quotes in MATLAB), or set it: --set {key}=velocity."
             raise input_error(what, x.kind, "text", do)
-        raise input_error(what, x.kind, "an array of real numbers", "Store it as a plain numeric array.")
+        do = "Store it as a plain numeric array."
+        if "object" in x.kind:  # timeseries, timetable, Simulink's Dataset
+            do += " In MATLAB: t = x.Time; y = x.Data; save(file, 't', 'y') (of a Dataset: x = logsout{1}.Values)."
+        raise input_error(what, x.kind, "an array of real numbers", do)
     return x
 
 

@@ -37,7 +37,6 @@ Every key, by example:
 import difflib
 import os
 import pathlib
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 
 import jax.random as jr
@@ -46,6 +45,7 @@ import numpy as np
 from .. import excitation
 from .._errors import InputError, input_error
 from ..excitation import PHASES, Multisine, SlowSine
+from ._toml import read_toml
 
 _RECORD = ("fs", "period", "blocks", "seed", "periods", "transient_periods", "ramp", "velocity_limit")
 _TOP = ("name", "inputs", *_RECORD, "lines", "multisine", "slow_sine")
@@ -61,10 +61,9 @@ def read_design(path: str | os.PathLike) -> Multisine:
     path = pathlib.Path(path)
     if not path.is_file():
         raise input_error(str(path), "no such file", "a design in TOML", "Check the name and the folder.")
+    table = read_toml(path, "a design in TOML", "The module jaxfrf.io.designs shows every key.")
     try:
-        return design_from_table(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise input_error(str(path), f"no valid TOML ({error})", "a design in TOML", "Correct that line.") from error
+        return design_from_table(table)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 

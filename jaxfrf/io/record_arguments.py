@@ -12,10 +12,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .._errors import InputError, input_error
+from .._memory import check_memory
 
 SIGNALS = ("r", "u", "y")
 MAPPED = (*SIGNALS, "q", "t", "fs", "period", "lines", "transient_periods", "r_quantity", "y_quantity")
-SET = ("fs", "period", "transient_periods", "lines", "q", "samples", "r_quantity", "y_quantity")
+_UNITS = ("r_unit", "u_unit", "y_unit", "t_unit", "q_unit")
+SET = ("fs", "period", "transient_periods", "lines", "q", "samples", "r_quantity", "y_quantity", *_UNITS)
 SCALED = (*SIGNALS, "q", "t", "fs")
 
 
@@ -24,8 +26,9 @@ def parse_map(text: str) -> dict[str, str]:
 
     On the left stands a name of the experiment file (`r u y q t fs period ...`; `t` is a time vector in s),
     on the right one of the user's file: a variable, a field of a struct (`y=rec.act_vel`), a column of a
-    table (its heading, or its number, counted from 0, where there are no headings), several of them stacked
-    as channels (`u=[tau1;tau2]`), some channels of one (`u=log[3]`, `y=log[0:3]`, counted from 0, the stop
+    table (its heading, or its number, counted from 1, where there are no headings; `u=1:3` are the first three),
+    several of them stacked as channels (`u=[tau1;tau2]`), one of several files of one record (`u=currents.csv:tau1`,
+    `u=currents.csv:[tau1;tau2]`), some channels of one (`u=log[3]`, `y=log[0:3]`, counted from 0, the stop
     not included), or one transposed (`u=torque'`).
 
     **Raises:** `jaxfrf.InputError` if the text is not of this form.
@@ -38,7 +41,8 @@ def parse_values(text: str) -> dict[str, object]:
 
     `samples=0:18720` cuts the record to these samples (counted from 0, the stop not included);
     `lines=11:251`, `lines=13:250:4` or `lines=13;17;21` lists the excited lines; `q=0;0.5;1.2` is the arm
-    configuration in rad; `r_quantity`, `y_quantity` are `position`, `velocity` or `acceleration`.
+    configuration in rad; `r_quantity`, `y_quantity` are `position`, `velocity` or `acceleration`; `u_unit=mA`,
+    `y_unit=deg/s` (`r_unit`, `q_unit`, `t_unit`) are the units that the file's numbers have: they are converted to SI.
 
     **Raises:** `jaxfrf.InputError` if the text is not of this form.
     """
@@ -54,7 +58,7 @@ def parse_scale(text: str) -> dict[str, float | tuple[float, ...]]:
 
 
 def check_names(names: Mapping[str, str] | None) -> dict[str, str]:
-    names = dict(names or {})
+    names = _mapping("names", names, "parse_map")
     _check_keys("--map", names, MAPPED)
     for key, name in names.items():
         if not isinstance(name, str) or not name.strip():
@@ -63,13 +67,13 @@ def check_names(names: Mapping[str, str] | None) -> dict[str, str]:
 
 
 def check_values(values: Mapping[str, object] | None) -> dict[str, object]:
-    values = dict(values or {})
+    values = _mapping("values", values, "parse_values")
     _check_keys("--set", values, SET)
     return {key: _value(key, value) for key, value in values.items()}
 
 
 def check_scale(scale: Mapping[str, object] | None) -> dict[str, float | tuple[float, ...]]:
-    scale = dict(scale or {})
+    scale = _mapping("scale", scale, "parse_scale")
     _check_keys("--scale", scale, SCALED)
     return {key: _factor(key, value) for key, value in scale.items()}
 
@@ -107,6 +111,13 @@ def _pairs(option: str, text: str, example: str) -> dict[str, str]:
     return pairs
 
 
+def _mapping(name: str, given, parser: str) -> dict:
+    if given is not None and not isinstance(given, Mapping):
+        do = f"Parse text first: jaxfrf.io.{parser}(...)." if isinstance(given, str) else "Write {'u': ...}."
+        raise input_error(name, f"{type(given).__name__} {given!r:.60}", "a dictionary", do)
+    return dict(given or {})
+
+
 def _check_keys(option: str, given: Mapping, known: Sequence[str]) -> None:
     for key in given:
         if key not in known:
@@ -120,7 +131,7 @@ def _check_keys(option: str, given: Mapping, known: Sequence[str]) -> None:
 
 
 def _value(key: str, value):
-    if key in ("r_quantity", "y_quantity"):
+    if key in ("r_quantity", "y_quantity", *_UNITS):
         return value
     if key == "samples":
         return _samples(value)
@@ -128,13 +139,29 @@ def _value(key: str, value):
         return value
     try:
         if key == "lines" and ":" in value:
-            return np.arange(*(int(x) for x in value.split(":")))
+            return _stepped(value)
         if key in ("lines", "q"):
-            return np.array([float(x) for x in split(value.strip("[]"), ";")])
-        return float(value)
-    except (ValueError, TypeError):
+            return np.array([number(x) for x in split(value.strip("[]"), ";")])
+        return number(value)
+    except (ValueError, TypeError, OverflowError):
         expected = {"lines": "line numbers like 11:251 or 13;17;21", "q": "angles like 0;0.5;1.2"}
         raise _bad_value("--set", key, value, expected.get(key, "a number")) from None
+
+
+def number(text: str) -> float:
+    """As `float`, without the digits that Python alone groups by underscores."""
+    if "_" in text:
+        raise ValueError(text)
+    return float(text)
+
+
+def _stepped(text: str) -> np.ndarray:
+    bounds = [int(number(x)) for x in text.split(":")]
+    if any(bound != number(x) for bound, x in zip(bounds, text.split(":"), strict=True)):
+        raise ValueError(text)
+    span = range(*bounds)
+    check_memory("--set lines", 8.0 * len(span), "Name the lines that are excited.")
+    return np.arange(*bounds)
 
 
 def _samples(value) -> slice:
@@ -149,7 +176,7 @@ def _samples(value) -> slice:
 def _factor(key: str, value) -> float | tuple[float, ...]:
     try:
         parts = split(value.strip("[]"), ";") if isinstance(value, str) else np.ravel(value)
-        factors = tuple(float(x) for x in parts)
+        factors = tuple(number(x) if isinstance(x, str) else float(x) for x in parts)
     except (ValueError, TypeError):
         raise _bad_value("--scale", key, value, "a factor like 0.0174532925, or one a channel like [1;-1]") from None
     if not factors or not np.isfinite(factors).all() or 0.0 in factors:

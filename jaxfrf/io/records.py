@@ -6,14 +6,17 @@ import hashlib
 import os
 import pathlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from .._arguments import expect
 from .._errors import InputError, input_error
 from ..experiment import QUANTITIES, UNITS, Experiment, Source, concatenate
 from ..screening import ACROSS, CHECKS, screened
-from ._container import Leaf, Variable, load, save
+from ..units import DEFAULT_INPUT, input_unit, known_unit, output_unit, quantity_of
+from ._container import Leaf, Variable, Variables, load, save
+from ._joined import expanded, joined, part_of
 from ._matlab import NAMELESS
 from ._select import column, missing, select, time_like
 from .record_arguments import SIGNALS, check_names, check_scale, check_values
@@ -35,11 +38,15 @@ def read(
 
     **Arguments:**
 
-    - `paths`: `.nc`, `.mat` (v5, v7.3), `.npz` or `.csv` files holding `r`, `u`, `y`, `q`, `fs`, `period`,
+    - `paths`: `.nc`, `.mat` (v5, v7.3), `.npz`, tables (`.csv`, `.txt`, `.tsv`, `.lvm`), and, with the extras `parquet`
+      and `mdf`, `.parquet` and `.mf4` (`.mdf`, `.dat`) files holding `r`, `u`, `y`, `q`, `fs`, `period`,
       `lines`, `transient_periods`, `r_quantity`, `y_quantity` as in `jaxfrf.Experiment`. Only `u`, `y` and
-      either `fs` or a time vector `t` (s) are needed; a file that does not say `y_quantity` holds velocities.
+      either `fs` or a time vector `t` (s) are needed. A file that says neither `y_quantity` nor the unit of y is taken
+      to hold velocities, with a warning. Units that a file states (a line of units, `speed [deg/s]`, attributes) are
+      converted to SI, unless `scale` says how; the SI units go with the record.
     - `names`: what they are called in the files, `{"u": "iq_adx", "y": "rec.act_vel'[0:3]"}` (see
-      `parse_map`).
+      `parse_map`). Where one names its file, `{"u": "currents.csv:tau1", "y": "angles.csv:q1"}`, all files are one
+      record.
     - `values`: what the files do not say or say wrongly, `{"fs": 2500, "period": 2500, "samples": slice(0,
       18720)}` (see `parse_values`). `samples` is the part of the record to keep.
     - `scale`: factors that make the units SI, `{"y": np.pi / 180}`, one for all or one for each channel.
@@ -52,10 +59,17 @@ def read(
     **Raises:** `jaxfrf.InputError` naming the file, the variable, what was found, what was expected and what
     to do.
     """
+    for path in paths:
+        if not isinstance(path, str | os.PathLike):
+            several = "Give them one by one: read(*paths)." if isinstance(path, list | tuple) else "Name a file."
+            raise input_error("files", f"{type(path).__name__} {path!r:.60}", "names of files", several)
     if not paths:
         raise input_error("files", "none", "at least one measurement file", "Name a file.")
     given = _Given(check_names(names), check_values(values), check_scale(scale), anyway)
-    data = concatenate([_read_one(pathlib.Path(path), given) for path in paths])
+    files = [pathlib.Path(path) for path in paths]
+    if len(files) > 1 and any(part_of(name, files) for name in given.names.values()):
+        return _read_one(files, dataclasses.replace(given, names=expanded(given.names, files)))
+    data = concatenate([_read_one([file], given) for file in files])
     return screened(data, checks=ACROSS, anyway=anyway) if data.n_exp * data.n_pos > 1 else data
 
 
@@ -67,7 +81,8 @@ def write(path: str | os.PathLike, data: Experiment) -> None:
 
     **Raises:** `jaxfrf.InputError` if the folder does not exist or the extension is not known.
     """
-    units = {"u": "N m", "r": UNITS[data.r_quantity], "y": UNITS[data.y_quantity]}
+    expect("data", data, Experiment)
+    units = {"u": input_unit(data), "r": UNITS[data.r_quantity], "y": output_unit(data)}
     variables = {}
     for name in SIGNALS:
         x = getattr(data, name)
@@ -104,7 +119,7 @@ class _File:
     """One file, and what the caller says about it."""
 
     path: pathlib.Path
-    variables: Mapping[str, Leaf]
+    variables: Variables
     given: _Given
 
     def get(self, key: str):
@@ -124,12 +139,16 @@ class _File:
         return input_error(f"{self.path}: {self.label(key)}", found, expected, do)
 
 
-def _read_one(path: pathlib.Path, given: _Given) -> Experiment:
-    file = _File(path, load(path), given)
-    source = Source(path.name, _sha256(path))
+def _read_one(paths: Sequence[pathlib.Path], given: _Given) -> Experiment:
+    """The record in one file, or the one whose channels several files hold."""
+    path = paths[0] if len(paths) == 1 else pathlib.Path(" + ".join(x.name for x in paths))
+    variables = load(path) if len(paths) == 1 else joined({x: load(x) for x in paths})
+    file = _File(path, _with_units(variables), given)
+    sources = tuple(Source(x.name, _sha256(x)) for x in paths)
     signals = {key: _signal(file, key) for key in SIGNALS}
     fs, late = _sampling_frequency(file, signals["u"].shape[-2])
-    remarks = [*late, *_restored_axes(file, signals), *_lost_quantity(file)]
+    y_quantity, asked = _output_quantity(file)
+    remarks = [*late, *_restored_axes(file, signals), *asked, *_conversions(file)]
     optional = {key: file.get(key) for key in ("q", "lines")}
     if optional["q"] is not None:
         optional["q"] = _scaled(file, "q", _numbers(file, "q", optional["q"]))
@@ -140,12 +159,14 @@ def _read_one(path: pathlib.Path, given: _Given) -> Experiment:
             fs=fs,
             period=_scalar(file, "period", 0),
             transient_periods=_scalar(file, "transient_periods", 0),
-            r_quantity=_text(file, "r_quantity", "velocity"),
-            y_quantity=_text(file, "y_quantity", "velocity"),
-            sources=(source,),
+            r_quantity=_text(file, "r_quantity", quantity_of(_unit(file, "r")[0]) or "velocity"),
+            y_quantity=y_quantity,
+            u_unit=_kept_unit(file, "u", DEFAULT_INPUT),
+            y_unit=_kept_unit(file, "y", UNITS.get(y_quantity, "")),
+            sources=sources,
         )
     del signals, file  # the arrays live on in `data` alone
-    with _naming(_File(path, {}, given)):
+    with _naming(_File(path, Variables({}), given)):
         data = screened(data, checks=CHECKS, anyway=given.anyway)
     warnings = tuple(f"{path}: {text}" for text in (*remarks, *data.warnings))
     return dataclasses.replace(data, warnings=warnings) if warnings else data
@@ -200,14 +221,67 @@ def _restored_axes(file: _File, signals: Mapping[str, np.ndarray | None]) -> lis
     return []
 
 
-def _lost_quantity(file: _File) -> list[str]:
-    """A remark where the quantity of y may stand in an object that could not be read."""
-    if NAMELESS not in file.variables or file.get("y_quantity") is not None:
-        return []
-    return [
-        "some variables are MATLAB objects whose names cannot be read, and y was taken as a velocity. If one "
-        "of them is y_quantity (text in double quotes), set it: --set y_quantity=position."
+def _output_quantity(file: _File) -> tuple[str, list[str]]:
+    """What y is, and a remark where that is not sure."""
+    unit, _ = _unit(file, "y")
+    by_unit = quantity_of(unit)
+    if file.get("y_quantity") is not None:
+        stated = _text(file, "y_quantity", "")
+        if by_unit in (None, stated):
+            return stated, []
+        return stated, [f"{file.label('y')}: its unit {unit} is that of a {by_unit}, y_quantity says {stated}."]
+    if by_unit is not None:
+        return by_unit, []
+    if NAMELESS in file.variables:
+        return "velocity", [
+            "some variables are MATLAB objects whose names cannot be read, and y was taken as a velocity. If one "
+            "of them is y_quantity (text in double quotes), set it: --set y_quantity=position."
+        ]
+    return "velocity", [
+        f"{file.label('y')}: the file does not say what y is; it was taken as a velocity. Say it: --set "
+        "y_quantity=position (or velocity, acceleration), or y_unit=deg."
     ]
+
+
+def _with_units(variables: Mapping[str, Leaf]) -> Variables:
+    return variables if isinstance(variables, Variables) else Variables(variables)
+
+
+def _unit(file: _File, key: str) -> tuple[str, float]:
+    """The SI unit of a record, "" if nothing is known, and the factor to it."""
+    said = file.given.values.get(f"{key}_unit")
+    if said is not None:
+        return known_unit(said) or (said, 1.0)
+    name = file.given.names.get(key, key)
+    parts = re.split(r"\s*;\s*", name.strip("[]")) if name.startswith("[") else [name]
+    said = {file.variables.units.get(re.sub(r"'?(\[[^\[\]]*\])?$", "", part), "") for part in parts}
+    found = {known_unit(text) or (text, 1.0) for text in said}
+    if len(found) == 1:
+        return found.pop()
+    if key not in file.given.scale and len({factor for _, factor in found}) > 1:
+        raise file.error(
+            key,
+            f"channels in {', '.join(sorted(said))}",
+            "one unit for all",
+            f"Say one factor for each: --scale {key}=[...].",
+        )
+    return "", 1.0
+
+
+def _kept_unit(file: _File, key: str, usual: str) -> str:
+    unit, _ = _unit(file, key)
+    return "" if unit == usual else unit
+
+
+def _conversions(file: _File) -> list[str]:
+    """What was converted because the file says its unit."""
+    said = []
+    for key in (*SIGNALS, "q"):
+        unit, factor = _unit(file, key)
+        stated = f"{key}_unit" in file.given.values
+        if factor != 1.0 and key not in file.given.scale and not stated and file.get(key) is not None:
+            said.append(f"{file.label(key)}: converted to {unit}, as the file states its unit (factor {factor:.6g}).")
+    return said
 
 
 def _numbers(file: _File, key: str, value) -> np.ndarray:
@@ -221,7 +295,8 @@ def _numbers(file: _File, key: str, value) -> np.ndarray:
 def _scaled(file: _File, key: str, x: np.ndarray) -> np.ndarray:
     factor = file.given.scale.get(key)
     if factor is None:
-        return x
+        factor = _unit(file, key)[1] if key in (*SIGNALS, "q", "t") else 1.0
+        return x if factor == 1.0 else x * factor
     channels = 1 if x.ndim == 0 else x.shape[-1]
     if np.size(factor) not in (1, channels):
         raise file.error(

@@ -25,6 +25,7 @@ import pathlib
 import numpy as np
 
 from .. import __version__
+from .._arguments import expect
 from .._errors import InputError, input_error
 from .._files import replacing
 from ..excitation import PHASES, Multisine, Reference, SlowSine
@@ -56,6 +57,7 @@ def write_reference(path: str | os.PathLike, reference: Reference) -> tuple[path
     **Raises:** `jaxfrf.InputError` if the extension is not `.nc`, `.mat` or `.csv`, or the folder does not
     exist.
     """
+    expect("reference", reference, Reference)
     path = pathlib.Path(path)
     if path.suffix.lower() not in _KINDS:
         raise input_error(

@@ -7,6 +7,7 @@
     q                          (position, joint), rad
     method, options            text; `options` is the part of `method` in brackets
     y_quantity, version        text
+    u_unit, y_unit             text, SI; empty: N m, and rad, rad/s or rad/s^2 as y_quantity says
     provenance, warnings       JSON text: [{"name": ..., "sha256": ...}, ...] and ["...", ...]
 
 `cov_noise`, `cov_total` and `q` are absent where they are unknown.
@@ -27,12 +28,15 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from .._arguments import expect
 from .._errors import input_error
 from .._files import replacing
 from .._status import Status
-from ..experiment import QUANTITIES, UNITS, Source
+from ..experiment import QUANTITIES, Source
 from ..frf import FRF
+from ..units import response_unit
 from ._container import Unreadable, load
+from ._netcdf import write_dataset
 from ._optional import require
 
 _AXES = {
@@ -56,6 +60,7 @@ def write_frf(path, frf: FRF) -> None:
 
     **Raises:** `jaxfrf.InputError` if the suffix is another, or the folder is not there.
     """
+    expect("frf", frf, FRF)
     path = pathlib.Path(path)
     write = _WRITERS[_suffix(path)]
     with replacing(path) as draft:
@@ -122,6 +127,9 @@ def _contents(frf: FRF) -> dict[str, np.ndarray | str]:
         "method": frf.method,
         "options": options.group(1) if options else "",
         "y_quantity": frf.y_quantity,
+        "u_unit": frf.u_unit,
+        "y_unit": frf.y_unit,
+        "unit": response_unit(frf),
         "version": frf.version,
         "provenance": json.dumps([{"name": s.name, "sha256": s.sha256} for s in frf.sources]),
         "warnings": json.dumps(list(frf.warnings)),
@@ -154,6 +162,8 @@ def _frf(names: Mapping, where: str) -> FRF:
         q=_configurations(names["q"], len(G), f"{where}: q") if "q" in names else None,
         method=_text(names, "method"),
         y_quantity=y_quantity,
+        u_unit=_text(names, "u_unit"),
+        y_unit=_text(names, "y_unit"),
         sources=tuple(Source(s["name"], s["sha256"]) for s in _json(names, "provenance", where)),
         warnings=tuple(_json(names, "warnings", where)),
         version=_text(names, "version"),
@@ -248,7 +258,7 @@ def _write_nc(path: pathlib.Path, names: Mapping) -> None:
     xarray = require("xarray", "io")
     require("h5netcdf", "io")
     notes = {
-        "G": {"units": f"({UNITS[names['y_quantity']]})/(N m)", "long_name": "frequency response function"},
+        "G": {"units": names["unit"], "long_name": "frequency response function"},
         "frequency": {"units": "Hz"},
         "cov": {"long_name": "covariance of vec(G), columns stacked"},
         "dof": {"long_name": "residual degrees of freedom behind cov"},
@@ -260,8 +270,7 @@ def _write_nc(path: pathlib.Path, names: Mapping) -> None:
     }
     arrays = {name: (axes, names[name], notes.get(name, {})) for name, axes in _AXES.items() if name in names}
     texts = {name: value for name, value in names.items() if name not in _AXES}
-    as_they_are = {name: {"_FillValue": None} for name in arrays}
-    xarray.Dataset(arrays, attrs=texts).to_netcdf(path, engine="h5netcdf", encoding=as_they_are)
+    write_dataset(path, xarray.Dataset(arrays, attrs=texts))
 
 
 def _write_mat(path: pathlib.Path, names: Mapping) -> None:

@@ -3,20 +3,21 @@
 import json
 import os
 import pathlib
-import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from .._arguments import expect
 from .._errors import input_error
-from .._files import replacing
+from .._files import check_readable, replacing
 from ..effects import AbstractEffect
 from ..robot.robot import Robot
 from ..robot.schema import robot_from_table, table_from_robot
+from ._toml import read_toml
 
 
 def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()) -> Robot:
     """The robot that a TOML file describes; with `urdf = "arm.urdf"` in it, links and joints are those of that file
-    beside it (`read_urdf`).
+    beside it (`read_urdf`). Of a `.urdf`, the drive trains are those of the TOML file of the same name beside it.
 
     **Arguments:** `own`: effects of your own that the file may name, beside the library's.
 
@@ -24,15 +25,16 @@ def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()
     known one), missing, or of the wrong type. `OSError` if the file cannot be opened.
     """
     path = pathlib.Path(path)
-    if path.suffix.lower() in (".urdf", ".xacro", ".xml"):
+    if path.suffix.lower() == ".urdf":
+        from .urdf import drives_beside, read_urdf
+
+        return read_urdf(path, drives_beside(path), own)
+    if path.suffix.lower() in (".xacro", ".xml"):
         raise input_error(
-            path.name,
-            "a description of links and joints, which says nothing of motors and gears",
-            "a robot's TOML file",
-            f'Write one with urdf = "{path.name}" and a [[joint]] table (name, gear_ratio, motor_inertia, ...) for '
-            "every joint that moves; stiffness = inf is a rigid transmission.",
+            path.name, "a file to make others from, or of another program", "a .toml or .urdf", "Export it as URDF."
         )
-    table = read_toml(path)
+    check_readable(path, "a robot, .toml or .urdf")
+    table = read_robot_toml(path)
     if "urdf" in table:
         from .urdf import read_urdf
 
@@ -42,15 +44,13 @@ def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()
 
 def write_robot(robot: Robot, path: str | os.PathLike) -> None:
     """Write a TOML file that `read_robot` reads back to the same robot. Nothing half written is left."""
+    expect("robot", robot, Robot)
     with replacing(pathlib.Path(path)) as draft:
         draft.write_text(toml_text(table_from_robot(robot)), encoding="utf-8")
 
 
-def read_toml(path: pathlib.Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise input_error(f"{path.name}", f"{error}", "a TOML file", "Correct it there (see r3x.toml).") from error
+def read_robot_toml(path: pathlib.Path) -> dict[str, Any]:
+    return read_toml(path, "a robot in TOML", "jaxfrf/robot/r3x.toml shows every key.")
 
 
 def toml_text(table: Mapping[str, Any]) -> str:

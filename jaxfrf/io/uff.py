@@ -90,6 +90,8 @@ def frf_from_uff(sets: Iterable[Mapping], *, sources=(), where: str = "universal
     frequency = np.asarray(records[0]["x"], float)
     if any(not np.array_equal(s["x"], frequency) for s in records):
         raise input_error(where, "different frequencies", "the same ones in every dataset", "Resample or split it.")
+    if any(np.shape(s["data"]) != frequency.shape for s in records):
+        raise input_error(where, "fewer or more values than frequencies", "one at each", "Export it again.")
     G = np.array([[[found[p, o, i]["data"] for i in inputs] for o in outputs] for p in places], complex)
     return frf_from_arrays(
         np.moveaxis(G, -1, 1),

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from .._errors import input_error
+from .._files import check_readable
 from ..effects import AbstractEffect
 from ..robot.robot import Robot
 from ..robot.schema import robot_from_table
-from .robots import read_toml
+from .robots import read_robot_toml
 
 _MOVING = ("revolute", "continuous", "prismatic")
 
@@ -29,13 +30,12 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike, own: Sequence[
     the numbers that the dynamics need, and joints that only one of the two files has.
     """
     urdf, drives = pathlib.Path(urdf), pathlib.Path(drives)
-    if not urdf.is_file():
-        raise input_error(str(urdf), "no such file", "the URDF that the robot's file names", "Correct the name.")
+    check_readable(urdf, "the URDF that the robot's file names")
     try:
         root = ET.parse(urdf).getroot()
-    except ET.ParseError as error:
+    except (ET.ParseError, UnicodeError, LookupError, ValueError) as error:  # unknown encodings too
         raise input_error(urdf.name, f"{error}", "an XML file", "Export the URDF again (xacro files first).") from error
-    table = {"name": root.get("name", urdf.stem), "gravity": [0.0, 0.0, -9.81], **read_toml(drives)}
+    table = {"name": root.get("name", urdf.stem), "gravity": [0.0, 0.0, -9.81], **read_robot_toml(drives)}
     table.pop("urdf", None)
     trains = _drive_trains(table, drives.name)
     links = _links(root, urdf.name)
@@ -58,6 +58,29 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike, own: Sequence[
             )
     table["joint"] = [{"type": "driven", **link, **trains[link["name"]]} for link in links]
     return robot_from_table(table, drives.name, own)
+
+
+def drives_beside(urdf: pathlib.Path) -> pathlib.Path:
+    """The TOML file of the same name beside a URDF, with the drive trains.
+
+    **Raises:** `jaxfrf.InputError` with the file to write, where there is none.
+    """
+    check_readable(urdf, "a robot, .toml or .urdf")
+    drives = urdf.with_suffix(".toml")
+    if drives.is_file():
+        return drives
+    try:
+        names = [joint.get("name") for joint in ET.parse(urdf).getroot().iter("joint") if joint.get("type") in _MOVING]
+    except (ET.ParseError, UnicodeError, LookupError, ValueError) as error:
+        raise input_error(urdf.name, f"{error}", "an XML file", "Export the URDF again (xacro files first).") from error
+    rows = " ".join(f'[[joint]] name = "{name}" ...' for name in names[:7])
+    raise input_error(
+        urdf.name,
+        f"no {drives.name} beside it: a URDF says nothing of motors and gears",
+        f"its drive trains in {drives}",
+        f"Write one table for every joint that moves ({rows}) with gear_ratio, motor_inertia, stiffness (inf is "
+        "rigid), damping, coulomb_friction, viscous_friction and, to simulate, velocity_gain with [controller].",
+    )
 
 
 def _drive_trains(table: Mapping[str, Any], source: str) -> dict[str, Mapping[str, Any]]:
@@ -112,10 +135,36 @@ class _Tree:
 
     def __init__(self, root: ET.Element, source: str):
         self.source = source
-        self.links = {link.get("name"): link for link in root.findall("link")}
+        if root.tag != "robot":
+            raise input_error(source, f"<{root.tag}> as the outermost element", "<robot>", "Export the URDF again.")
+        self.links = self._named(root, "link")
         self.joints: dict[str, list[ET.Element]] = {}
-        for joint in root.findall("joint"):
+        carried: dict[str, str] = {}  # by which joint: one each, or the tree has a circle
+        for name, joint in self._named(root, "joint").items():
             self.joints.setdefault(self.link(joint, "parent"), []).append(joint)
+            child = self.link(joint, "child")
+            if child in carried:
+                raise input_error(
+                    f"{source}: link {child!r}",
+                    f"two joints that carry it ({carried[child]}, {name})",
+                    "one, in a tree without circles",
+                    "Loops of links cannot be read: cut the loop at one joint.",
+                )
+            carried[child] = name
+
+    def _named(self, root: ET.Element, kind: str) -> dict[str, ET.Element]:
+        """All links or joints by name."""
+        named: dict[str, ET.Element] = {}
+        for i, element in enumerate(root.findall(kind), 1):
+            name = element.get("name")
+            if not name:
+                raise input_error(f"{self.source}: {kind} {i}", "no name", f"a name for every {kind}", "Name it.")
+            if name in named:
+                raise input_error(
+                    f"{self.source}: {kind} {name!r}", "the name twice", f"a name for each {kind}", "Rename one."
+                )
+            named[name] = element
+        return named
 
     def base(self) -> str:
         children = {self.link(joint, "child") for joints in self.joints.values() for joint in joints}
@@ -123,9 +172,9 @@ class _Tree:
         if len(bases) != 1:
             raise input_error(
                 self.source,
-                f"{len(bases)} links without a parent",
+                f"{len(bases)} links without a parent" + (f" ({', '.join(bases[:5])})" if bases else ""),
                 "one base",
-                "Leave one robot in the file.",
+                "Leave one robot in the file." if bases else "The joints form a circle: cut it at one of them.",
             )
         return bases[0]
 
@@ -144,27 +193,33 @@ class _Tree:
     def axis(self, joint: ET.Element, rotation) -> list[float]:
         element = joint.find("axis")
         axis = self._numbers(joint, "axis", "1 0 0" if element is None else element.get("xyz"))
+        if not np.linalg.norm(axis) > 1e-9:
+            raise input_error(
+                f"{self.source}: joint {joint.get('name')!r}: axis", f"{axis.tolist()}", "a direction", "Correct it."
+            )
         return (rotation @ (axis / np.linalg.norm(axis))).tolist()
 
     def rigid_group(self, link: str, rotation, place):
         """Inertials (mass, com, tensor) of a link and of all links fixed to it, and the moving joints on
         them, each with its rotation and place."""
-        bodies, ahead = [self._inertial(self.links[link], rotation, place)], []
-        for joint in self.joints.get(link, []):
-            shift, turn = self._origin(joint)
-            behind = rotation @ turn, place + rotation @ shift
-            if joint.get("type") in _MOVING:
-                ahead.append((joint, *behind))
-            elif joint.get("type") == "fixed":
-                more, further = self.rigid_group(self.link(joint, "child"), *behind)
-                bodies, ahead = bodies + more, ahead + further
-            else:
-                raise input_error(
-                    f"{self.source}: joint {joint.get('name')!r}",
-                    f"type {joint.get('type')!r}",
-                    "revolute, continuous, prismatic or fixed",
-                    "Joints of several freedoms are not supported: fix this one, or write it as several.",
-                )
+        bodies, ahead, waiting = [], [], [(link, rotation, place)]
+        while waiting:  # a tree of any depth
+            link, rotation, place = waiting.pop()
+            bodies.append(self._inertial(self.links[link], rotation, place))
+            for joint in self.joints.get(link, []):
+                shift, turn = self._origin(joint)
+                behind = rotation @ turn, place + rotation @ shift
+                if joint.get("type") in _MOVING:
+                    ahead.append((joint, *behind))
+                elif joint.get("type") == "fixed":
+                    waiting.append((self.link(joint, "child"), *behind))
+                else:
+                    raise input_error(
+                        f"{self.source}: joint {joint.get('name')!r}",
+                        f"type {joint.get('type')!r}",
+                        "revolute, continuous, prismatic or fixed",
+                        "Joints of several freedoms are not supported: fix this one, or write it as several.",
+                    )
         return bodies, ahead
 
     def _inertial(self, link: ET.Element, rotation, place):

@@ -8,12 +8,13 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
+from .._arguments import expect
 from .._errors import input_error
 from .._status import Status
 from .._types import Array
-from ..experiment import UNITS
 from ..frf import FRF
 from ..io._optional import require
+from ..units import response_unit
 from . import _style
 
 _SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
@@ -88,14 +89,16 @@ def bode(
     **Raises:** `jaxfrf.InputError` if an element or operating point does not exist, or the estimates do not
     fit together.
     """
-    frfs = [frfs] if isinstance(frfs, FRF) else list(frfs)
+    frfs = list(frfs) if isinstance(frfs, list | tuple) else [frfs]
+    for frf in frfs:
+        expect("frfs", frf, FRF)
     labels = _labels(frfs) if labels is None else list(labels)
     _check(frfs, labels, elements, position)
     cells = _cells(frfs[0], elements)
     radii = [None if confidence is None else confidence_radius(f, confidence)[position] for f in frfs]
     handles = _legend(frfs, labels, radii, confidence, position)
     if axes is None:
-        note = f"magnitude in dB re 1 ({UNITS[frfs[0].y_quantity]})/(N m)"
+        note = f"magnitude in dB re 1 {response_unit(frfs[0])}"
         figure, axes = _new(cells, handles, note, title, size)
     else:
         figure, axes = _given(axes, cells)

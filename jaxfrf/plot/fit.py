@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Complex
 
 from .._types import Array
-from ..experiment import UNITS
 from ..frf import FRF
 from ..graybox import Fit
 from ..graybox.quality import Quality
 from ..io._optional import require
+from ..units import response_unit
 from . import _style
 from .bode import _cells, _legend, _new, bode
 
@@ -45,7 +45,7 @@ def fit_bode(
         handles = [h for h in handles if "confidence" not in h.get_label()]
     line = require("matplotlib.lines", "plot").Line2D
     handles += [line([], [], color=_colour(k), lw=1.2, label=name) for k, name in enumerate(models)]
-    figure, axes = _new(cells, handles, f"magnitude in dB re 1 ({UNITS[measured.y_quantity]})/(N m)", title, size)
+    figure, axes = _new(cells, handles, f"magnitude in dB re 1 {response_unit(measured)}", title, size)
     kept = np.array([axis for row in axes for pair in row for axis in pair if axis is not None], object)
     if kept.size == axes.size:
         bode(measured, axes=axes, elements=elements, position=position, confidence=confidence)

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .._errors import input_error
-from ..experiment import UNITS
 from ..io._optional import require
 from ..spectra import Spectra
+from ..units import input_unit, output_unit
 from . import _style
 
 _WIDTHS = {1: 5.6, 2: 3.1, 3: 2.3, 4: 2.0}  # inches of a panel, by the number of panels side by side
@@ -83,7 +83,7 @@ def spectrum(
                 _draw(axis, panel, len(spectra.lines))
                 axis.set_title(f"${signal.lower()}_{{{channel + 1}}}$", fontsize=_style.NORMAL, pad=3)
                 _finish(axis, band, limits, bottom=row == len(signals) - 1)
-        unit = {"R": "unit of r", "U": "N m", "Y": UNITS[spectra.y_quantity]}[signal]
+        unit = {"R": "unit of r", "U": input_unit(spectra), "Y": output_unit(spectra)}[signal]
         axes[row, 0].set_ylabel(f"dB re 1 {unit}", fontsize=_style.SMALL, labelpad=2)
         for axis in axes[row, 1:]:
             axis.tick_params(labelleft=False)

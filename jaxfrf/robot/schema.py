@@ -23,6 +23,8 @@ from .tolerances import Tolerances, table_of, tolerances_from
 
 _KNEE = 2.9e-4  # rad, one minute of arc: the knee of a linear spring, where it has no effect
 
+_MOST_JOINTS = 100
+
 _ROBOT_KEYS = ("name", "gravity", "sampling_frequency", "joint", "controller", "friction", "effect", "tolerance")
 _LINK_KEYS = ("name", "type", "slides", "axis", "offset", "mass", "com", "inertia")
 _SPRING_KEYS = ("stiffness", "stiffness_low", "stiffness_knee", "damping")
@@ -62,6 +64,13 @@ def robot_from_table(
         raise input_error(
             f"{source}: joint", "none", "at least one [[joint]] table", "Describe the joints, base to tip."
         )
+    if len(joints) > _MOST_JOINTS:
+        raise input_error(
+            f"{source}: joint",
+            f"{len(joints)} joints",
+            f"at most {_MOST_JOINTS}",
+            "Longer chains take too long to compile: join links that hardly move against each other.",
+        )
     joints = [
         _Table(joint, f"{source}: {_label(joint, i)}", _joint_keys(joint, i, source)) for i, joint in enumerate(joints)
     ]
@@ -76,6 +85,7 @@ def robot_from_table(
     if not drives:
         raise input_error(f"{source}: joint", "no driven joint", "a motor somewhere", 'Set type = "driven".')
     elastic = [joint for joint, is_driven in zip(joints, driven, strict=True) if not is_driven]
+    _check_inertia(joints)
     sprung = [joint for joint in (*drives, *elastic) if not math.isinf(joint["stiffness"])]
     return Robot(
         chain=_chain(top, joints),
@@ -162,7 +172,7 @@ class _Table:
     ) -> float:
         kind = "a positive number" if positive else "a number, 0 or more" if nonnegative else "a number"
         value = self._value(key, default, kind)
-        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not _fits(value):
             raise self.error(key, kind, "Write a number, in SI units.")
         if (math.isinf(value) and not infinite) or (positive and value <= 0) or (nonnegative and value < 0):
             raise self.error(key, kind if infinite else f"{kind}, finite", "Correct the value or its unit.")
@@ -192,7 +202,7 @@ class _Table:
     def vector(self, key: str, size: int, default: list[float] | None = None) -> list[float]:
         value = self._value(key, default, f"{size} numbers")
         plain = isinstance(value, list) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
-        if not plain or len(value) != size or not all(math.isfinite(x) for x in value):
+        if not plain or len(value) != size or not all(_fits(x) and math.isfinite(x) for x in value):
             raise self.error(key, f"a list of {size} finite numbers", "Write it as [x, y, z, ...], in SI units.")
         return [float(x) for x in value]
 
@@ -213,6 +223,14 @@ class _Table:
         if not isinstance(value, list) or not all(isinstance(x, Mapping) for x in value):
             raise self.error(key, f"[[{key}]] tables", f"Head each with [[{key}]], two brackets.")
         return value
+
+
+def _fits(value: int | float) -> bool:
+    """Whether it is a number, and one that double precision holds: TOML's whole numbers have any length."""
+    try:
+        return not math.isnan(value)
+    except OverflowError:
+        return False
 
 
 def _label(joint: Mapping[str, Any], i: int) -> str:
@@ -239,6 +257,15 @@ def _chain(top: _Table, joints: list[_Table]) -> Chain:
         gravity=jnp.array(top.vector("gravity", 3)),
         slides=slides if any(slides) else (),
     )
+
+
+def _check_inertia(joints: list[_Table]) -> None:
+    """A spring needs something behind it that is accelerated."""
+    for joint in reversed(joints):
+        if joint.number("mass", nonnegative=True) > 0 or any(joint.vector("inertia", 6)):
+            return
+        if not math.isinf(joint["stiffness"]):
+            raise joint.error("mass", "mass or inertia on the link or behind it", "State them, or stiffness = inf.")
 
 
 def _unit_axis(joint: _Table) -> list[float]:

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Iterator
 
+from .._arguments import expect
 from .._errors import InputError
 from ..experiment import Experiment
 from .belongs import foreign, twice
@@ -79,6 +80,7 @@ def examine(data: Experiment, checks: tuple[Check, ...] = CHECKS + ACROSS) -> tu
     What no record shows: a sign, a gain, a delay of some samples or an exchange of channels that is the same in all
     experiments.
     """
+    expect("data", data, Experiment)
     record, found = Record(data), []
     for check in checks:
         found += check(record)
@@ -124,6 +126,7 @@ def screened(data: Experiment, *, checks: tuple[Check, ...] = CHECKS + ACROSS, a
 
     **Raises:** `jaxfrf.InputError` for a finding that makes the record useless, unless `anyway`.
     """
+    expect("data", data, Experiment)
     findings = examine(data, checks)
     refused = [f for f in findings if f.severity is Severity.REFUSED]
     if refused and not anyway:

@@ -3,10 +3,15 @@
 import numpy as np
 
 from .._errors import input_error
+from .._memory import check_memory
 from .._types import arrays
-from ..robot import OperatingPoint, Robot, operating_point
+from ..excitation import Multisine
+from ..robot import OperatingPoint, Robot, linearise, local_stiffness, operating_point
 from .closed_loop import ClosedLoop
 from .steps import fine_steps
+
+_AT = 1e-9  # of the torque limit: rounding
+_OFTEN = 1e-3  # of the samples
 
 
 def check_fit(robot: Robot, fs: float, channels: int, source: str) -> None:
@@ -58,6 +63,60 @@ def check_data(robot: Robot, data) -> None:
             f"the {axes} arm angles of {robot.name} at every position",
             "Store q with the records (--set q=0;0.5 for one position) and estimate again.",
         )
+
+
+def check_noise(noise: float) -> None:
+    if not (np.ndim(noise) == 0 and np.isfinite(noise) and noise >= 0):
+        raise input_error("noise", f"{noise}", "a standard deviation, 0 or more, rad", "E.g. noise=5e-5.")
+
+
+def check_runs(design: Multisine, positions: int) -> None:
+    """Whether the record of so many positions can be held."""
+    samples = (design.periods + design.transient_periods) * design.period
+    runs = positions * design.n_exp
+    check_memory(
+        f"{runs} runs ({positions} positions, {design.n_exp} experiments) of {samples} samples",
+        16.0 * runs * samples * design.n_in,
+        "Simulate fewer positions, experiments or periods at a time.",
+    )
+
+
+def at_limits(robot: Robot, torque: np.ndarray) -> tuple[str, ...]:
+    """A sentence for every motor that ran at its torque limit for a part of the record that matters."""
+    limit = np.asarray(robot.drives.torque_limit)
+    said = []
+    for axis, name in enumerate(robot.axis_names):
+        if not np.isfinite(limit[axis]):
+            continue
+        share = np.mean(np.abs(torque[..., axis]) >= (1 - _AT) * limit[axis], axis=-1)
+        if share.max() > _OFTEN:
+            pos, exp = (int(i) for i in np.unravel_index(np.argmax(share), share.shape))
+            said.append(
+                f"{name}: the motor is at its torque limit of {limit[axis]:.3g} N m for {100 * share.max():.2g} % of "
+                f"the samples of position {pos}, experiment {exp} ({100 * share.mean():.2g} % of all): a clipped "
+                "torque no longer excites as designed, and the response is not that of the linear robot. Lower rms "
+                "or the slow sine, or take another position."
+            )
+    return tuple(said)
+
+
+def soft_springs(robot: Robot, point: OperatingPoint, design: Multisine) -> tuple[str, ...]:
+    """A sentence for every spring so soft that motor and arm are hardly joined within the record."""
+    if not robot.n_motors:
+        return ()
+    mass = np.asarray(linearise(robot, point).mass)
+    stiffness = np.asarray(local_stiffness(robot, point))
+    duration = design.periods * design.period / design.fs
+    said = []
+    for spring, axis in enumerate(robot.flexible_axes):
+        arm = np.abs(np.diagonal(mass, axis1=-2, axis2=-1)[..., axis])
+        slowest = float(np.sqrt(np.min(stiffness[..., spring] / arm))) / (2 * np.pi)
+        if slowest * duration < 1:
+            said.append(
+                f"{robot.axis_names[axis]}: its spring lets the arm swing at {slowest:.2g} Hz, less than once in the "
+                f"record of {duration:.3g} s: the arm is hardly joined to its motor. Check the stiffness."
+            )
+    return tuple(said)
 
 
 def check_positions(robot: Robot, positions) -> np.ndarray:

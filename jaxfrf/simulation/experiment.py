@@ -4,12 +4,13 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
+from .._arguments import expect
 from .._errors import input_error
 from .._types import Array, require_x64
 from ..excitation import Multisine
 from ..experiment import Experiment
 from ..robot import Robot
-from .checks import check_fit, check_positions, loop_at_rest
+from .checks import at_limits, check_fit, check_noise, check_positions, check_runs, loop_at_rest, soft_springs
 from .references import references_of_design, references_of_record
 from .runs import Progress, Study, record
 
@@ -45,16 +46,23 @@ def simulate(
     - `chunk`: runs that are computed together on one core; it changes speed and memory, not the result.
     - `progress`: called with the part that is done, from 0 to 1.
 
+    What the record is not good for (motors at their limits, springs that give way) stands in its `warnings`.
+
     **Raises:** `jaxfrf.InputError` where robot, design and positions do not fit together, and where runs
     diverge: it names positions and experiments, and nothing is recorded then.
     """
+    expect("design", design, Multisine)
+    expect("robot", robot, Robot)
     require_x64("A simulation")
     check_fit(robot, design.fs, design.n_in, "design")
     positions = check_positions(robot, positions)
+    check_noise(noise)
+    check_runs(design, len(positions))
     references = references_of_design(design, run_in)
     loop, point = loop_at_rest(robot, positions, noise, steps)
     u, y = record(Study(loop, references, point, key, design.n_exp), chunk, progress)
     return Experiment(
+        warnings=(*soft_springs(robot, point, design), *at_limits(robot, u)),
         u=u,
         y=y,
         r=_at_every_position(np.tile(references.velocity, (1, u.shape[2] // references.velocity.shape[1], 1)), u),
@@ -109,12 +117,16 @@ def replay(
     **Raises:** `jaxfrf.InputError` without `r` or `q`, where the record does not fit the robot, where `r` has a
     mean that lets the motors drift away, and where runs diverge.
     """
+    expect("data", data, Experiment)
+    expect("robot", robot, Robot)
+    check_noise(noise)
     if noise and key is None:
         raise input_error("key", "none", f"a key for a noise of {noise:g} rad", "Give key=jax.random.key(0).")
     study = study_of_record(robot, data, key, noise, run_in, steps)
     u, y = record(study, chunk, progress)
     played = study.references.velocity if data.r_quantity == "velocity" else study.references.position
     return Experiment(
+        warnings=at_limits(robot, u),
         u=u,
         y=y,
         r=_at_every_position(played, u),

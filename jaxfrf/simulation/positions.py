@@ -34,7 +34,11 @@ def read_positions(path: str | os.PathLike, axes: int) -> Float[np.ndarray, "pos
 
     **Raises:** `jaxfrf.InputError` naming the file and what is wrong with it. `OSError` if it cannot be opened.
     """
-    rows = [line.split("#")[0].replace(",", " ").split() for line in pathlib.Path(path).read_text().splitlines()]
+    try:
+        text = pathlib.Path(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise input_error(f"{path}", "no text in UTF-8", "rows of numbers", "Save it as plain text.") from None
+    rows = [line.split("#")[0].replace(",", " ").split() for line in text.splitlines()]
     rows = [row for row in rows if row]
     try:
         q = np.array([[float(x) for x in row] for row in rows])

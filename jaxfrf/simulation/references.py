@@ -16,6 +16,7 @@ from ..experiment import Experiment
 from ..robot import Robot
 
 _FADED = 0.6  # part of the run-in over which the motion fades in
+_LONGEST = 1e8  # samples of a run-in: hours of computing
 _DRIFT = 0.01  # rad on the arm side in a period: what a speed reference may drift by before its mean is an error
 
 Signals = Float[np.ndarray, "track time axis"]
@@ -146,4 +147,6 @@ def _check_drift(robot: Robot, data: Experiment, mean: Float[np.ndarray, "track 
 def _samples(run_in: float, fs: float) -> int:
     if not (math.isfinite(run_in) and run_in >= 0):
         raise input_error("run_in", f"{run_in}", "seconds, 0 or more", "E.g. run_in=5.0, or None.")
+    if run_in * fs > _LONGEST:
+        raise input_error("run_in", f"{run_in:g} s", f"at most {_LONGEST / fs:.3g} s", "E.g. run_in=5.0, or None.")
     return math.ceil(run_in * fs)

@@ -55,7 +55,16 @@ def _fastest_mode(robot: Robot, point: OperatingPoint) -> float:
     stiffest = robot.springs.tangent(np.ones(W.shape[1]))
     more = np.asarray(_beside_springs(robot, stiffest) + stiffest - local_stiffness(robot, point))
     mass, stiffness = np.asarray(model.mass), model.stiffness + np.einsum("is,...s,js->...ij", W, more, W)
-    return float(np.sqrt(np.max(np.abs(np.linalg.eigvals(np.linalg.solve(mass, stiffness))), initial=0.0)))
+    try:
+        squared = np.linalg.eigvals(np.linalg.solve(mass, stiffness))
+    except np.linalg.LinAlgError:
+        raise input_error(
+            f"{robot.name}",
+            "a joint that nothing is accelerated by (singular mass matrix)",
+            "mass and inertia of every link about its joint's axis",
+            "State them, or stiffness = inf for a joint without a spring.",
+        ) from None
+    return float(np.sqrt(np.max(np.abs(squared), initial=0.0)))
 
 
 def _beside_springs(robot: Robot, tangent) -> np.ndarray:

@@ -1,0 +1,69 @@
+"""Arguments of public functions: a wrong kind of thing gets a message that says how to make the right one."""
+
+import pathlib
+from typing import Any
+
+import numpy as np
+
+from ._errors import InputError, input_error
+
+_SAID = 60  # letters of a value in a message
+
+_MADE = {
+    ("Experiment", "path"): "Read it first: jaxfrf.io.read({value}).",
+    ("Experiment", "array"): "Make a record of the signals: jaxfrf.Experiment(u, y, fs, period).",
+    ("Experiment", "list"): "Join several records: jaxfrf.concatenate(records).",
+    ("Spectra", "path"): "Read and transform it first: jaxfrf.dft(jaxfrf.io.read({value})).",
+    ("Spectra", "Experiment"): "Transform it first: jaxfrf.dft(data).",
+    ("FRF", "path"): "Read it first: jaxfrf.io.read_frf({value}).",
+    ("FRF", "Experiment"): "Estimate first: jaxfrf.estimate(data, method).",
+    ("FRF", "Spectra"): "Estimate first: jaxfrf.estimate(spectra, method).",
+    ("FRF", "array"): "Make one of the numbers: jaxfrf.io.frf_from_arrays(G, frequency).",
+    ("Robot", "path"): "Read it first: jaxfrf.io.read_robot({value}).",
+    ("Multisine", "path"): "Read it first: jaxfrf.io.read_design({value}).",
+    ("AbstractMethod", "path"): "Make one, e.g. jaxfrf.LRM(order=2). Names are for the command line (--method).",
+    ("AbstractMethod", "class"): "Call it: {value}().",
+}
+
+
+def expect(name: str, value: Any, *kinds: type) -> None:
+    """Refuse an argument that is none of these kinds.
+
+    **Raises:** `jaxfrf.InputError` naming the argument, what was found, what was expected and how to make it.
+    """
+    if not isinstance(value, kinds):
+        raise wrong_kind(name, value, " or ".join(f"{_article(k.__name__)} jaxfrf.{k.__name__}" for k in kinds), *kinds)
+
+
+def wrong_kind(name: str, value: Any, expected: str, *kinds: type) -> InputError:
+    """The error of `expect`, where the check is another."""
+    found = _kind(value)
+    makes = (_MADE.get((kind.__name__, found)) for kind in kinds)
+    written = value.__name__ if found == "class" else repr(str(value)) if found == "path" else ""
+    do = next((text.format(value=written) for text in makes if text), "Check the order of the arguments.")
+    return input_error(name, _said(value), expected, do)
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, str | pathlib.PurePath):
+        return "path"
+    if isinstance(value, type):
+        return "class"
+    if isinstance(value, list | tuple):
+        return "list" if value and not isinstance(value[0], int | float) else "array"
+    return "array" if isinstance(value, np.ndarray) or hasattr(value, "__jax_array__") else type(value).__name__
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape}"
+    if value is None or isinstance(value, str | int | float):
+        text = repr(value)
+        return text if len(text) <= _SAID else f"{text[: _SAID - 3]}..."
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    return f"{_article(type(value).__name__)} {type(value).__name__}"
+
+
+def _article(word: str) -> str:
+    return "an" if word[:1].lower() in "aeiou" or word in ("FRF", "LPM", "LRM") else "a"

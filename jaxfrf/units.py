@@ -1,0 +1,78 @@
+"""Units of records: read where files state them, converted to SI, kept with what is made of them."""
+
+import re
+
+from .experiment import QUANTITIES, UNITS
+
+DEFAULT_INPUT = "N m"
+
+_LADDERS = (("rad", "rad/s", "rad/s^2"), ("m", "m/s", "m/s^2"))
+_TURN = 6.283185307179586
+_DEGREE = _TURN / 360
+# Text as files write it, lower case, without blanks: the SI unit and the factor to it.
+_KNOWN: dict[str, tuple[str, float]] = {
+    **{x: ("s", 1.0) for x in ("s", "sec")},
+    **{"ms": ("s", 1e-3), "us": ("s", 1e-6), "µs": ("s", 1e-6), "ns": ("s", 1e-9), "min": ("s", 60.0)},
+    **{"hz": ("Hz", 1.0), "khz": ("Hz", 1e3)},
+    **{x: ("N m", 1.0) for x in ("nm", "n*m", "n.m", "n·m", "newtonmeter", "newton-meter")},
+    **{"mnm": ("N m", 1e-3), "knm": ("N m", 1e3), "ncm": ("N m", 1e-2)},
+    **{"n": ("N", 1.0), "kn": ("N", 1e3), "mn": ("N", 1e-3)},
+    **{"a": ("A", 1.0), "ma": ("A", 1e-3), "arms": ("A", 1.0), "v": ("V", 1.0), "mv": ("V", 1e-3)},
+    **{"rad": ("rad", 1.0), "mrad": ("rad", 1e-3), "deg": ("rad", _DEGREE), "°": ("rad", _DEGREE)},
+    **{"degree": ("rad", _DEGREE), "degrees": ("rad", _DEGREE), "rev": ("rad", _TURN), "turn": ("rad", _TURN)},
+    **{"rad/s": ("rad/s", 1.0), "1/s": ("1/s", 1.0), "deg/s": ("rad/s", _DEGREE), "°/s": ("rad/s", _DEGREE)},
+    **{x: ("rad/s", _TURN / 60) for x in ("rpm", "1/min", "rev/min", "u/min")},
+    **{"rev/s": ("rad/s", _TURN)},
+    **{x: ("rad/s^2", 1.0) for x in ("rad/s^2", "rad/s2", "rad/s²")},
+    **{x: ("rad/s^2", _DEGREE) for x in ("deg/s^2", "deg/s2", "°/s²", "°/s^2")},
+    **{"m": ("m", 1.0), "mm": ("m", 1e-3), "um": ("m", 1e-6), "µm": ("m", 1e-6), "cm": ("m", 1e-2), "km": ("m", 1e3)},
+    **{"m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "km/h": ("m/s", 1 / 3.6)},
+    **{x: ("m/s^2", 1.0) for x in ("m/s^2", "m/s2", "m/s²", "m/s/s")},
+    **{x: ("m/s^2", 1e-3) for x in ("mm/s^2", "mm/s2", "mm/s²")},
+    **{"g": ("m/s^2", 9.80665), "gn": ("m/s^2", 9.80665)},
+    **{"%": ("1", 0.01), "-": ("1", 1.0), "1": ("1", 1.0)},
+}
+
+
+def known_unit(text: str) -> tuple[str, float] | None:
+    """The SI unit and the factor to it, of a unit as people write it; `None` if it is not known.
+
+    `g` is the acceleration, 9.80665 m/s^2: nobody logs grams of a machine that vibrates.
+    """
+    return _KNOWN.get(re.sub(r"\s+", "", text.strip().strip("[]()")).lower())
+
+
+def quantity_of(unit: str) -> str | None:
+    """`position`, `velocity` or `acceleration`, as the SI unit of a motion says; `None` of anything else."""
+    for ladder in _LADDERS:
+        if unit in ladder:
+            return list(QUANTITIES)[ladder.index(unit)]
+    return None
+
+
+def differentiated(unit: str, times: int) -> str:
+    """The unit of the `times`-th time derivative (negative: integral)."""
+    for ladder in _LADDERS:
+        if unit in ladder and 0 <= ladder.index(unit) + times < len(ladder):
+            return ladder[ladder.index(unit) + times]
+    power = {1: " s", 2: " s^2", -1: "/s", -2: "/s^2"}
+    return f"{unit}{power[-times]}" if times else unit
+
+
+def input_unit(of) -> str:
+    """The unit of u of a record, of spectra or of an FRF."""
+    return of.u_unit or DEFAULT_INPUT
+
+
+def output_unit(of) -> str:
+    """The unit of y of a record, of spectra or of an FRF."""
+    return of.y_unit or UNITS[of.y_quantity]
+
+
+def response_unit(of) -> str:
+    """The unit of y over that of u."""
+    return f"{_bracketed(output_unit(of))}/{_bracketed(input_unit(of))}"
+
+
+def _bracketed(unit: str) -> str:
+    return f"({unit})" if re.search(r"[\s/*^]", unit) else unit
