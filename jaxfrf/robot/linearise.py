@@ -100,7 +100,9 @@ def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> Op
     arm_angles = jnp.asarray(arm_angles)
     if arm_angles.shape[-1:] != (robot.n_axes,):
         raise ValueError(f"arm_angles have shape {arm_angles.shape}; expected (*batch, {robot.n_axes}).")
-    return _operating_point(_at_rest(robot), arm_angles)
+    still = _at_rest(robot)
+    kept = tuple(effect for effect in still.effects if not isinstance(effect, AbstractActuator))
+    return _operating_point(dataclasses.replace(still, effects=kept), arm_angles)
 
 
 def _check_coupling(robot: Robot) -> None:
