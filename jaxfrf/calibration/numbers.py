@@ -199,7 +199,7 @@ def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "nu
             row = robot.spring_names.index(joint)
             robot = eqx.tree_at(lambda r: r.springs.backlash, robot, robot.springs.backlash.at[row].set(value))
         elif number.kind == "smoothing":
-            robot = eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(value))
+            robot = eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(value, float))
         else:
             where, joints = parameter_field(robot, number.kind)
             rows = arrays.setdefault(number.kind, np.array(where(robot), float))
@@ -217,21 +217,21 @@ def _with_parameter(robot: Robot, name: str, value: float) -> Robot:
         for i, e in enumerate(robot.effects)
         if e.name == effect and robot.axis_names[axis_of(robot, e.joint)] == joint and parameter in e.units
     )
-    return eqx.tree_at(lambda r: getattr(r.effects[place], parameter), robot, jnp.asarray(value))
+    return eqx.tree_at(lambda r: getattr(r.effects[place], parameter), robot, jnp.asarray(value, float))
 
 
 def _with_drives(robot: Robot, values) -> Robot:
-    """Torque constants and delays in the place of those that the robot has; none that is nothing."""
+    """Torque constants and delays in the place of those that the robot has; none that is nothing where it has none."""
     kept = list(robot.effects)
     for kind, joint, value in values:
         effect, _ = _DRIVE[kind]
         axis = robot.axis_names.index(joint)
         had = [e for e in kept if isinstance(e, effect) and axis_of(robot, e.joint) == axis]
         kept = [e for e in kept if not any(e is other for other in had)]
-        if kind == "torque_constant" and value != 0.0:
-            kept.append(TorqueConstant(joint, value))
-        elif kind == "delay" and value > 0.0:
-            kept.append(TorqueDelay(joint, value))
+        if kind == "torque_constant" and (value != 0.0 or had):
+            kept.append(TorqueConstant(joint, jnp.asarray(value, float)))
+        elif kind == "delay" and (value > 0.0 or had):
+            kept.append(TorqueDelay(joint, jnp.asarray(max(value, 0.0), float)))
         elif kind == "torque_offset" and value != 0.0:
             level = sum(float(e.level) for e in had if isinstance(e, FrictionAsymmetry))
             kept.append(FrictionAsymmetry(joint, value, level))

@@ -103,7 +103,7 @@ def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> Op
     arm_angles = jnp.asarray(arm_angles)
     if arm_angles.shape[-1:] != (robot.n_axes,):
         raise ValueError(f"arm_angles have shape {arm_angles.shape}; expected (*batch, {robot.n_axes}).")
-    robot = _at_rest(robot)
+    robot = _at_rest(robot, (*_NOT_AT_REST, AbstractActuator))
     if traced((robot, arm_angles)):
         return _operating_point(robot, arm_angles)
     batch = arm_angles.shape[:-1]
@@ -130,9 +130,9 @@ def _check_coupling(robot: Robot) -> None:
             spring_of(robot, effect.joint)
 
 
-def _at_rest(robot: Robot) -> Robot:
+def _at_rest(robot: Robot, without: tuple[type, ...] = _NOT_AT_REST) -> Robot:
     """The robot with what matters here, numbers as arrays: many robots then share what is compiled."""
-    kept = tuple(effect for effect in robot.effects if not isinstance(effect, _NOT_AT_REST))
+    kept = tuple(effect for effect in robot.effects if not isinstance(effect, without))
     plain = {"controller": None, "name": "", "sampling_frequency": 0.0, "tolerances": Tolerances()}
     return arrays(dataclasses.replace(robot, effects=kept, **plain))
 

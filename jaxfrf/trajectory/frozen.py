@@ -1,5 +1,7 @@
 """Small motions about the positions of an experiment: what a force anywhere in the robot asks of its motors."""
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Complex, Float
@@ -64,7 +66,8 @@ def other_impedance(robot: Robot, still: Frozen, names: tuple[str, ...]) -> Comp
 
 
 def _frozen(robot: Robot, q, friction, swing, frequency, command) -> Frozen:
-    model = linearise(robot, operating_point(robot, q), friction, swing)
+    passive = tuple(e for e in robot.effects if not isinstance(e, AbstractActuator))  # `command` has the others
+    model = linearise(dataclasses.replace(robot, effects=passive), operating_point(robot, q), friction, swing)
     M, D, K = (np.asarray(x) for x in (model.mass, model.damping, model.stiffness))
     B, s = np.asarray(motor_directions(robot)), 2j * np.pi * frequency
     motors = np.argmax(np.abs(B), axis=0)  # every motor turns with one coordinate

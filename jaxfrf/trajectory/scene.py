@@ -1,5 +1,6 @@
 """What moves in a simulated robot at one position, and what a change of the robot would add to the motors' torque."""
 
+import dataclasses
 from functools import cached_property
 
 import equinox as eqx
@@ -290,7 +291,8 @@ class Scene:
 
     def _links(self, robot: Robot) -> Float[np.ndarray, "exp sample arm"]:
         """Forces that the links need for the motion."""
-        force = np.asarray(_needed(arrays(robot), *self._arm))
+        bare = dataclasses.replace(robot, effects=())  # so that many robots share what is compiled
+        force = np.asarray(_needed(arrays(bare), *self._arm))
         return force.T.reshape(len(self.z), -1, len(force))
 
 
