@@ -6,7 +6,7 @@ import enum
 class Status(enum.IntFlag):
     """Bits of `FRF.status`, one integer per operating point and frequency; 0 is a plain good estimate.
 
-    The first three are remarks; from `RANK_DEFICIENT` on the estimate should be looked at before it is used.
+    The first three and `NOISE_ONLY` are remarks; of the others the estimate should be looked at before it is used.
     """
 
     OK = 0
@@ -19,12 +19,15 @@ class Status(enum.IntFlag):
         32  # the matrix logarithm is not safe: an eigenvalue left the right half-plane, or V is ill conditioned
     )
     NOT_FINITE = 64  # the estimate is NaN or infinite
+    NOISE_ONLY = 128  # `cov` is the noise between periods: nothing is left over to show nonlinear distortion
 
 
 ADVICE: dict[Status, str] = {
     Status.EDGE_WINDOW: "window not centred (an end of the band): more bias than inside",
     Status.REFINED: "solved again by an orthogonal factorisation (nearly collinear window): nothing to do",
     Status.NO_COVARIANCE: "no residual left for a covariance: widen the window, or add experiments or periods",
+    Status.NOISE_ONLY: "the standard deviation is that of the noise between periods; distortion and what repeats with "
+    "the period are not in it: see jaxfrf distortion, or add experiments",
     Status.RANK_DEFICIENT: "the regressor lost rank: widen the window, lower the order, or excite independently",
     Status.LOW_EXCITATION: "an input carries almost no power here: excite these lines, or leave them out",
     Status.LOG_BRANCH: "the matrix logarithm is unsafe here: compare with the arithmetic or stacked estimate",

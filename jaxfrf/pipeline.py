@@ -1,5 +1,6 @@
 """From spectra to an FRF as the command line does it: keep what is finished, summarise."""
 
+import dataclasses
 import time
 
 import equinox as eqx
@@ -7,7 +8,7 @@ import numpy as np
 
 from ._errors import InputError
 from ._status import describe
-from .frf import FRF, AbstractMethod, adapted, concatenate_positions, describe_method, estimate
+from .frf import FRF, AbstractMethod, Distortion, adapted, concatenate_positions, describe_method, estimate
 from .frf.features import features
 from .parts import Parts, files_text, numbers_text
 from .spectra import Spectra, select_positions
@@ -84,6 +85,9 @@ class Summary(eqx.Module):
             "lines": len(frf.frequency),
             "band_hz": [float(frf.frequency[0]), float(frf.frequency[-1])],
             "median_relative_std": _finite(_relative_std(frf)),
+            "median_relative_noise": _finite(_relative_std(frf, frf.cov_noise)),
+            "median_relative_total": _finite(_relative_std(frf, frf.cov_total)),
+            "median_relative_bias": _finite(_relative(frf, frf.bias)),
             "median_window": float(np.median(frf.window)),
             "effective_independent_lines": float(np.median(np.sum(1 / frf.window, axis=1))),
             "features": [
@@ -115,8 +119,9 @@ class Summary(eqx.Module):
         else:
             text.append(
                 f"standard deviation: {100 * about['median_relative_std']:.2g} % of |G| (median of the diagonal); "
-                f"about {about['effective_independent_lines']:.0f} independent lines"
+                f"about {about['effective_independent_lines']:.0f} independent lines, the others share their data"
             )
+            text += _causes(about)
         for i, j in _elements(frf):
             found = features(frf, i, j)
             for kind in ("antiresonance", "resonance"):
@@ -135,12 +140,91 @@ def _elements(frf: FRF):
     return [(i, i) for i in range(min(frf.n_out, frf.n_in))]
 
 
-def _relative_std(frf: FRF) -> float:
+def _relative_std(frf: FRF, cov="own") -> float:
+    """Of the covariance, or of a part of it."""
+    if cov is None:
+        return np.nan
+    return _relative(frf, frf.std if isinstance(cov, str) else dataclasses.replace(frf, cov=cov).std)
+
+
+def _relative(frf: FRF, std) -> float:
+    if std is None:
+        return np.nan
     n = range(min(frf.n_out, frf.n_in))
     with np.errstate(invalid="ignore", divide="ignore"):
-        relative = np.asarray(frf.std)[..., n, n] / np.abs(np.asarray(frf.G)[..., n, n])
+        relative = np.asarray(std)[..., n, n] / np.abs(np.asarray(frf.G)[..., n, n])
     return float(np.nanmedian(relative)) if np.isfinite(relative).any() else np.nan
+
+
+def _causes(about: dict) -> list[str]:
+    """What the standard deviation is made of, as far as it is known."""
+    parts = (
+        ("median_relative_noise", "{} % noise (scatter between periods)"),
+        ("median_relative_total", "{} % noise and nonlinear distortion"),
+        ("median_relative_bias", "{} % bias of the window (from the pointwise estimate)"),
+    )
+    told = [text.format(f"{100 * about[name]:.2g}") for name, text in parts if about[name] is not None]
+    return [f"in it: {', '.join(told)}; what is left is distortion, disturbances and bias not told apart"] if told else []
 
 
 def _finite(x: float) -> float | None:
     return x if np.isfinite(x) else None
+
+
+class DistortionSummary(eqx.Module):
+    """Levels of noise and distortion by octave, in decibels below the output."""
+
+    found: Distortion
+
+    def as_dict(self) -> dict:
+        """For `--json`: of every output at the first operating point, band by band."""
+        return {
+            "way": self.found.way,
+            "lines": len(self.found.frf.frequency),
+            "unexcited_lines": len(self.found.unexcited),
+            "outputs": [self._bands(out) for out in range(self.found.output.shape[2])],
+        }
+
+    def _bands(self, out: int) -> list[dict]:
+        found, frequency = self.found, np.asarray(self.found.frf.frequency)
+        edges = np.append(frequency[0] * 2.0 ** np.arange(np.ceil(np.log2(frequency[-1] / frequency[0])) or 1), np.inf)
+        bands = []
+        for low, high in zip(edges[:-1], edges[1:], strict=True):
+            at = (frequency >= low) & (frequency < high)
+            if at.any():
+                bands.append(
+                    {"band_hz": [float(low), float(min(high, frequency[-1]))]}
+                    | {
+                        name: _decibels_below(getattr(found, name)[0, at, out], found.output[0, at, out])
+                        for name in ("noise", "even", "odd", "total")
+                    }
+                )
+        return bands
+
+    def lines(self) -> list[str]:
+        """For a person."""
+        about, found = self.as_dict(), self.found
+        how = {
+            "fast": f"from {about['unexcited_lines']} unexcited lines",
+            "robust": "from the scatter between realisations",
+            "noise only": "not told: no unexcited lines and no second realisation; noise alone",
+        }[found.way]
+        text = [f"distortion {how}; decibels relative to the output of one experiment, its mean period"]
+        if np.isnan(found.total).all() and found.way == "fast":
+            text.append("every odd line of the band is excited: distortion of odd order, which falls on them, is not seen")
+        for out, bands in enumerate(about["outputs"]):
+            for band in bands:
+                told = [f"{name} {band[name]:.0f} dB" for name in ("noise", "even", "odd", "total") if band[name] is not None]
+                low, high = band["band_hz"]
+                text.append(f"y{out + 1}, {low:.4g} to {high:.4g} Hz: {', '.join(told) or 'nothing known'}")
+        return text
+
+
+def distortion_summary(found: Distortion) -> DistortionSummary:
+    """What was found, in a form to print."""
+    return DistortionSummary(found)
+
+
+def _decibels_below(level, output) -> float | None:
+    power, whole = np.mean(level**2), np.mean(output**2)
+    return float(10 * np.log10(max(power, 1e-300) / whole)) if np.isfinite(power) and whole > 0 else None

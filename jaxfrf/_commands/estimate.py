@@ -33,7 +33,9 @@ def add(commands) -> None:
 
 
 def run(given) -> dict:
+    from ..experiment import select_periods
     from ..frf.catalogue import method
+    from ..frf.distortion import with_distortion
     from ..frf.from_record import spectra_of
     from ..parts import Parts
     from ..pipeline import estimate_in_parts, summary
@@ -49,6 +51,7 @@ def run(given) -> dict:
         with naming(given.data):
             spectra = spectra_of(data, chosen, periods=periods, band=band)
             frf = estimate_in_parts(spectra, chosen, parts, say=None if given.json else say)
+            frf = with_distortion(frf, data if periods is None else select_periods(data, periods[0] or 0, periods[1]))
         write(given.output, frf)
         written = [given.output, *_write_picture(given, frf)]
     about = summary(spectra, frf)

@@ -6,7 +6,15 @@ from .classical import H1 as H1, H2 as H2, Hv as Hv
 from .coherence import coherence as coherence, multiple_coherence as multiple_coherence
 from .common import CommonDenominatorLRM as CommonDenominatorLRM
 from .covariance import KroneckerSum as KroneckerSum, OuterSum as OuterSum
-from .distortion import Levels as Levels, distortion as distortion, levels as levels
+from .distortion import (
+    Distortion as Distortion,
+    Levels as Levels,
+    best_linear_approximation as best_linear_approximation,
+    distortion as distortion,
+    distortion_of as distortion_of,
+    levels as levels,
+    with_distortion as with_distortion,
+)
 from .estimate import describe_method as describe_method, estimate as estimate
 from .features import Feature as Feature, features as features
 from .joint import JointInputOutput as JointInputOutput

@@ -50,8 +50,29 @@ def asks_for_transients(method: AbstractMethod) -> bool:
     return any(x.transient is not None for x in _locals(method))
 
 
+def uses_windows(method: AbstractMethod) -> bool:
+    """Whether the method has a local window that it does not choose by itself."""
+    if isinstance(method, Auto):
+        return False
+    return isinstance(method, AbstractLocal) or any(uses_windows(x) for x in _inner(method))
+
+
+def has_fractions(method: AbstractMethod) -> bool:
+    """Whether the local model has a denominator."""
+    return any(x.has_denominator or x.shared_parameters(1) > 0 for x in _locals(method))
+
+
+def uses_reference(method: AbstractMethod) -> bool:
+    """Whether the response from the reference is estimated."""
+    return isinstance(method, JointInputOutput) or any(uses_reference(x) for x in _inner(method))
+
+
+def _inner(method: AbstractMethod) -> list[AbstractMethod]:
+    parts = [getattr(method, f.name) for f in dataclasses.fields(method)]
+    return [x for x in parts if isinstance(x, AbstractMethod)]
+
+
 def _locals(method: AbstractMethod) -> list[AbstractLocal]:
     if isinstance(method, AbstractLocal):
         return [method]
-    inner = [getattr(method, f.name) for f in dataclasses.fields(method)]
-    return [x for part in inner if isinstance(part, AbstractMethod) for x in _locals(part)]
+    return [x for part in _inner(method) for x in _locals(part)]

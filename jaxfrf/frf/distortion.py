@@ -1,16 +1,196 @@
 """Noise and nonlinear distortion, told apart: over realisations (robust), or from unexcited lines (fast)."""
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from .._arguments import expect
-from .._errors import input_error
+from .._errors import InputError, input_error
+from .._status import Status
 from .._types import Array
-from ..spectra import Spectra
+from ..experiment import Experiment
+from ..spectra import Spectra, dft, unexcited_spectra
 from .average import ArithmeticMean
+from .causes import by_output, noise_level, running_mean
 from .covariance import variances
+from .estimate import estimate
+from .method import AbstractMethod
 from .response import FRF
+from .scaled import Scaled
+from .select import Auto
+
+_NEIGHBOURS = 12  # unexcited lines of one kind that the level at an excited line is the mean of
+_FEWEST = 4  # of them, below which nothing is said
+
+
+class Distortion(eqx.Module):
+    """The best linear approximation of a record, and what in the output is noise and what nonlinear distortion.
+
+    All levels are rms values of Fourier coefficients of one experiment (its mean period), in the unit of y; NaN where
+    they cannot be known.
+
+    **Fields:**
+
+    - `frf`: the best linear approximation, `cov_noise` and `cov_total` with it.
+    - `output`: level of the output at the excited lines, (pos, freq, out).
+    - `noise`, `even`, `odd`, `total`: at the excited lines, (pos, freq, out). `even` and `odd`: distortion of even and odd
+      order without the noise, from the unexcited lines around; `total`: noise and all distortion that falls on the
+      excited lines.
+    - `unexcited`: frequencies of the detection lines, Hz, (line,); `is_even`, (line,); `detected`: what the linear
+      response does not explain there, noise included, (pos, line, out); `detected_noise`: noise alone.
+    - `way`: `fast` (from unexcited lines), `robust` (from realisations), or `noise only` where neither can be.
+    """
+
+    frf: FRF
+    output: Float[Array, "pos freq out"]
+    noise: Float[Array, "pos freq out"]
+    even: Float[Array, "pos freq out"]
+    odd: Float[Array, "pos freq out"]
+    total: Float[Array, "pos freq out"]
+    unexcited: Float[Array, "line"]
+    is_even: Bool[Array, "line"]
+    detected: Float[Array, "pos line out"]
+    detected_noise: Float[Array, "pos line out"]
+    way: str = eqx.field(static=True)
+
+
+def best_linear_approximation(data: Experiment, method: AbstractMethod | None = None) -> Distortion:
+    """Estimate the best linear approximation of a periodic record, with noise, even and odd distortion beside it.
+
+    *Fast* (Pintelon & Schoukens 2012, sec. 4.3.2), where lines in the band are left unexcited: what Y - G U leaves there,
+    G interpolated from the excited lines, so that what the controller of a closed loop plays at these lines is no
+    distortion. Even lines show distortion of even order, odd ones of odd order; of odd excitations only the odd ones
+    fall on excited lines. *Robust* (sec. 4.3.1), from two realisations of two periods: `jaxfrf.levels`; even and odd are
+    not told apart. Noise is what changes from period to period, and needs two.
+
+    **Arguments:** `method`: estimates G; default `jaxfrf.Auto()`.
+
+    **Raises:** `jaxfrf.InputError` if the record is not periodic, or neither way nor two periods are there.
+    """
+    frf = estimate(data, Auto() if method is None else method)
+    return distortion_of(frf, data)
+
+
+def with_distortion(frf: FRF, data: Experiment) -> FRF:
+    """The FRF with what its record says of noise and distortion together (`cov_total`); as it is where that says nothing.
+
+    Where the residuals leave no covariance (status `NOISE_ONLY`), it becomes the covariance, so that fits weigh by it.
+    """
+    if not data.period:
+        return frf
+    try:
+        return distortion_of(frf, data).frf
+    except InputError:
+        return frf
+
+
+def distortion_of(frf: FRF, data: Experiment) -> Distortion:
+    """As `best_linear_approximation`, of an FRF of the same record and band."""
+    spectra = _same_lines(dft(data), frf)
+    shape = (spectra.n_pos, len(spectra.frequency), spectra.n_out)
+    unknown = np.full(shape, np.nan)
+    noise = unknown if spectra.noise is None else np.sqrt(noise_level(frf.G, spectra))
+    excited_even = bool(np.any(np.asarray(spectra.lines) % 2 == 0))
+    found = _fast(frf, data, spectra)
+    even, odd, total, way = found["even"], found["odd"], unknown, "noise only"
+    if np.isfinite(odd).any() and (np.isfinite(even).any() or not excited_even):
+        power = odd**2 + (even**2 if excited_even else 0) + np.nan_to_num(noise) ** 2
+        total, way = np.sqrt(power), "fast"
+    elif spectra.n_real > 1 and spectra.noise is not None:
+        total, way = _robust(spectra), "robust"
+    elif np.isfinite(even).any():
+        way = "fast"
+    if way == "noise only" and spectra.noise is None:
+        raise input_error(
+            "distortion",
+            f"{spectra.n_real} realisation(s) of {spectra.n_periods} period(s), no line left unexcited",
+            "unexcited lines in the band (odd designs), or two realisations, or two periods",
+            "Excite odd lines only and leave some of them out (jaxfrf excite, odd or random-odd lines), or record longer.",
+        )
+    output = np.sqrt(np.mean(np.abs(np.asarray(spectra.Y)) ** 2, axis=1))
+    frf = _with_total(frf, spectra, total, way)
+    return Distortion(frf=frf, output=output, noise=noise, total=total, way=way, **found)
+
+
+def _same_lines(spectra: Spectra, frf: FRF) -> Spectra:
+    """The spectra at the lines of the FRF."""
+    at = np.searchsorted(spectra.frequency, np.asarray(frf.frequency) * (1 - 1e-9))
+    fits = (at < len(spectra.frequency)).all() and np.allclose(spectra.frequency[at], frf.frequency, rtol=1e-9)
+    if not fits or (spectra.n_pos, spectra.n_out, spectra.n_in) != (frf.n_pos, frf.n_out, frf.n_in):
+        raise input_error("frf", "other lines, positions or channels", "those of the record", "Take both from one.")
+    names = [name for name in ("U", "Y", "R", "noise") if getattr(spectra, name) is not None]
+    signals = {name: np.asarray(getattr(spectra, name))[:, :, at] for name in names}
+    return dataclasses.replace(spectra, **signals, lines=spectra.lines[at], frequency=spectra.frequency[at])
+
+
+def _fast(frf: FRF, data: Experiment, spectra: Spectra) -> dict:
+    """Levels at the unexcited lines of the band, and brought to the excited ones; empty where there are none."""
+    shape = (spectra.n_pos, len(spectra.frequency), spectra.n_out)
+    try:
+        quiet = unexcited_spectra(data, (float(frf.frequency[0]), float(frf.frequency[-1])))
+    except InputError:
+        none = np.full((shape[0], 0, shape[2]), np.nan)
+        nothing = dict(unexcited=np.zeros(0), is_even=np.zeros(0, bool), detected=none, detected_noise=none)
+        return nothing | dict(even=np.full(shape, np.nan), odd=np.full(shape, np.nan))
+    G = _interpolated(quiet.frequency, frf)
+    rest = np.abs(np.asarray(quiet.Y) - np.einsum("pfoi,pefi->pefo", G, np.asarray(quiet.U))) ** 2
+    power = rest.mean(axis=1)
+    noise = np.zeros_like(power) if quiet.noise is None else noise_level(G, quiet)
+    is_even = np.asarray(quiet.lines) % 2 == 0
+    brought = {
+        name: _brought(spectra.frequency, np.asarray(quiet.frequency)[of], (power - noise)[:, of])
+        for name, of in (("even", is_even), ("odd", ~is_even))
+    }
+    return {
+        "unexcited": np.asarray(quiet.frequency),
+        "is_even": is_even,
+        "detected": np.sqrt(power),
+        "detected_noise": np.full_like(power, np.nan) if quiet.noise is None else np.sqrt(noise),
+    } | brought
+
+
+def _brought(frequency, known, power) -> np.ndarray:
+    """Root of the mean power of the nearest lines: (pos, freq, out); NaN where there are too few."""
+    if len(known) < _FEWEST:
+        return np.full((power.shape[0], len(frequency), power.shape[2]), np.nan)
+    mean = running_mean(power, min(_NEIGHBOURS, len(known)) // 2)
+    nearest = np.clip(np.searchsorted(known, frequency), 0, len(known) - 1)
+    return np.sqrt(np.maximum(mean[:, nearest], 0))
+
+
+def _per_realisation(spectra: Spectra) -> np.ndarray:
+    """Variance of a column of G from one block of n_in experiments, for outputs of unit variance: (pos, freq, in)."""
+    U = np.moveaxis(np.asarray(spectra.U), 1, -1)
+    power = U @ U.conj().swapaxes(-1, -2) * (spectra.n_in / spectra.n_exp)
+    return np.diagonal(np.linalg.pinv(power, hermitian=True), axis1=-2, axis2=-1).real
+
+
+def _robust(spectra: Spectra) -> np.ndarray:
+    """Scatter between realisations as a level of the output, averaged over some lines: (pos, freq, out)."""
+    scatter = levels(spectra).total ** 2 / _per_realisation(spectra)[..., None, :]
+    return np.sqrt(running_mean(scatter.mean(axis=-1), _NEIGHBOURS // 2))
+
+
+def _with_total(frf: FRF, spectra: Spectra, total, way: str) -> FRF:
+    if not np.isfinite(total).any() or frf.cov_noise is None or spectra.noise is None:
+        return frf
+    reach = np.round(np.asarray(frf.window) / 2).astype(int)
+    noise = running_mean(noise_level(frf.G, spectra), reach)
+    ratio = np.sqrt(running_mean(total**2, reach) / np.maximum(noise, 1e-300))
+    cov = Scaled(frf.cov_noise, by_output(ratio, spectra.n_in))
+    only_noise = (np.asarray(frf.status) & int(Status.NOISE_ONLY)) != 0
+    if not only_noise.all():
+        return dataclasses.replace(frf, cov_total=cov)
+    free = spectra.n_exp * min(_NEIGHBOURS, 8) if way == "fast" else (spectra.n_real - 1) * (_NEIGHBOURS // 2 * 2 + 1)
+    return dataclasses.replace(
+        frf,
+        cov=cov,
+        cov_total=cov,
+        dof=np.full(frf.status.shape, float(free)),
+        status=np.asarray(frf.status) & ~int(Status.NOISE_ONLY),
+    )
 
 
 class Levels(eqx.Module):

@@ -14,6 +14,7 @@ from .._types import require_x64
 from ..experiment import Experiment
 from ..spectra import Spectra, select_positions
 from .aperiodic import adapted
+from .causes import with_causes
 from .from_record import spectra_of
 from .method import AbstractMethod, Estimate
 from .response import FRF
@@ -58,6 +59,7 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod = Auto(), *, pro
         whole = _stored(whole, part, group, spectra.n_pos)
         if progress is not None:
             progress(group[-1] + 1, spectra.n_pos)
+    whole = with_causes(whole, spectra, method)
     status = whole.status | _excitation_status(spectra)
     status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
     serious = [text for text in describe(status & int(_SERIOUS))]
@@ -70,6 +72,7 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod = Auto(), *, pro
         window=whole.window,
         cov_noise=whole.cov_noise,
         cov_total=whole.cov_total,
+        bias=whole.bias,
         q=spectra.q,
         method=describe_method(method),
         y_quantity=spectra.y_quantity,

@@ -56,6 +56,7 @@ class Estimate(eqx.Module):
     doubtful: Bool[Array, "*pos freq"]
     cov_noise: AbstractFactors | Complex[Array, "*pos freq vec vec"] | None = None
     cov_total: AbstractFactors | Complex[Array, "*pos freq vec vec"] | None = None
+    bias: Float[Array, "*pos freq out in"] | None = None
 
 
 class AbstractMethod(eqx.Module):

@@ -26,8 +26,11 @@ class FRF(eqx.Module):
       can be used like the array and are written out by `numpy.asarray(frf.cov)`; files hold it written out.
     - `dof`: residual degrees of freedom behind `cov`, (pos, freq); intervals use them (F quantiles).
     - `status`: bits of `jaxfrf.Status`, (pos, freq).
-    - `cov_noise`: part of `cov` that measurement noise explains (scatter between periods); `None` if unknown.
-    - `cov_total`: scatter between realisations (noise and nonlinear distortion); `None` if unknown.
+    - `cov_noise`: part of `cov` that measurement noise explains (scatter between periods); `None` with one period.
+    - `cov_total`: noise and nonlinear distortion together, without bias: from the scatter between realisations, or the
+      unexcited lines (`jaxfrf.with_distortion`); `None` if unknown.
+    - `bias`: smoothing bias that the data show, rms, (pos, freq, out, in), in `cov` already; `None` where none was
+      looked for (methods without windows, `Auto`, whose `cov` is a mean square error) or could be.
     - `window`: lines that took part in each estimate, (pos, freq); 1 for classical methods. The band holds about
       `sum(1/window)` independent estimates.
     - `q`: arm configurations, (pos, joint), rad, or `None`.
@@ -43,6 +46,7 @@ class FRF(eqx.Module):
     window: Float[Array, "pos freq"]
     cov_noise: AbstractFactors | Complex[Array, "pos freq vec vec"] | None = None
     cov_total: AbstractFactors | Complex[Array, "pos freq vec vec"] | None = None
+    bias: Float[Array, "pos freq out in"] | None = None
     q: Float[Array, "pos joint"] | None = None
     method: str = eqx.field(static=True, default="")
     y_quantity: str = eqx.field(static=True, default="velocity")
@@ -90,7 +94,7 @@ def concatenate_positions(frfs: Sequence[FRF]) -> FRF:
         parts = [getattr(x, name) for x in frfs]
         return None if any(x is None for x in parts) else _joined(parts)
 
-    names = ("G", "cov", "dof", "status", "window", "cov_noise", "cov_total", "q")
+    names = ("G", "cov", "dof", "status", "window", "cov_noise", "cov_total", "bias", "q")
     warnings = tuple(dict.fromkeys(w for x in frfs for w in x.warnings))
     return dataclasses.replace(first, **{name: join(name) for name in names}, warnings=warnings)
 

@@ -151,7 +151,7 @@ def _at(data: Experiment | FRF, positions: Sequence[int]):
         return data
     index = list(positions)
     names = {
-        FRF: ("G", "cov", "dof", "status", "window", "cov_noise", "cov_total", "q"),
+        FRF: ("G", "cov", "dof", "status", "window", "cov_noise", "cov_total", "bias", "q"),
         Experiment: ("u", "y", "r", "q"),
     }
     cut = {n: getattr(data, n)[index] for n in names[type(data)] if getattr(data, n) is not None}

@@ -4,6 +4,7 @@ from ._style import save as save
 from .bode import bode as bode
 from .calibration import numbers_found as numbers_found
 from .coherence import coherence as coherence
+from .distortion import distortion as distortion
 from .excitation import multisine as multisine
 from .fit import (
     correlation_map as correlation_map,

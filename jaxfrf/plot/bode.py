@@ -13,6 +13,7 @@ from .._errors import input_error
 from .._status import Status
 from .._types import Array
 from ..frf import FRF
+from ..frf.covariance import variances
 from ..io._optional import require
 from ..units import response_unit
 from . import _style
@@ -70,7 +71,8 @@ def bode(
     (see `breaks`), both are sound, and the phase steps by less than 120 degrees. Points that their status
     doubts are hollow and grey. Bands are those of `confidence_radius`. Where that disc holds zero, the
     magnitude's band runs out of the picture below, and the phase is unknown: its points are faint, without
-    line and band.
+    line and band. Where an estimate knows noise and nonlinear distortion apart (`FRF.cov_total`), dotted lines show the
+    standard deviation from noise alone, dashed ones that from both.
 
     **Arguments:**
 
@@ -105,10 +107,13 @@ def bode(
     frequency = np.concatenate([np.asarray(f.frequency) for f in frfs])
     for row, row_of_cells in enumerate(cells):
         curves = [[_curve(f, r, position, cell) for f, r in zip(frfs, radii, strict=True)] for cell in row_of_cells]
-        limits = _style.decibel_limits(*(c.magnitude for column in curves for c in column))
+        known = [_style.decibel(x) for f in frfs for cell in row_of_cells for x in _levels(f, position, cell).values()]
+        limits = _style.decibel_limits(*(c.magnitude for column in curves for c in column), *known)
         for column, cell in enumerate(row_of_cells):
             pair = axes[row, column]
             _draw(pair, curves[column])
+            for k, f in enumerate(frfs):
+                _draw_levels(pair[0], f, position, cell, _style.look(k)[0])
             _finish(pair, cell, frequency, limits, leftmost=column == 0)
     return figure, axes
 
@@ -165,6 +170,26 @@ def _draw(pair, curves: Sequence[_Curve]) -> None:
                 "mew": 0.5,
             }
             axis.plot(curve.frequency[~curve.sound], value[~curve.sound], zorder=2.5, **hollow)
+
+
+_LEVELS = {"cov_noise": (":", "noise"), "cov_total": ("--", "noise and distortion")}
+
+
+def _levels(frf: FRF, position: int, cell: tuple[int, int]) -> dict[str, np.ndarray]:
+    """Standard deviations of an element by cause, as far as they are known and tell more than the band does."""
+    if frf.cov_total is None:
+        return {}
+    place = cell[1] * frf.n_out + cell[0]
+    found = {name: getattr(frf, name) for name in _LEVELS if getattr(frf, name) is not None}
+    found = {name: np.sqrt(np.maximum(np.asarray(variances(x))[position, :, place], 0)) for name, x in found.items()}
+    return {name: std for name, std in found.items() if np.isfinite(std).any()}
+
+
+def _draw_levels(axis, frf: FRF, position: int, cell: tuple[int, int], colour: str) -> None:
+    order = np.argsort(frf.frequency, kind="stable")
+    for name, std in _levels(frf, position, cell).items():
+        style = {"color": colour, "lw": 0.8, "alpha": 0.8, "ls": _LEVELS[name][0]}
+        axis.plot(np.asarray(frf.frequency)[order], _style.decibel(std)[order], zorder=1.5, **style)
 
 
 def _draw_magnitude(axis, curve: _Curve, colour: str) -> None:
@@ -314,6 +339,11 @@ def _legend(frfs, labels, radii, confidence, position: int) -> list:
     if any(r is not None and np.isfinite(r).any() for r in radii):
         band = patches.Patch(color=_style.DOUBTFUL, alpha=0.35, lw=0, label=f"{100 * confidence:g} % confidence")
         handles.append(band)
+    told = {name for f in frfs for name in _levels(f, position, (0, 0))}
+    for name, (style, label) in _LEVELS.items():
+        if name in told:
+            look = {"color": _style.DOUBTFUL, "lw": 0.8, "ls": style}
+            handles.append(lines.Line2D([], [], label=f"{label} (std)", **look))
     if any((np.asarray(f.status[position]) & int(_SERIOUS)).any() for f in frfs):
         style = {"ls": "none", "marker": "o", "ms": 3.4, "mfc": "white", "mec": _style.DOUBTFUL}
         handles.append(lines.Line2D([], [], **style, label="doubtful (status)"))

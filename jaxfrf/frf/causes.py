@@ -1,0 +1,139 @@
+"""What the stated uncertainty of an estimate is made of: noise between periods, and bias that the data show.
+
+The covariance of a method comes from its residuals: noise, nonlinear distortion and whatever else its model leaves,
+all together. Here is what else the spectra know: how much of it changes from period to period; and, where there are at
+least as many experiments as inputs, how far a local estimate is from the pointwise one, which has no window.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from .._status import Status
+from ..spectra import Spectra
+from .aperiodic import has_fractions, uses_reference, uses_windows
+from .covariance import variances
+from .method import AbstractMethod, Estimate
+from .scaled import Scaled, Widened
+
+_NEAR, _LEAST_NEAR = 8, 2  # bias is averaged over this part of the window, and so many lines on either side
+_OTHERS = 0.25  # weight of all elements together beside the element itself
+_LEAST = 0.5  # of the smaller variance, that two estimates at least differ by
+_UNSEEN = 0.1  # of the variance of the difference: bias of fractions, by noise in their regressors, that no test sees
+_NOISE_LINES = 4  # on either side, over which the residuals of pointwise estimates are averaged
+
+
+def with_causes(estimate: Estimate, spectra: Spectra, method: AbstractMethod) -> Estimate:
+    """The estimate (arrays of the host, with the axis of positions) with noise and bias told.
+
+    - `cov_noise`, where the method has none of its own and there are two periods: the covariance times the share of the
+      noise in the residuals, output by output.
+    - Where the residuals say nothing (H1 of as many experiments as inputs) the noise between periods is the covariance,
+      with the status `NOISE_ONLY`.
+    - `bias` of local methods with a given window, as a variance that is added to the covariance: what
+      |G - Y Z^H (U Z^H)^-1|^2, Z the reference or the input, has beyond the variance of the difference, averaged over
+      some lines; of fractions a tenth of that variance more, for what no test sees.
+    """
+    estimate = _with_noise(estimate, spectra)
+    estimate = _with_noise_only(estimate, spectra)
+    return _with_bias(estimate, spectra, method)
+
+
+def variance_of(cov, n_out: int) -> np.ndarray:
+    """Variances as (pos, freq, out, in)."""
+    v = np.asarray(variances(cov))
+    return np.maximum(v.reshape(*v.shape[:-1], -1, n_out).swapaxes(-1, -2), 0)
+
+
+def by_output(level, n_in: int) -> np.ndarray:
+    """(pos, freq, out) as a factor of vec(G): (pos, freq, vec)."""
+    return np.tile(level, n_in)
+
+
+def residual_level(estimate: Estimate, spectra: Spectra) -> np.ndarray:
+    """Variance of what G U leaves of an output in one experiment, averaged over the window: (pos, freq, out).
+
+    The residual is too small by what the estimate has adapted to the data: its own variance."""
+    U, Y = np.asarray(spectra.U), np.asarray(spectra.Y)
+    rest = np.mean(np.abs(Y - np.einsum("pfoi,pefi->pefo", estimate.G, U)) ** 2, axis=1)
+    adapted = np.einsum("pfoi,pefi->pfo", variance_of(estimate.cov, spectra.n_out), np.abs(U) ** 2) / U.shape[1]
+    reach = np.round(np.asarray(estimate.window) / 2).astype(int)
+    return running_mean(rest + np.nan_to_num(adapted), reach)
+
+
+def noise_level(G, spectra: Spectra) -> np.ndarray:
+    """Variance of Y - G U in one experiment that the scatter between periods shows: (pos, freq, out)."""
+    eye = np.broadcast_to(np.eye(G.shape[-2]), (*G.shape[:-1], G.shape[-2]))
+    effect = np.concatenate([eye, -np.asarray(G)], axis=-1)
+    noise = np.mean(np.asarray(spectra.noise), axis=1)
+    return np.maximum(np.einsum("pfos,pfst,pfot->pfo", effect, noise, effect.conj()).real, 0)
+
+
+def running_mean(x, reach) -> np.ndarray:
+    """Mean of (pos, freq, ...) over `reach` lines on either side, a number or (pos, freq)."""
+    n = x.shape[1]
+    reach = np.broadcast_to(reach, x.shape[:2])
+    line = np.arange(n)
+    first, last = np.maximum(line - reach, 0), np.minimum(line + reach + 1, n)
+    total = np.concatenate([np.zeros_like(x[:, :1]), np.cumsum(x, axis=1)], axis=1)
+    at = np.arange(len(x))[:, None]
+    count = (last - first).reshape(*reach.shape, *[1] * (x.ndim - 2))
+    return (total[at, last] - total[at, first]) / count
+
+
+def _with_noise(estimate: Estimate, spectra: Spectra) -> Estimate:
+    if estimate.cov_noise is not None or spectra.noise is None:
+        return estimate
+    reach = np.round(np.asarray(estimate.window) / 2).astype(int)
+    noise = running_mean(noise_level(estimate.G, spectra), reach)
+    level = residual_level(estimate, spectra)
+    share = np.clip(np.divide(noise, level, out=np.ones_like(noise), where=level > 0), 0, 1)
+    return dataclasses.replace(estimate, cov_noise=Scaled(estimate.cov, by_output(np.sqrt(share), spectra.n_in)))
+
+
+def _with_noise_only(estimate: Estimate, spectra: Spectra) -> Estimate:
+    unknown = (np.asarray(estimate.status) & int(Status.NO_COVARIANCE)) != 0
+    if estimate.cov_noise is None or not unknown.all() or not np.isfinite(variances(estimate.cov_noise)).any():
+        return estimate
+    status = np.asarray(estimate.status) & ~int(Status.NO_COVARIANCE) | int(Status.NOISE_ONLY)
+    dof = np.full(status.shape, float(spectra.n_exp * (spectra.n_periods - 1)))
+    return dataclasses.replace(estimate, cov=estimate.cov_noise, dof=dof, status=status)
+
+
+def _with_bias(estimate: Estimate, spectra: Spectra, method: AbstractMethod) -> Estimate:
+    if not uses_windows(method) or not spectra.periodic or spectra.n_exp < spectra.n_in:
+        return estimate
+    Z = spectra.R if uses_reference(method) else spectra.U
+    pointwise, weight, rest = _pointwise(spectra, np.asarray(Z))
+    own = np.nan_to_num(variance_of(estimate.cov, spectra.n_out))
+    if rest is None:
+        rest = residual_level(estimate, spectra)
+    variance = rest[..., :, None] * weight[..., None, :]
+    difference = np.maximum(np.abs(variance - own), _LEAST * np.minimum(variance, own))
+    usable = np.isfinite(pointwise) & (difference > 0)
+    excess = np.where(usable, np.abs(estimate.G - pointwise) ** 2 / np.where(usable, difference, 1.0), 0.0)
+    excess = (1 - _OTHERS) * excess + _OTHERS * excess.mean(axis=(-2, -1), keepdims=True)
+    reach = np.maximum(np.asarray(estimate.window) // _NEAR, _LEAST_NEAR).astype(int)
+    power = np.maximum(running_mean(excess, reach) - 1, 0) * np.where(usable, difference, 0.0)
+    unseen = _UNSEEN * np.where(usable, difference, 0.0) if has_fractions(method) else 0.0
+    more = (power + unseen).swapaxes(-1, -2).reshape(*power.shape[:2], -1)
+    return dataclasses.replace(estimate, cov=Widened(estimate.cov, more), bias=np.sqrt(power + unseen))
+
+
+def _pointwise(spectra: Spectra, Z):
+    """G = Y Z^H (U Z^H)^-1 at every line; the variance of its columns over that of one output; and the latter, (pos,
+    freq, out), where experiments are left over to tell it."""
+    U, Y, Z = (np.moveaxis(np.asarray(X), 1, -1) for X in (spectra.U, spectra.Y, Z))
+    H = Z.conj().swapaxes(-1, -2)
+    product = U @ H
+    with np.errstate(all="ignore"):
+        singular = ~np.isfinite(product).all(axis=(-2, -1)) | ~(np.linalg.cond(product) < 1e10)
+    product = np.where(singular[..., None, None], np.eye(product.shape[-1]), product)
+    influence = H @ np.linalg.inv(product)  # (exp, in)
+    G = np.where(singular[..., None, None], np.nan, Y @ influence)
+    weight = np.sum(np.abs(influence) ** 2, axis=-2)
+    left = spectra.n_exp - spectra.n_in
+    if left < 1:
+        return G, weight, None
+    rest = np.sum(np.abs(Y - np.nan_to_num(G) @ U) ** 2, axis=-1) / left
+    return G, weight, running_mean(rest, _NOISE_LINES)
