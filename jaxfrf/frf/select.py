@@ -2,12 +2,12 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from .._compile import compiled
 from .._errors import input_error
 from .._types import Array
 from ..spectra import Spectra
@@ -86,7 +86,7 @@ class Auto(AbstractMethod):
         methods = [self._with_width(w, spectra) for w in self.candidates(spectra)]
         each = [solved_again(x, method, spectra) for x, method in zip(each, methods, strict=True)]
         tried = jax.tree.map(lambda *x: np.stack(x, axis=1), *each)
-        return on_host(compiled(_choose)(tried, self.threshold))
+        return on_host(_choose(tried, self.threshold))
 
     def _tried(self, signals: Signals) -> Estimate:
         """The estimates with every width, which is the leading axis."""
@@ -106,6 +106,7 @@ class Auto(AbstractMethod):
         return JointInputOutput(method) if self._through_reference(spectra) else method
 
 
+@eqx.filter_jit
 def _choose(tried: Estimate, threshold: float) -> Estimate:
     """The chosen estimate at every operating point, from (pos, width, freq, ...)."""
     return jax.vmap(lambda x: _chosen(x, _choice(x, threshold)))(tried)
