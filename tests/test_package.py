@@ -153,7 +153,7 @@ def test_names_open_no_device_and_change_no_setting():
 
 # --- directions of the imports
 
-BASE = {"errors", "types", "status", "environment", "files", "arguments", "memory"}
+BASE = {"errors", "types", "status", "environment", "files", "arguments", "memory", "compile"}
 EXCITATION = BASE | {"excitation", "periodic"}
 EXPERIMENT = EXCITATION | {"experiment"}
 SPECTRA = EXPERIMENT | {"spectra", "units"}

@@ -1,7 +1,9 @@
 """The verb of this package: spectra, or a record, and a method to an FRF."""
 
+import concurrent.futures
 import dataclasses
 import os
+from collections.abc import Iterator
 
 import jax
 import numpy as np
@@ -21,6 +23,9 @@ from .response import FRF
 from .select import Auto
 
 _BLOCK_BYTES = 4e8  # operating points are estimated in groups that need about this much memory
+_SHARED = 1000  # lines of all operating points, from which on more than one core takes part
+_CALLS = 8  # batched LAPACK calls of one program that may run at the same time: fewer do
+_compiled: set = set()  # programs that the first group has compiled for the others
 _SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
 _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
@@ -54,11 +59,10 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod = Auto(), *, pro
     _check_rank(spectra, method)
     groups = _groups(spectra)
     whole = None
-    for group in groups:
-        part = method.estimate(select_positions(spectra, slice(group[0], group[-1] + 1)))
+    for group, part in zip(groups, _estimates(spectra, method, groups), strict=True):
         whole = _stored(whole, part, group, spectra.n_pos)
         if progress is not None:
-            progress(group[-1] + 1, spectra.n_pos)
+            progress(int(group[-1]) + 1, spectra.n_pos)
     whole = with_causes(whole, spectra, method)
     status = whole.status | _excitation_status(spectra)
     status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
@@ -120,12 +124,45 @@ def describe_method(method) -> str:
     return f"{type(method).__name__}({options})"
 
 
-def _groups(spectra: Spectra):
+def _groups(spectra: Spectra) -> list[np.ndarray]:
+    """Operating points that are estimated together, as many for every thread: groups of one size, the last filled up
+    with the last point, so that one compilation serves them."""
     vec = spectra.n_in * spectra.n_out
     bytes_each = 16 * len(spectra.lines) * (4 * vec**2 + spectra.n_exp * 8 * (spectra.n_in + spectra.n_out) ** 2)
     n_group = -(-spectra.n_pos // max(1, int(_BLOCK_BYTES / bytes_each)))
-    size = -(-spectra.n_pos // n_group)  # of equal size, so that one compilation serves them
-    return [range(i, min(i + size, spectra.n_pos)) for i in range(0, spectra.n_pos, size)]
+    if spectra.n_pos * len(spectra.lines) > _SHARED:
+        n_group = -(-n_group // _threads()) * _threads()
+    size = -(-spectra.n_pos // n_group)
+    last = spectra.n_pos - 1
+    return [np.minimum(np.arange(i, i + size), last) for i in range(0, spectra.n_pos, size)]
+
+
+def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray]) -> Iterator[Estimate]:
+    """The estimate of every group of operating points, in threads of their own once the program is compiled."""
+
+    device = jax.config.jax_default_device
+
+    def estimated(group):
+        with jax.enable_x64(True), jax.default_device(device):  # settings of a thread are not those of the next
+            return method.estimate(spectra if len(groups) == 1 else select_positions(spectra, group))
+
+    program = describe_method(method), spectra.U.shape[1:], len(groups[0])
+    first = 0 if program in _compiled else 1
+    yield from map(estimated, groups[:first])
+    _compiled.add(program)
+    with concurrent.futures.ThreadPoolExecutor(_threads()) as pool:
+        yield from pool.map(estimated, groups[first:])
+
+
+def _threads() -> int:
+    """Groups that may be estimated at the same time: one for every core, while XLA's pool has threads for all of them.
+
+    A batched LAPACK call waits in a thread of the pool for others of the pool, and estimates that run at the same time
+    can have some calls each: where there are as many as threads, they wait for ever."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    pool = os.environ.get("NPROC", "")
+    pool = int(pool) if pool.isdigit() else os.cpu_count() or 1
+    return max(1, min(cores, pool // _CALLS))
 
 
 def _stored(whole: Estimate | None, part: Estimate, group, n_pos: int) -> Estimate:
@@ -134,7 +171,7 @@ def _stored(whole: Estimate | None, part: Estimate, group, n_pos: int) -> Estima
         return part
     if whole is None:
         whole = jax.tree.map(lambda x: np.empty((n_pos, *x.shape[1:]), x.dtype), part)
-    jax.tree.map(lambda every, x: every.__setitem__(slice(group[0], group[-1] + 1), x), whole, part)
+    jax.tree.map(lambda every, x: every.__setitem__(group, x), whole, part)
     return whole
 
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
+from .._compile import compiled
 from .._status import Status
 from .._types import Array
 from ..spectra import Spectra
@@ -109,7 +110,9 @@ def solved_again(estimate: Estimate, method: AbstractMethod, spectra: Spectra) -
     for pos in np.flatnonzero(estimate.doubtful.any(axis=1)):
         signals = jax.tree.map(lambda x, pos=pos: x[pos], points)
         for lines, count in _batches(np.flatnonzero(estimate.doubtful[pos])):
-            again = jax.tree.map(lambda x, n=count: np.asarray(x)[:n], _run_again(method, signals, frequency, lines))
+            again = jax.tree.map(
+                lambda x, n=count: np.asarray(x)[:n], compiled(_run_again)(method, signals, frequency, lines)
+            )
             jax.tree.map(lambda old, new, at=(pos, lines[:count]): old.__setitem__(at, new), estimate, again)
             estimate.status[pos, lines[:count]] |= int(Status.REFINED)
     return estimate
@@ -133,14 +136,13 @@ def _arrays(spectra: Spectra) -> tuple[dict, Array]:
 
 def run(estimate, method: AbstractMethod, spectra: Spectra):
     """`estimate(method, signals)` of every operating point, as one compiled program."""
-    return _run(estimate, method, *_arrays(spectra))
+    return compiled(_run)(estimate, method, *_arrays(spectra))
 
 
 def _at_point(method: AbstractMethod, signals: Signals) -> Estimate:
     return method.at_point(signals)
 
 
-@eqx.filter_jit
 def _run(estimate, method: AbstractMethod, points: dict, frequency):
     """One operating point after the other: the moments of one fit the cache."""
 
@@ -152,7 +154,6 @@ def _run(estimate, method: AbstractMethod, points: dict, frequency):
     return jax.lax.map(one_point, points)
 
 
-@eqx.filter_jit
 def _run_again(method: AbstractMethod, point: dict, frequency, lines) -> Estimate:
     return method.at_point(Signals(**point, frequency=frequency), lines)
 
