@@ -20,7 +20,7 @@ from .response import FRF
 from .scaled import Scaled
 from .select import Auto
 
-_NEIGHBOURS = 12  # unexcited lines of one kind that the level at an excited line is the mean of
+_NEIGHBOURS = 8  # unexcited lines of one kind that the level at an excited line is the mean of
 _FEWEST = 4  # of them, below which nothing is said
 
 

@@ -197,6 +197,8 @@ def _blended(tried: Estimate, widths: tuple[int, ...]) -> Estimate:
 
 def _blend(tried: Estimate, widths: tuple[int, ...]) -> Estimate:
     """From narrow to wide windows, (width, freq, ...), the mean that errs least; see `Auto`."""
+    if len(widths) == 1:
+        return jax.tree.map(lambda x: x[0], dataclasses.replace(tried, cov=_as_it_is(tried.cov)))
     own = jnp.maximum(variances(tried.cov), 0)
     every = own.reshape(*own.shape[:2], tried.G.shape[3], tried.G.shape[2]).mT
     every = jnp.where(jnp.isfinite(every), every, jnp.inf)
@@ -241,6 +243,10 @@ def _blend(tried: Estimate, widths: tuple[int, ...]) -> Estimate:
     return dataclasses.replace(
         chosen, G=G, cov=Scaled(chosen.cov, jnp.where(of > 0, scale, 1.0)), dof=dof, window=window
     )
+
+
+def _as_it_is(cov) -> Scaled:
+    return Scaled(cov, jnp.ones(cov.shape[:-1]))
 
 
 def _between(wide, narrow, keep):
