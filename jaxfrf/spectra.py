@@ -7,8 +7,8 @@ import equinox as eqx
 import numpy as np
 import scipy.fft
 import scipy.signal
-from scipy.ndimage import uniform_filter1d
 from jaxtyping import Complex, Float, Int
+from scipy.ndimage import uniform_filter1d
 
 from ._errors import input_error
 from ._types import Array
@@ -91,11 +91,11 @@ def dft(data: Experiment, *, robust: bool = False) -> Spectra:
     1/(P (P-1)) sum_p (X_p - X)(X_p - X)^H (Pintelon & Schoukens 2012, ch. 2); it needs P >= 2 periods and does not
     see what repeats with the period (nonlinear distortion, ripple).
 
-    **Arguments:** `robust`: weigh periods, so that one with a glitch, a lost sample or a disturbance does not count: the
-    mean is sum_p w_p X_p / sum_p w_p with the weights of Tukey's biweight (Beaton & Tukey 1974), from the distance of the
-    period from the others over all channels and some neighbouring lines, the same for r, u and y, so that y = G u still
-    holds; its covariance is sum_p w_p^2 (X_p - X)(X_p - X)^H / ((sum_p w_p)^2 (1 - 1/sum_p w_p)). It costs a few per
-    cent of the information of clean periods.
+    **Arguments:** `robust`: weigh periods, so that one with a glitch, a lost sample or a disturbance does not count:
+    the mean is sum_p w_p X_p / sum_p w_p with the weights of Tukey's biweight (Beaton & Tukey 1974), from the distance
+    of the period from the others over all channels and some neighbouring lines, the same for r, u and y, so that
+    y = G u still holds; its covariance is sum_p w_p^2 (X_p - X)(X_p - X)^H / ((sum_p w_p)^2 (1 - 1/sum_p w_p)). It
+    costs a few per cent of the information of clean periods.
 
     **Raises:** `jaxfrf.InputError` if the record is not periodic, an excited line carries no power, or `robust` has
     fewer than three periods.
@@ -186,8 +186,8 @@ def segment_spectra(
 ) -> Spectra:
     """Spectra of windowed segments of a record, as experiments beside each other: what Welch's method averages.
 
-    As in `scipy.signal.welch` the mean of every segment is taken off, and what is left at the end is not used. With them
-    `jaxfrf.coherence(spectra)` is `scipy.signal.coherence`, and `jaxfrf.estimate(spectra, jaxfrf.Welch())` is
+    As in `scipy.signal.welch` the mean of every segment is taken off, and what is left at the end is not used. With
+    them `jaxfrf.coherence(spectra)` is `scipy.signal.coherence`, and `jaxfrf.estimate(spectra, jaxfrf.Welch())` is
     csd(u, y)/welch(u). Leakage from line to line is as the window makes it.
 
     **Arguments:** `segment`, in samples; `None`: as long as eight with half an overlap can be. `overlap`: share of a

@@ -328,7 +328,11 @@ def test_the_papers_methods_by_name():
         ("log", {"elementwise": "No"}, jf.LogMean(elementwise=False)),
         ("auto", {"widths": "12;24;48"}, jf.Auto(widths=(12, 24, 48))),
         ("auto", {"widths": "None", "use_reference": "true"}, jf.Auto(widths=None)),
-        ("auto", {"use_reference": "false", "order": "1"}, jf.Auto(method=jf.LRM(order=1, variable="frequency"), use_reference=False)),
+        (
+            "auto",
+            {"use_reference": "false", "order": "1"},
+            jf.Auto(method=jf.LRM(order=1, variable="frequency"), use_reference=False),
+        ),
         ("auto", {"widths": (8, 16)}, jf.Auto(widths=(8, 16))),
     ],
 )
@@ -476,7 +480,10 @@ def test_which_spectra_a_method_needs():
     assert not whole.periodic and whole.frequency[0] >= 10 and whole.frequency[-1] <= 20
     assert not spectra_of(aperiodic, jf.LRM()).periodic and spectra_of(aperiodic, jf.Welch(segment=100)).segments == 11
     refused(lambda: spectra_of(aperiodic, jf.H1()), "period: found 0", "transient=2")
-    refused(lambda: spectra_of(jf.Experiment(np.tile(u, (1, 1, 3, 1)), np.tile(y, (1, 1, 3, 1)), FS), jf.LRM()), "period=600")
+    refused(
+        lambda: spectra_of(jf.Experiment(np.tile(u, (1, 1, 3, 1)), np.tile(y, (1, 1, 3, 1)), FS), jf.LRM()),
+        "period=600",
+    )
     refused(lambda: spectra_of(aperiodic, transient, periods=(0, 1)), r"period: found 0 \(not periodic\)")
 
 

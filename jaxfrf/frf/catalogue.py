@@ -41,7 +41,10 @@ METHODS: dict[str, tuple[str, AbstractMethod]] = {
         "one denominator for y and u, through the reference",
         JointInputOutput(CommonDenominatorLRM()),
     ),
-    "welch": ("cross spectra averaged over segments of a record, as SciPy's csd/welch and MATLAB's tfestimate", Welch()),
+    "welch": (
+        "cross spectra averaged over segments of a record, as SciPy's csd/welch and MATLAB's tfestimate",
+        Welch(),
+    ),
 }
 """Name: what it is, and the method with its default options. The paper's are h1 to lrm-jio."""
 
