@@ -23,7 +23,6 @@ import jaxfrf as jf
 from jaxfrf._environment import prepare
 
 TUNING_SEEDS = range(100, 110)
-THRESHOLDS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.5)
 MEASURES = ("error", "tail")
 CHUNK = 5  # seeds estimated at once: dense covariances of 6 x 6 responses are large
 
@@ -161,7 +160,7 @@ def _score(estimate, truth) -> dict[str, float]:
 
 
 def _sweep(cases, seeds) -> list[dict]:
-    """How far `Auto` is from the best fixed window of each case, over thresholds and local variables."""
+    """How far `Auto` is from the best fixed window of each case, by local variable."""
     print(f"\nError over that of the best fixed window (seeds {seeds[0]}-{seeds[-1]}, median over seeds)")
     rows = []
     for case in cases:
@@ -175,13 +174,13 @@ def _sweep(cases, seeds) -> list[dict]:
 
 
 def _sweep_case(case: Case, variable: str, seeds) -> dict:
-    """Median over seeds of the error and the tail: by fixed width, of the default width, by threshold of Auto."""
+    """Median over seeds of the error and the tail: by fixed width, of the default width, of Auto."""
     widths = jf.Auto().candidates(case.data(seeds[0])[0])
     lrm = jf.LRM(variable=variable)
     found = {
         "fixed": {w: jf.JointInputOutput(dataclasses.replace(lrm, width=w)) for w in widths},
         "default": {None: jf.JointInputOutput(lrm)},
-        "auto": {t: jf.Auto(lrm, threshold=t) for t in THRESHOLDS},
+        "auto": {None: jf.Auto(lrm)},
     }
     row = {"case": dataclasses.asdict(case), "variable": variable}
     for kind, methods in found.items():
@@ -207,9 +206,8 @@ def _print_sweep(case: Case, row: dict) -> None:
 
 def _print_summary(variable: str, rows) -> None:
     print(f"\n{variable}, all cases: median (and worst) ratio to the best fixed window")
-    print(f"  {'threshold':15}" + "".join(f"{measure:>16}" for measure in MEASURES))
-    for t in THRESHOLDS:
-        print(f"  {t:<15g}" + "".join(_ratio(rows, f"auto {measure}", t, measure) for measure in MEASURES))
+    print(f"  {'':15}" + "".join(f"{measure:>16}" for measure in MEASURES))
+    print(f"  {'auto':15}" + "".join(_ratio(rows, f"auto {m}", None, m) for m in MEASURES))
     print(f"  {'default width':15}" + "".join(_ratio(rows, f"default {m}", None, m) for m in MEASURES))
 
 
@@ -226,7 +224,7 @@ def _print_variables(rows) -> None:
         pairs = list(zip(rows[::2], rows[1::2], strict=True))
         name = f"fixed {measure}"
         best = [min(f[name].values()) / min(i[name].values()) for i, f in pairs]
-        auto = [f[f"auto {measure}"][t] / i[f"auto {measure}"][t] for i, f in pairs for t in THRESHOLDS]
+        auto = [f[f"auto {measure}"][None] / i[f"auto {measure}"][None] for i, f in pairs]
         print(f"  {measure:8} best fixed window {_spread(best)}   auto {_spread(auto)}")
 
 

@@ -1,6 +1,7 @@
 """From spectra to an FRF as the command line does it: keep what is finished, summarise."""
 
 import dataclasses
+import itertools
 import time
 
 import equinox as eqx
@@ -164,7 +165,9 @@ def _causes(about: dict) -> list[str]:
         ("median_relative_bias", "{} % bias of the window (from the pointwise estimate)"),
     )
     told = [text.format(f"{100 * about[name]:.2g}") for name, text in parts if about[name] is not None]
-    return [f"in it: {', '.join(told)}; what is left is distortion, disturbances and bias not told apart"] if told else []
+    return (
+        [f"in it: {', '.join(told)}; what is left is distortion, disturbances and bias not told apart"] if told else []
+    )
 
 
 def _finite(x: float) -> float | None:
@@ -189,7 +192,7 @@ class DistortionSummary(eqx.Module):
         found, frequency = self.found, np.asarray(self.found.frf.frequency)
         edges = np.append(frequency[0] * 2.0 ** np.arange(np.ceil(np.log2(frequency[-1] / frequency[0])) or 1), np.inf)
         bands = []
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
+        for low, high in itertools.pairwise(edges):
             at = (frequency >= low) & (frequency < high)
             if at.any():
                 bands.append(
@@ -211,10 +214,16 @@ class DistortionSummary(eqx.Module):
         }[found.way]
         text = [f"distortion {how}; decibels relative to the output of one experiment, its mean period"]
         if np.isnan(found.total).all() and found.way == "fast":
-            text.append("every odd line of the band is excited: distortion of odd order, which falls on them, is not seen")
+            text.append(
+                "every odd line of the band is excited: distortion of odd order, which falls on them, is not seen"
+            )
         for out, bands in enumerate(about["outputs"]):
             for band in bands:
-                told = [f"{name} {band[name]:.0f} dB" for name in ("noise", "even", "odd", "total") if band[name] is not None]
+                told = [
+                    f"{name} {band[name]:.0f} dB"
+                    for name in ("noise", "even", "odd", "total")
+                    if band[name] is not None
+                ]
                 low, high = band["band_hz"]
                 text.append(f"y{out + 1}, {low:.4g} to {high:.4g} Hz: {', '.join(told) or 'nothing known'}")
         return text

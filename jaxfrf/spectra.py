@@ -8,6 +8,7 @@ import numpy as np
 import scipy.fft
 import scipy.signal
 from jaxtyping import Complex, Float, Int
+from scipy.ndimage import uniform_filter1d
 
 from ._arguments import expect
 from ._errors import input_error
@@ -18,6 +19,9 @@ from .units import differentiated
 
 _SILENT = 1e-14  # power, relative to the median line, below which a line carries nothing (rounding)
 _STRONG, _STRONG_IN_BAND = 1e-4, 1e-10  # power, of the strongest line's, from which a line of a whole record counts
+_ROUNDS = 4  # of weighing periods
+_WEIGHT_LINES = 9  # that share a weight
+_CUT = 2.0  # times the usual distance of a period from the others, beyond it, where it no longer counts
 _SILENT_SHARE = 1e-24  # the same relative to the whole signal, for when the median line is rounding itself
 
 
@@ -84,14 +88,21 @@ class Spectra(eqx.Module):
         return self.n_exp // self.n_in
 
 
-def dft(data: Experiment) -> Spectra:
+def dft(data: Experiment, *, robust: bool = False) -> Spectra:
     """Spectra of the mean steady period at the excited lines (`data.lines`, or found by `excited_lines`).
 
     Periodic data only: the DFT of whole steady periods has no leakage. The noise covariance of the mean is
     1/(P (P-1)) sum_p (X_p - X)(X_p - X)^H (Pintelon & Schoukens 2012, ch. 2); it needs P >= 2 periods and does not
     see what repeats with the period (nonlinear distortion, ripple).
 
-    **Raises:** `jaxfrf.InputError` if the record is not periodic, or an excited line carries no power.
+    **Arguments:** `robust`: weigh periods, so that one with a glitch, a lost sample or a disturbance does not count:
+    the mean is sum_p w_p X_p / sum_p w_p with the weights of Tukey's biweight (Beaton & Tukey 1974), from the distance
+    of the period from the others over all channels and some neighbouring lines, the same for r, u and y, so that
+    y = G u still holds; its covariance is sum_p w_p^2 (X_p - X)(X_p - X)^H / ((sum_p w_p)^2 (1 - 1/sum_p w_p)). It
+    costs a few per cent of the information of clean periods.
+
+    **Raises:** `jaxfrf.InputError` if the record is not periodic, an excited line carries no power, or `robust` has
+    fewer than three periods.
     """
     expect("data", data, Experiment)
     if not data.period:
@@ -102,8 +113,15 @@ def dft(data: Experiment) -> Spectra:
             f"{period_advice(data)} Otherwise use a local method with a transient term (--method auto --option "
             "transient=2), which takes the record whole, or --method welch.",
         )
+    if robust and data.n_periods < 3:
+        raise input_error(
+            _where(data, "robust"),
+            f"{data.n_periods} steady period(s)",
+            "at least three, of which most agree",
+            "Leave robust out, or record more periods.",
+        )
     lines = known_lines(data)
-    spectra = _at_lines(data, lines)
+    spectra = _at_lines(data, lines, robust)
     _check_power(data, spectra)
     return spectra
 
@@ -175,8 +193,8 @@ def segment_spectra(
 ) -> Spectra:
     """Spectra of windowed segments of a record, as experiments beside each other: what Welch's method averages.
 
-    As in `scipy.signal.welch` the mean of every segment is taken off, and what is left at the end is not used. With them
-    `jaxfrf.coherence(spectra)` is `scipy.signal.coherence`, and `jaxfrf.estimate(spectra, jaxfrf.Welch())` is
+    As in `scipy.signal.welch` the mean of every segment is taken off, and what is left at the end is not used. With
+    them `jaxfrf.coherence(spectra)` is `scipy.signal.coherence`, and `jaxfrf.estimate(spectra, jaxfrf.Welch())` is
     csd(u, y)/welch(u). Leakage from line to line is as the window makes it.
 
     **Arguments:** `segment`, in samples; `None`: as long as eight with half an overlap can be. `overlap`: share of a
@@ -316,7 +334,7 @@ def _strength(data: Experiment, k) -> np.ndarray:
     return np.min(power / peak, axis=1)
 
 
-def _at_lines(data: Experiment, lines) -> Spectra:
+def _at_lines(data: Experiment, lines, robust: bool = False) -> Spectra:
     lines = np.asarray(lines)
     shape = (data.n_pos, data.n_exp, len(lines))
     n_sig = data.n_out + data.n_in
@@ -327,12 +345,14 @@ def _at_lines(data: Experiment, lines) -> Spectra:
     for pos in range(data.n_pos):
         for exp in range(data.n_exp):
             signal = np.concatenate([data.y[pos, exp], data.u[pos, exp]], axis=-1)
-            mean, scatter = _coefficients(signal, data.period, data.transient_periods, lines)
+            steady = (data.period, data.transient_periods)
+            weight = period_weights(signal, *steady, lines) if robust else None
+            mean, scatter = _coefficients(signal, *steady, lines, weight)
             Y[pos, exp], U[pos, exp] = mean[:, : data.n_out], mean[:, data.n_out :]
             if noise is not None:
                 noise[pos, exp] = scatter
             if R is not None:
-                R[pos, exp], _ = _coefficients(data.r[pos, exp], data.period, data.transient_periods, lines)
+                R[pos, exp], _ = _coefficients(data.r[pos, exp], *steady, lines, weight)
     return Spectra(
         U=U,
         Y=Y,
@@ -360,8 +380,28 @@ def _mean_and_variance(x, period: int, transient: int, lines) -> tuple[np.ndarra
     return per_period.mean(axis=0), per_period.var(axis=0, ddof=1) / n if n > 1 else None
 
 
-def _coefficients(x, period: int, transient: int, lines) -> tuple[np.ndarray, np.ndarray | None]:
+def period_weights(x, period: int, transient: int, lines) -> Float[np.ndarray, "period freq"]:
+    """What every period of x (time, channel) counts at every line, from 0 to 1: see `dft`."""
+    x = x[transient * period :].reshape(-1, period, x.shape[-1])
+    per_period = scipy.fft.rfft(x, axis=1, workers=-1)[:, lines] / period
+    centre = np.median(per_period.real, axis=0) + 1j * np.median(per_period.imag, axis=0)
+    weight = np.ones(per_period.shape[:2])
+    for _ in range(_ROUNDS):
+        power = np.abs(per_period - centre) ** 2
+        usual = np.median(power, axis=0) / np.log(2)  # of a circular Gaussian the median power is log 2 of the mean
+        usual = uniform_filter1d(usual, _WEIGHT_LINES, axis=0, mode="nearest")
+        distance = np.mean(power / np.maximum(usual, 1e-300), axis=2)
+        distance = np.sqrt(uniform_filter1d(distance, _WEIGHT_LINES, axis=1, mode="nearest"))
+        distance = distance / np.maximum(np.median(distance, axis=0), 1e-300)
+        weight = np.maximum(1 - (np.maximum(distance - 1, 0) / _CUT) ** 2, 0) ** 2
+        centre = np.sum(weight[..., None] * per_period, axis=0) / np.sum(weight, axis=0)[:, None]
+    return weight
+
+
+def _coefficients(x, period: int, transient: int, lines, weight=None) -> tuple[np.ndarray, np.ndarray | None]:
     """Mean over the periods of the Fourier coefficients of x (time, channel), and the covariance of that mean."""
+    if weight is not None:
+        return _weighted(x, period, transient, lines, weight)
     x = x[transient * period :].reshape(-1, period, x.shape[-1])
     per_period = scipy.fft.rfft(x, axis=1, workers=-1)[:, lines] / period
     mean = per_period.mean(axis=0)
@@ -370,6 +410,17 @@ def _coefficients(x, period: int, transient: int, lines) -> tuple[np.ndarray, np
         return mean, None
     deviation = per_period - mean
     return mean, np.einsum("pfa,pfb->fab", deviation, deviation.conj(), optimize=True) / (n * (n - 1))
+
+
+def _weighted(x, period: int, transient: int, lines, weight) -> tuple[np.ndarray, np.ndarray]:
+    """The same with weights (period, freq)."""
+    x = x[transient * period :].reshape(-1, period, x.shape[-1])
+    per_period = scipy.fft.rfft(x, axis=1, workers=-1)[:, lines] / period
+    total = weight.sum(axis=0)
+    mean = np.sum(weight[..., None] * per_period, axis=0) / total[:, None]
+    deviation = weight[..., None] * (per_period - mean)
+    scatter = np.einsum("pfa,pfb->fab", deviation, deviation.conj(), optimize=True)
+    return mean, scatter / (total**2 * np.maximum(1 - 1 / total, 0.1))[:, None, None]
 
 
 def _check_power(data: Experiment, spectra: Spectra) -> None:

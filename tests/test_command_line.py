@@ -118,7 +118,9 @@ def test_universal_file(tmp_path, data):
     np.testing.assert_allclose(responses[0]["x"], LINES * FS / PERIOD, rtol=1e-6)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method", [name for name in METHODS if name not in ("welch", "robust")]
+)  # see test_robust, _aperiodic
 def test_every_method_runs(tmp_path, data, method):
     target = tmp_path / "frf.npz"
     assert estimate(data, "-o", target, "--method", method) == 0

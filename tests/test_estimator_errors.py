@@ -111,7 +111,7 @@ def test_matrix_logarithm_of_what_is_not_square(method):
 
 @pytest.mark.parametrize(
     "method",
-    [jf.H1(), jf.H2(), jf.Hv(), jf.ArithmeticMean(), jf.LogMean(), jf.JointInputOutput(), jf.LRM()],
+    [jf.H1(), jf.H2(), jf.Hv(), jf.ArithmeticMean(), jf.LogMean(), jf.JointInputOutput()],
     ids=repr,
 )
 def test_a_record_that_is_not_periodic(method):

@@ -20,7 +20,10 @@ from .arguments import (
 
 def add(commands) -> None:
     parser = command(
-        commands, "distortion", run, "Estimate the best linear approximation, and tell noise, even and odd distortion apart."
+        commands,
+        "distortion",
+        run,
+        "Estimate the best linear approximation, and tell noise, even and odd distortion apart.",
     )
     parser.add_argument("data", nargs="+", metavar="DATA", help="periodic records: one data set")
     parser.add_argument("-o", "--output", help="FRF to write, with the total level: .nc, .mat or .npz")

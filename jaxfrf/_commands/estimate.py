@@ -28,6 +28,7 @@ def add(commands) -> None:
     parser.add_argument("-o", "--output", required=True, help="FRF to write: .nc, .mat, .npz or .uff")
     add_record_options(parser, method="auto", default="auto")
     parser.add_argument("--plot", metavar="FILE", help="Bode picture to write: .png, .pdf, .svg")
+    parser.add_argument("--robust", action="store_true", help="weigh periods: odd ones count less, or not at all")
     add_resume_option(parser)
     add_each_options(parser)
 
@@ -49,7 +50,7 @@ def run(given) -> dict:
     with Parts(given.output, "estimate", resume=given.resume, say=say) as parts:
         data = read_records(given, given.data)
         with naming(given.data):
-            spectra = spectra_of(data, chosen, periods=periods, band=band)
+            spectra = spectra_of(data, chosen, periods=periods, band=band, robust=given.robust)
             frf = estimate_in_parts(spectra, chosen, parts, say=None if given.json else say)
             frf = with_distortion(frf, data if periods is None else select_periods(data, periods[0] or 0, periods[1]))
         write(given.output, frf)

@@ -1,7 +1,7 @@
 """Estimators of frequency response functions."""
 
 from .aperiodic import adapted as adapted
-from .average import ArithmeticMean as ArithmeticMean, LogMean as LogMean
+from .average import ArithmeticMean as ArithmeticMean, LogMean as LogMean, RobustMean as RobustMean
 from .classical import H1 as H1, H2 as H2, Hv as Hv
 from .coherence import coherence as coherence, multiple_coherence as multiple_coherence
 from .common import CommonDenominatorLRM as CommonDenominatorLRM

@@ -6,7 +6,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Complex
+from jaxtyping import Bool, Complex, Float
 
 from .._errors import input_error
 from .._status import Status
@@ -18,6 +18,8 @@ from .matrix_functions import matrix_function
 from .method import AbstractMethod, Estimate, Signals
 
 _CONDITION = 1e6  # of the eigenvectors: above it the matrix logarithm loses half of the digits
+_ROUNDS, _WEIGHT_REACH = 4, 4  # of weighing blocks; lines on either side that share a weight
+_CUT = 2.0  # times the usual distance from the others, beyond it, where a block no longer counts
 _BLOCK = 512  # lines that are averaged together
 
 
@@ -140,6 +142,87 @@ class LogMean(AbstractAverage):
         if G.shape[0] == 1:
             return G[0], jnp.zeros((), bool)
         return _elementwise_mean(G) if self.elementwise else _matrix_mean(G)
+
+
+class RobustMean(AbstractAverage):
+    """Weighted mean over blocks of experiments, of which some may be odd: sum_m w_m G_m / sum_m w_m.
+
+    The weights are those of Tukey's biweight (Beaton & Tukey 1974) of a block's distance from the others, over all
+    elements and some neighbouring lines, in units of the median distance: an experiment with swapped channels, a turned
+    sign or a disturbance counts nothing, and of clean ones a few per cent of the information are lost. Needs three
+    blocks, most of which agree. The covariance is that of the weighted mean from the scatter of the blocks,
+    sum_m w_m^2 d_m d_m^H / ((sum_m w_m)^2 (1 - 1/sum_m w_m)); it holds everything that differs between blocks.
+
+    **Arguments:** `method`: estimates every block; default `H1()`, which on n_in experiments is Y U^-1.
+    """
+
+    method: AbstractMethod | None = None
+
+    @property
+    def inner(self) -> AbstractMethod:
+        return H1() if self.method is None else self.method
+
+    def check(self, spectra: Spectra) -> None:
+        super().check(spectra)
+        n_block = spectra.n_exp // self.block_size(spectra)
+        if n_block < 3:
+            raise input_error(
+                "experiments",
+                f"{n_block} block(s) of {self.block_size(spectra)}",
+                "at least three, of which most agree",
+                "Take another mean (log), or add experiments.",
+            )
+
+    def mean(self, G):
+        return G.mean(axis=0), jnp.zeros((), bool)
+
+    def residual_dof(self, signals: Signals) -> float:
+        return signals.n_exp // self.block_size(signals) - 1.0
+
+    def at_point(self, signals: Signals, lines=None) -> Estimate:
+        if lines is not None:  # weights look at neighbours
+            return jax.tree.map(lambda x: x[lines], self.at_point(signals))
+        size = self.block_size(signals)
+        n_block = signals.n_exp // size
+        blocks = jax.tree.map(
+            lambda x: x[: n_block * size].reshape(n_block, size, *x.shape[1:]), _by_experiment(signals)
+        )
+        each = jax.lax.map(lambda b: self.inner.at_point(dataclasses.replace(signals, **b)), blocks)
+        weight = _block_weights(each.G)
+        total = weight.sum(axis=0)
+        G = jnp.sum(weight[..., None, None] * each.G, axis=0) / total[:, None, None]
+        size = jnp.sqrt(total**2 * jnp.maximum(1 - 1 / total, 0.1))
+        deviation = jnp.swapaxes(each.G - G, -1, -2).reshape(*each.G.shape[:2], -1) * (weight / size)[..., None]
+        scatter = OuterSum(jnp.moveaxis(deviation, 0, -1))
+        status = jnp.bitwise_or.reduce(each.status, axis=0) & ~int(Status.NO_COVARIANCE)
+        return Estimate(
+            G=G,
+            cov=scatter,
+            dof=jnp.maximum(total - 1, 0.5),
+            status=status,
+            window=each.window.mean(axis=0),
+            doubtful=jnp.zeros(status.shape, bool),
+            cov_noise=None if each.cov_noise is None else sum_over(each.cov_noise, 1 / n_block**2),
+            cov_total=scatter,
+        )
+
+
+def _block_weights(G) -> Float[Array, "block freq"]:
+    """Weights of (block, freq, out, in)."""
+    middle = lambda x: jnp.median(x, axis=0)
+    centre = middle(G.real) + 1j * middle(G.imag)
+    n = G.shape[1]
+    line = np.arange(n)
+    first, last = np.maximum(line - _WEIGHT_REACH, 0), np.minimum(line + _WEIGHT_REACH + 1, n)
+    for _ in range(_ROUNDS):
+        power = jnp.abs(G - centre) ** 2
+        distance = jnp.mean(power / jnp.maximum(middle(power), 1e-300), axis=(-2, -1))
+        total = jnp.concatenate([jnp.zeros((len(G), 1)), jnp.cumsum(distance, axis=1)], axis=1)
+        distance = jnp.sqrt((total[:, last] - total[:, first]) / (last - first))
+        distance = distance / jnp.maximum(middle(distance), 1e-300)
+        weight = jnp.maximum(1 - (jnp.maximum(distance - 1, 0) / _CUT) ** 2, 0) ** 2
+        centre = jnp.sum(weight[..., None, None] * G, axis=0) / weight.sum(axis=0)[:, None, None]
+    return weight
 
 
 def _matrix_mean(G):

@@ -5,7 +5,7 @@ import inspect
 from collections.abc import Mapping
 
 from .._errors import input_error
-from .average import ArithmeticMean, LogMean
+from .average import ArithmeticMean, LogMean, RobustMean
 from .classical import H1, H2, Hv
 from .common import CommonDenominatorLRM
 from .joint import JointInputOutput
@@ -21,6 +21,11 @@ METHODS: dict[str, tuple[str, AbstractMethod]] = {
     "hv": ("total least squares over experiments", Hv()),
     "arithmetic": ("mean over blocks of experiments", ArithmeticMean()),
     "log": ("logarithmic mean over blocks of experiments", LogMean()),
+    "robust": ("mean over blocks of experiments in which odd ones do not count", RobustMean()),
+    "robust-lrm-jio": (
+        "local matrix fractions through the reference, mean in which odd experiments do not count",
+        RobustMean(JointInputOutput(LRM())),
+    ),
     "jio": ("ratio of the responses from the reference, by H1", JointInputOutput(H1())),
     "lpm": ("local polynomials, logarithmic mean over experiments", LogMean(LPM())),
     "lrm-miso": ("local fractions by output, logarithmic mean over experiments", LogMean(MisoLRM())),
@@ -36,7 +41,10 @@ METHODS: dict[str, tuple[str, AbstractMethod]] = {
         "one denominator for y and u, through the reference",
         JointInputOutput(CommonDenominatorLRM()),
     ),
-    "welch": ("cross spectra averaged over segments of a record, as SciPy's csd/welch and MATLAB's tfestimate", Welch()),
+    "welch": (
+        "cross spectra averaged over segments of a record, as SciPy's csd/welch and MATLAB's tfestimate",
+        Welch(),
+    ),
 }
 """Name: what it is, and the method with its default options. The paper's are h1 to lrm-jio."""
 

@@ -32,7 +32,8 @@ def with_causes(estimate: Estimate, spectra: Spectra, method: AbstractMethod) ->
       with the status `NOISE_ONLY`.
     - `bias` of local methods with a given window, as a variance that is added to the covariance: what
       |G - Y Z^H (U Z^H)^-1|^2, Z the reference or the input, has beyond the variance of the difference, averaged over
-      some lines; of fractions a tenth of that variance more, for what no test sees.
+      some lines; of fractions, where there are more experiments than inputs, a tenth of that variance more, for what no
+      test sees.
     """
     estimate = _with_noise(estimate, spectra)
     estimate = _with_noise_only(estimate, spectra)
@@ -115,7 +116,9 @@ def _with_bias(estimate: Estimate, spectra: Spectra, method: AbstractMethod) -> 
     excess = (1 - _OTHERS) * excess + _OTHERS * excess.mean(axis=(-2, -1), keepdims=True)
     reach = np.maximum(np.asarray(estimate.window) // _NEAR, _LEAST_NEAR).astype(int)
     power = np.maximum(running_mean(excess, reach) - 1, 0) * np.where(usable, difference, 0.0)
-    unseen = _UNSEEN * np.where(usable, difference, 0.0) if has_fractions(method) else 0.0
+    unseen = (
+        _UNSEEN * np.where(usable, difference, 0.0) if has_fractions(method) and spectra.n_exp > spectra.n_in else 0.0
+    )
     more = (power + unseen).swapaxes(-1, -2).reshape(*power.shape[:2], -1)
     return dataclasses.replace(estimate, cov=Widened(estimate.cov, more), bias=np.sqrt(power + unseen))
 

@@ -9,10 +9,10 @@ import numpy as np
 from ..spectra import Spectra
 from .covariance import dense
 from .inverse import adjoint, inverse
-from .local import AbstractLocal
+from .local import AbstractLocal, default_width
 from .method import Signals
 from .regression import Equations, Solution
-from .window import Columns
+from .window import Columns, Windows
 
 
 class CommonDenominatorLRM(AbstractLocal):
@@ -34,6 +34,14 @@ class CommonDenominatorLRM(AbstractLocal):
 
     def fractions(self, n_target: int):
         return (tuple(range(n_target)),)
+
+    def windows(self, spectra: Spectra | Signals, n_parameters: int) -> Windows:
+        """Where none is given, a window wider by the order: what the loop feeds back makes the noise of y and u the
+        same, and of few lines the denominator fits that."""
+        if self.width is not None:
+            return super().windows(spectra, n_parameters)
+        width = default_width(n_parameters + self.order, spectra.n_exp, len(spectra.frequency))
+        return dataclasses.replace(self, width=width).windows(spectra, n_parameters)
 
     def n_parameters(self, spectra: Spectra | Signals, n_top: int, n_target: int) -> int:
         return super().n_parameters(spectra, n_top, n_target) + -(-self.order // n_target)

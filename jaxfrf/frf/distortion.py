@@ -21,7 +21,7 @@ from .response import FRF
 from .scaled import Scaled
 from .select import Auto
 
-_NEIGHBOURS = 12  # unexcited lines of one kind that the level at an excited line is the mean of
+_NEIGHBOURS = 8  # unexcited lines of one kind that the level at an excited line is the mean of
 _FEWEST = 4  # of them, below which nothing is said
 
 
@@ -35,8 +35,8 @@ class Distortion(eqx.Module):
 
     - `frf`: the best linear approximation, `cov_noise` and `cov_total` with it.
     - `output`: level of the output at the excited lines, (pos, freq, out).
-    - `noise`, `even`, `odd`, `total`: at the excited lines, (pos, freq, out). `even` and `odd`: distortion of even and odd
-      order without the noise, from the unexcited lines around; `total`: noise and all distortion that falls on the
+    - `noise`, `even`, `odd`, `total`: at the excited lines, (pos, freq, out). `even` and `odd`: distortion of even and
+      odd order without the noise, from the unexcited lines around; `total`: noise and all distortion that falls on the
       excited lines.
     - `unexcited`: frequencies of the detection lines, Hz, (line,); `is_even`, (line,); `detected`: what the linear
       response does not explain there, noise included, (pos, line, out); `detected_noise`: noise alone.
@@ -59,11 +59,12 @@ class Distortion(eqx.Module):
 def best_linear_approximation(data: Experiment, method: AbstractMethod | None = None) -> Distortion:
     """Estimate the best linear approximation of a periodic record, with noise, even and odd distortion beside it.
 
-    *Fast* (Pintelon & Schoukens 2012, sec. 4.3.2), where lines in the band are left unexcited: what Y - G U leaves there,
-    G interpolated from the excited lines, so that what the controller of a closed loop plays at these lines is no
-    distortion. Even lines show distortion of even order, odd ones of odd order; of odd excitations only the odd ones
-    fall on excited lines. *Robust* (sec. 4.3.1), from two realisations of two periods: `jaxfrf.levels`; even and odd are
-    not told apart. Noise is what changes from period to period, and needs two.
+    *Fast* (Pintelon & Schoukens 2012, sec. 4.3), where lines in the band are left unexcited: what Y - G U leaves
+    there, G interpolated from the excited lines, so that what the controller of a closed loop plays at these lines is
+    no distortion. Even lines show distortion of even order, odd ones of odd order; of odd excitations only the odd ones
+    fall on excited lines. Too high where G bends between two excited lines, as at a sharp resonance. *Robust*, from
+    two realisations of two periods: `jaxfrf.levels`; even and odd are not told apart. Noise is what changes from period
+    to period, and needs two.
 
     **Arguments:** `method`: estimates G; default `jaxfrf.Auto()`.
 
@@ -74,7 +75,7 @@ def best_linear_approximation(data: Experiment, method: AbstractMethod | None = 
 
 
 def with_distortion(frf: FRF, data: Experiment) -> FRF:
-    """The FRF with what its record says of noise and distortion together (`cov_total`); as it is where that says nothing.
+    """The FRF with what its record says of noise and distortion together (`cov_total`); as it is where that is nothing.
 
     Where the residuals leave no covariance (status `NOISE_ONLY`), it becomes the covariance, so that fits weigh by it.
     """
@@ -107,7 +108,7 @@ def distortion_of(frf: FRF, data: Experiment) -> Distortion:
             "distortion",
             f"{spectra.n_real} realisation(s) of {spectra.n_periods} period(s), no line left unexcited",
             "unexcited lines in the band (odd designs), or two realisations, or two periods",
-            "Excite odd lines only and leave some of them out (jaxfrf excite, odd or random-odd lines), or record longer.",
+            "Excite odd lines only and leave some of them out (jaxfrf excite), or record longer.",
         )
     output = np.sqrt(np.mean(np.abs(np.asarray(spectra.Y)) ** 2, axis=1))
     frf = _with_total(frf, spectra, total, way)

@@ -5,8 +5,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from .._types import Array
-from .covariance import AbstractFactors, variances
-from .covariance import dense as written_out
+from .covariance import AbstractFactors, dense as written_out, variances
 
 
 class Scaled(AbstractFactors):

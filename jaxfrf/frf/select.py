@@ -44,9 +44,9 @@ class Auto(AbstractMethod):
     and a tenth of s^2 - s_w^2 is added for what no test sees. Where there are more experiments than inputs, the first
     of all is `H1` (through the reference), which has no window and no bias of one.
 
-    Fractions are fitted in two stages, which removes the bias of the noise in their regressors (`jaxfrf.frf.two_stage`).
-    The choices were made on the tuning plants of `benchmarks/bench_coverage.py`, which reports on others. In closed
-    loop without a reference, the noise in u biases every window alike, and nothing of that is seen.
+    Fractions are fitted in two stages, which removes the bias of the noise in their regressors
+    (`jaxfrf.frf.two_stage`). The choices were made on the tuning plants of `benchmarks/bench_coverage.py`, which reports
+    on others. In closed loop without a reference, the noise in u biases every window alike, and nothing of that is seen.
 
     **Arguments:**
 
@@ -197,6 +197,8 @@ def _blended(tried: Estimate, widths: tuple[int, ...]) -> Estimate:
 
 def _blend(tried: Estimate, widths: tuple[int, ...]) -> Estimate:
     """From narrow to wide windows, (width, freq, ...), the mean that errs least; see `Auto`."""
+    if len(widths) == 1:
+        return jax.tree.map(lambda x: x[0], dataclasses.replace(tried, cov=_as_it_is(tried.cov)))
     own = jnp.maximum(variances(tried.cov), 0)
     every = own.reshape(*own.shape[:2], tried.G.shape[3], tried.G.shape[2]).mT
     every = jnp.where(jnp.isfinite(every), every, jnp.inf)
@@ -241,6 +243,10 @@ def _blend(tried: Estimate, widths: tuple[int, ...]) -> Estimate:
     return dataclasses.replace(
         chosen, G=G, cov=Scaled(chosen.cov, jnp.where(of > 0, scale, 1.0)), dof=dof, window=window
     )
+
+
+def _as_it_is(cov) -> Scaled:
+    return Scaled(cov, jnp.ones(cov.shape[:-1]))
 
 
 def _between(wide, narrow, keep):

@@ -32,7 +32,7 @@ def prediction(method: AbstractLocal, signals: Signals, joint: bool) -> Complex[
     """What a first fit with `method` says that the targets (y, or y and u) would be without noise; what was measured
     where it fails."""
     X = signals.R if joint else signals.U
-    n_exp, n_freq, n_in = X.shape
+    n_exp, n_freq = X.shape[:2]
     if method.transient is not None:
         each = jnp.broadcast_to(jnp.eye(n_exp, dtype=complex)[:, None], (n_exp, n_freq, n_exp))
         X = jnp.concatenate([X, each], axis=-1)  # a transient is the answer to 1 in one experiment

@@ -17,7 +17,7 @@ def distortion(found: Distortion, *, position: int = 0, axes=None, title: str = 
     Points: the output at the excited lines, and what the linear response leaves unexplained at even and odd unexcited
     lines. Lines: noise, and noise and distortion together as they fall on the excited lines.
 
-    **Arguments:** `found`: of `jaxfrf.best_linear_approximation`. `axes`: one for every output; by default a new figure.
+    **Arguments:** `found`: of `jaxfrf.best_linear_approximation`. `axes`: one for every output, or a new figure.
 
     **Returns:** the figure, and its axes (out,).
 

@@ -137,7 +137,8 @@ def _does_not_belong(record: Record, pos: int, windows: _Windows, found: _Foreig
         size,
         f"experiment {found.exp} (position {pos}{_file(record, found.exp)}) does not belong to the others: they "
         f"predict its y (channel {channel}) with an error of {100 * size:.2g} %, each other's with "
-        f"{100 * np.sqrt(found.usual):.2g} %.{why} The FRF may be off by {100 * effect:.2g} %: mend it or leave it.",
+        f"{100 * np.sqrt(found.usual):.2g} %.{why} The FRF may be off by {100 * effect:.2g} %: mend it, leave it, or "
+        "take a mean in which odd experiments do not count (--method robust).",
         effect=effect,
         signal="y",
         channel=channel,

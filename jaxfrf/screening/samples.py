@@ -84,7 +84,7 @@ def disturbed(record: Record) -> Iterator[Finding]:
             f"differs at samples {first} to {first + (b - a) * width - 1}{more} by {size:.2g} of its rms from the same "
             f"place of the other periods, {np.sqrt(flat[a:b].max() / np.median(usual)):.2g} times as much as "
             f"elsewhere: a spike, a blow, or samples replaced? The FRF may be off by about {100 * effect:.2g} %. Leave "
-            f"that period out ({_leave_out(c, first, first + (b - a) * width)}).",
+            f"that period out ({_leave_out(c, first, first + (b - a) * width)}), or weigh the periods (--robust).",
             effect=effect,
             samples=(first, first + (b - a) * width),
         )
@@ -116,7 +116,7 @@ def spikes(record: Record) -> Iterator[Finding]:
             effect,
             f"holds single samples that stand out in {count} places, the first at sample {where} or "
             f"{where + c.period}: up to {bend.max() / usual:.2g} times the noise between neighbours. The FRF may be "
-            f"off by {100 * effect:.2g} %. Mend or leave out these periods.",
+            f"off by {100 * effect:.2g} %. Mend or leave out these periods, or weigh them (--robust).",
             effect=effect,
             samples=(where, where + 1),
         )

@@ -66,7 +66,8 @@ def _odd_period(c: Channel) -> Iterator[Finding]:
             size[worst],
             f"differs in {_called(worst, n)} (samples {first} to {first + c.period - 1}) by "
             f"{size[worst]:.2g} of the rms from the others, most at sample {first + sample}: samples lost or "
-            f"repeated, or a disturbance? Leave it out (--periods {_without(worst, n)}).",
+            f"repeated, or a disturbance? Leave it out (--periods {_without(worst, n)}), or weigh the "
+            "periods (--robust).",
             **more,
         )
 

@@ -1,0 +1,95 @@
+"""Records without a period: windows by themselves, Welch's method as SciPy has it, segments."""
+
+import numpy as np
+import plants
+import pytest
+import scipy.signal
+
+import jaxfrf as jf
+from jaxfrf.frf import adapted
+
+FS = 500.0
+
+
+@pytest.fixture(scope="module")
+def noise_record():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(6000)
+    y = scipy.signal.lfilter(*scipy.signal.butter(2, 0.2), u) + 0.1 * rng.standard_normal(u.size)
+    return u, y
+
+
+def test_welch_is_scipys(noise_record):
+    u, y = noise_record
+    frf = jf.estimate(jf.Experiment(u, y, FS), jf.Welch(segment=256))
+    options = {"fs": FS, "nperseg": 256}
+    f, cross = scipy.signal.csd(u, y, **options)
+    expected = cross / scipy.signal.welch(u, **options)[1]
+    np.testing.assert_allclose(frf.frequency, f[1:128], rtol=1e-12)
+    np.testing.assert_allclose(frf.G[0, :, 0, 0], expected[1:128], rtol=1e-10)
+    coherence = jf.coherence(jf.segment_spectra(jf.Experiment(u, y, FS), 256))
+    np.testing.assert_allclose(coherence[0, :, 0, 0], scipy.signal.coherence(u, y, **options)[1][1:128], rtol=1e-9)
+
+
+def test_welch_covers(noise_record):
+    """Segments that overlap are not independent: the regions know."""
+    rng = np.random.default_rng(1)
+    b, a = scipy.signal.butter(2, 0.2)
+    u = rng.standard_normal((40, 4000))
+    y = scipy.signal.lfilter(b, a, u) + 0.3 * rng.standard_normal(u.shape)
+    data = jf.Experiment(u[:, None, :, None], y[:, None, :, None], FS)
+    frf = jf.estimate(data, jf.Welch(segment=256))
+    truth = scipy.signal.freqz(b, a, worN=frf.frequency, fs=FS)[1]
+    region = scipy.stats.f.ppf(0.95, 2, 2 * frf.dof) * frf.std[..., 0, 0] ** 2
+    assert 0.93 < np.mean(np.abs(frf.G[..., 0, 0] - truth) ** 2 <= region) < 0.97
+
+
+@pytest.mark.parametrize("wrong", [{"segment": 4}, {"overlap": 1.0}, {"window": "no such"}])
+def test_welch_refuses(wrong):
+    with pytest.raises(jf.InputError, match=next(iter(wrong))):
+        jf.Welch(**wrong)
+    with pytest.raises(jf.InputError, match="segment"):
+        jf.estimate(jf.Experiment(np.arange(50.0), np.arange(50.0), FS), jf.Welch(segment=60))
+
+
+def test_what_becomes_of_a_method():
+    rng = np.random.default_rng(2)
+    u, y = rng.standard_normal((2, 300))
+    whole = jf.record_spectra(jf.Experiment(u, y, FS))
+    lpm = jf.LPM(transient=2, variable="frequency")
+    assert adapted(jf.LogMean(jf.LPM()), whole) == jf.LogMean(jf.Auto(lpm, use_reference=False))
+    assert adapted(jf.JointInputOutput(jf.LPM()), whole) == jf.Auto(lpm)
+    assert adapted(jf.LPM(width=30), whole) == jf.LPM(width=30, transient=2, variable="frequency")
+    assert adapted(jf.H1(), whole) == jf.H1()
+
+
+def test_segments_are_experiments(noise_record):
+    u, y = noise_record
+    data = jf.segments(jf.Experiment(u, y, FS), 1900)
+    assert (data.n_exp, data.n_time) == (3, 1900)
+    np.testing.assert_array_equal(data.u[0, 1, :, 0], u[1900:3800])
+    with pytest.raises(jf.InputError, match="segment"):
+        jf.segments(jf.Experiment(u, y, FS), 7000)
+    with pytest.raises(jf.InputError, match="period"):
+        jf.segments(jf.Experiment(u, y, FS, 3000), 1000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["sweep", "noise", "steps"])
+def test_the_modes_of_a_loop(kind):
+    """Antiresonance and resonance where they are, nothing else, and intervals that hold."""
+    loop, n = plants.two_mass_loop(1, seed=3), 10000
+    rng, t = np.random.default_rng(0), np.arange(n) / FS
+    r = {
+        "sweep": scipy.signal.chirp(t, 1, t[-1], 100),
+        "noise": rng.standard_normal(n),
+        "steps": np.repeat(rng.choice([-1.0, 1.0], n // 200), 200),
+    }[kind][:, None]
+    u, y = plants.simulate(loop, r / r.std(), seed=1, noise=0.02)
+    frf = jf.estimate(jf.Experiment(u, y, FS, r=r / r.std()), jf.Auto(jf.LRM(transient=2)))
+    inside = (frf.frequency > 4) & (frf.frequency < 60)
+    G = loop.plant(frf.frequency)[:, 0, 0]
+    error = np.abs(frf.G[0, :, 0, 0] - G)
+    region = scipy.stats.f.ppf(0.95, 2, 2 * frf.dof[0]) * frf.std[0, :, 0, 0] ** 2
+    assert np.median((error / np.abs(G))[inside]) < 0.05
+    assert np.mean((error**2 <= region)[inside]) > 0.9
