@@ -63,6 +63,9 @@ _PUBLIC = {
     "Levels": "frf",
     "distortion": "frf",
     "features": "frf",
+    "modal": "frf",
+    "ModalModel": "frf",
+    "Mode": "frf",
     "Feature": "frf",
     "describe_method": "frf",
     "concatenate_positions": "frf",
@@ -175,6 +178,8 @@ if TYPE_CHECKING:
         Levels as Levels,
         LogMean as LogMean,
         MisoLRM as MisoLRM,
+        ModalModel as ModalModel,
+        Mode as Mode,
         coherence as coherence,
         concatenate_positions as concatenate_positions,
         describe_method as describe_method,
@@ -182,6 +187,7 @@ if TYPE_CHECKING:
         estimate as estimate,
         features as features,
         levels as levels,
+        modal as modal,
         multiple_coherence as multiple_coherence,
     )
     from .graybox import (

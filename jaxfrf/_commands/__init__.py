@@ -3,6 +3,6 @@
 Libraries are imported when a command runs, so that `jaxfrf --help` costs nothing.
 """
 
-from . import diagnose, estimate, example, excite, identify, positions, simulate, study
+from . import diagnose, estimate, example, excite, identify, modal, positions, simulate, study
 
-COMMANDS = (example, excite, positions, simulate, estimate, identify, diagnose, study)
+COMMANDS = (example, excite, positions, simulate, estimate, modal, identify, diagnose, study)
