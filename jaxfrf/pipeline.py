@@ -97,6 +97,9 @@ class Summary(eqx.Module):
                     "kind": x.kind,
                     "hz": x.frequency,
                     "prominence_db": x.prominence_db,
+                    "hz_std": _finite(x.frequency_std),
+                    "damping": _finite(x.damping),
+                    "damping_std": _finite(x.damping_std),
                 }
                 for i, j in _elements(frf)
                 for x in features(frf, i, j)[:6]
@@ -126,10 +129,18 @@ class Summary(eqx.Module):
         for i, j in _elements(frf):
             found = features(frf, i, j)
             for kind in ("antiresonance", "resonance"):
-                at = sorted(x.frequency for x in [x for x in found if x.kind == kind][:4])
+                at = sorted([x for x in found if x.kind == kind][:4], key=lambda x: x.frequency)
                 if at:
-                    text.append(f"G{i + 1}{j + 1}: {kind} at {', '.join(f'{f:.4g}' for f in at)} Hz")
+                    text.append(f"G{i + 1}{j + 1}: {kind} at {', '.join(_at(x) for x in at)}")
         return text + [f"note: {x}" for x in about["status"]]
+
+
+def _at(feature) -> str:
+    """Frequency and damping with their 95 % intervals."""
+    text = f"{feature.frequency:.5g} +- {1.96 * feature.frequency_std:.1g} Hz"
+    if not np.isfinite(feature.damping):
+        return text
+    return f"{text} (damping {100 * feature.damping:.2g} +- {196 * feature.damping_std:.1g} %)"
 
 
 def summary(spectra: Spectra, frf: FRF) -> Summary:

@@ -246,8 +246,9 @@ def test_features_of_two_masses():
     for feature in motor:
         known = {"antiresonance": antiresonance, "resonance": resonance}[feature.kind]
         assert abs(feature.frequency - known) <= 0.1
-        level = 20 * np.log10(np.abs(G[np.argmin(np.abs(f - feature.frequency)), 0, 0]))
-        assert abs(feature.magnitude_db - level) < 1e-9
+        level = 20 * np.log10(np.abs(G[:, 0, 0]))
+        near = np.abs(f - feature.frequency) < 0.2
+        assert np.min(np.abs(feature.magnitude_db - level[near])) < 1e-9
     (only,) = load  # the valley between the slope of the rigid body and the resonance is no antiresonance
     assert only.kind == "resonance" and abs(only.frequency - resonance) <= 0.1
     assert motor[0].prominence_db >= motor[1].prominence_db
@@ -262,7 +263,7 @@ def test_prominence_of_a_feature():
 
     G = (mode(20.0, 0.025) / mode(40.0, 0.5 * 10 ** (-5 / 20)))[:, None, None]
     (found,) = jf.features(response(G, f))
-    assert (found.kind, found.frequency) == ("resonance", 20.0)
+    assert found.kind == "resonance" and abs(found.frequency - 20.0) < 2e-3 and abs(found.damping - 0.025) < 5e-4
     level = 20 * np.log10(np.abs(G[:, 0, 0]))
     assert abs(found.magnitude_db - level.max()) < 1e-9
     assert abs(found.prominence_db - (level.max() - level[0])) < 1e-9  # the valley before it is the first line
@@ -508,4 +509,4 @@ def test_summary():
     text = "\n".join(about.lines())
     assert "standard deviation: 1 % of |G|" in text
     assert f"7 of {len(f)} estimates: an input carries almost no power" in text
-    assert f"G11: resonance at {resonance:.3g}" in text
+    assert f"G11: resonance at {resonance:.4g}" in text

@@ -202,10 +202,10 @@ def test_fewer_dimensions(tmp_path, extension):
 def test_matlab_drops_trailing_axes(tmp_path):
     """(position, experiment, time, 1) comes back from MATLAB as (position, experiment, time)."""
     u, y = signals(n_in=1, n_out=1, lead=(2, 3))
-    data = read(saved(tmp_path / "a.mat", u=u[..., 0], y=y[..., 0], fs=FS, q=np.zeros((2, 6))))
+    data = read(saved(tmp_path / "a.mat", u=u[..., 0], y=y[..., 0], fs=FS, q=np.zeros((2, 6)), y_quantity="velocity"))
     np.testing.assert_array_equal(data.u, u)
     assert not data.warnings
-    unsure = read(saved(tmp_path / "a.mat", u=u[..., 0], y=y[..., 0], fs=FS))
+    unsure = read(saved(tmp_path / "a.mat", u=u[..., 0], y=y[..., 0], fs=FS, y_quantity="velocity"))
     np.testing.assert_array_equal(unsure.u, u)
     assert "(2, 3, 200) was taken as (position, experiment, time) of one channel" in unsure.warnings[0]
 
@@ -313,7 +313,7 @@ def test_tables(tmp_path, kind):
     lines = [separator.join(repr(float(x)).replace(".", point) for x in row) for row in table]
     path = tmp_path / "a.csv"
     path.write_text("\n".join(([heading] if heading else []) + lines) + "\n")
-    data = read(path, names=None if heading else parse_map("t=0,u=1,y=2"))
+    data = read(path, names=None if heading else parse_map("t=1,u=2,y=3"))
     np.testing.assert_array_equal(data.u[0, 0], u)
     np.testing.assert_array_equal(data.y[0, 0], y)
     assert data.fs == FS
@@ -331,14 +331,14 @@ def test_headings_with_units(tmp_path):
     [
         ("u,y\n1,2\n3\n", [r"line 3", r"1 columns", r"2 as in"]),
         ("u,y\n1,2\n3,4,5\n", [r"line 3", r"3 columns"]),
-        ("u,y\n1,2\n3,lost\n", [r"line 3, column 1", "'lost'", "a number"]),
-        ("u,y\n1,2\nNm,rad\n3,4\n", [r"line 3, column 0", "'Nm'", "one line of headings"]),
-        ("u,y\n1,\n3,4\n", [r"line 2, column 1", "''"]),
+        ("u,y\n1,2\n3,lost\n", [r"line 3, column 2", "'lost'", "a number"]),
+        ("u,y\n1,2\nNm,rad\n3,4\n", [r"line 3, column 1", "'Nm'", "one line of headings"]),
+        ("u,y\n1,\n3,4\n", [r"line 2, column 2", "''"]),
         ("u,y,z\n1,2\n3,4\n", ["headings", "3 names over 2 columns"]),
         ("u,u\n1,2\n3,4\n", ["headings", "'u' more than once"]),
         ("u,y\n", ["headings without numbers"]),
         ("\n\n", ["no lines of numbers"]),
-        ("1,2\n3,4\n5,6\n", ["u: found no such variable", r'--map "u=0,y=1"', r"0 \(3,\)"]),
+        ("1,2\n3,4\n5,6\n", ["u: found no such variable", r'--map "u=1,y=2"', r"1 \(3,\)"]),
         ("u,y\n1,2\n3,nan\n5,6\n", ["y: found 1 NaN or Inf", "sample 1"]),
     ],
 )
@@ -504,7 +504,7 @@ def test_other_content_under_a_known_extension(tmp_path, extension):
     assert "wrong extension" in message(path)
 
 
-@pytest.mark.parametrize("name", ["a.h5", "a.txt", "a", "a.npy"])
+@pytest.mark.parametrize("name", ["a.h5", "a.xyz", "a", "a.npy"])
 def test_unknown_extensions(tmp_path, name):
     (tmp_path / name).write_bytes(b"x")
     text = message(tmp_path / name)
@@ -630,7 +630,7 @@ def test_no_files():
 def test_warnings_name_the_file(tmp_path):
     u, y = signals()
     y[:, 1] = 0.25
-    data = read(saved(tmp_path / "a.npz", u=u, y=y, fs=FS))
+    data = read(saved(tmp_path / "a.npz", u=u, y=y, fs=FS, y_quantity="velocity"))
     assert len(data.warnings) == 1
     assert data.warnings[0].startswith(f"{tmp_path / 'a.npz'}: y: channel 1 is constant (0.25)")
 
@@ -643,7 +643,7 @@ BENCH = {"names": {"u": "iq_adx", "y": "omega_max", "r": "iq_refx"}}
 @pytest.mark.parametrize("kind", "AB")
 def test_two_mass_bench(measured, kind):
     path = measured / "two_mass_bench" / f"MultisineType{kind}.mat"
-    data = read(path, **BENCH, values=parse_values("fs=2500,period=2500,transient_periods=1"))
+    data = read(path, **BENCH, values=parse_values("fs=2500,period=2500,transient_periods=1,y_quantity=velocity"))
     raw = scipy.io.loadmat(path, variable_names=["omega_max"])
     np.testing.assert_array_equal(data.y[0, 0], raw["omega_max"])
     assert (data.u.shape, data.fs, data.n_periods) == ((1, 1, 50000, 1), 2500.0, 19)
@@ -744,7 +744,7 @@ def test_dialects_of_tables(tmp_path, text, encoding):
     ("text", "says"),
     [
         ("t,u,y\n" + table(",").replace("0.010000,", "0.010000,,", 1), r"line 3: found 4 columns; expected 3"),
-        ("t,u,y\n" + table(",").replace("0.010000", "1_0", 1), r"line 3, column 0: found '1_0'; expected a number"),
+        ("t,u,y\n" + table(",").replace("0.010000", "1_0", 1), r"line 3, column 1: found '1_0'; expected a number"),
         ("t,u,y\n0.0,1.0\n" + table(","), r"line 3: found 3 columns; expected 2"),
         ("t,u\n" + table(","), r"headings: found 2 names over 3 columns"),
         ("t,u,y\n", "headings without numbers"),

@@ -20,6 +20,7 @@ from .features import Feature as Feature, features as features
 from .joint import JointInputOutput as JointInputOutput
 from .local import LPM as LPM, LRM as LRM, MisoLRM as MisoLRM
 from .method import AbstractMethod as AbstractMethod, Estimate as Estimate, Signals as Signals
+from .modal import ModalModel as ModalModel, Mode as Mode, Stabilisation as Stabilisation, modal as modal
 from .response import FRF as FRF, concatenate_positions as concatenate_positions
 from .select import Auto as Auto
 from .welch import Welch as Welch

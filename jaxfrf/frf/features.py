@@ -1,35 +1,55 @@
-"""What one reads off a response: resonances and antiresonances."""
+"""What one reads off a response: resonances and antiresonances, with intervals."""
 
 import equinox as eqx
 import numpy as np
 from scipy.signal import find_peaks
 
+from .._arguments import expect
+from .poles import PoleFit, fit_poles
 from .response import FRF
 
 _TURN = np.pi / 4  # least phase across an extremum, between the lines where 3 dB of it are gone
+_AROUND = 3.0  # half widths (3 dB) of lines on each side that tell frequency and damping
+_FEWEST = 4  # lines on each side, at least
+_SIGNIFICANT = 3.0  # standard deviations of the extremum itself, beside its surroundings
+_SURE = 0.5  # relative standard deviation of a damping beyond which it is not told
 
 
 class Feature(eqx.Module):
-    """An extremum of the magnitude of one element: `kind` is `resonance` or `antiresonance`."""
+    """An extremum of the magnitude of one element: `kind` is `resonance` or `antiresonance`.
+
+    **Fields:** `frequency`: Hz, of the pole or zero where the lines tell it, else of the line. `frequency_std`: its
+    standard deviation; a 95 % interval is +-1.96 of it. `damping`, `damping_std`: ratio to the critical one; NaN where
+    the lines do not tell it. `magnitude_db`, `prominence_db`: at the line, and over the surroundings.
+    """
 
     kind: str = eqx.field(static=True)
     frequency: float = eqx.field(static=True)
     magnitude_db: float = eqx.field(static=True)
     prominence_db: float = eqx.field(static=True)
+    frequency_std: float = eqx.field(static=True, default=float("nan"))
+    damping: float = eqx.field(static=True, default=float("nan"))
+    damping_std: float = eqx.field(static=True, default=float("nan"))
 
 
 def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, prominence_db: float = 6.0) -> list[Feature]:
     """Peaks and dips of |G[out, into]| that stand out by at least `prominence_db`, the most prominent first.
 
-    Read off the lines there are, without interpolation: good to one line. What two standard deviations could have made
-    is left out; where the standard deviation is unknown, noise makes more of them. A pole or zero pair turns the phase
-    by 90 degrees within its 3 dB band; a valley between two slopes, as where no zero lies between two resonances, does
-    not, and is left out too.
+    Frequency and damping are those of one pole (of G, or of 1/G for a dip) beside a smooth rest, fitted to the lines
+    around the extremum; `jaxfrf.modal` fits all modes of all elements together. What two standard deviations could have
+    made, and a pole that is not significant beside the smooth rest, is left out; where the standard deviation is
+    unknown, noise makes more of them. A pole or zero pair turns the phase by 90 degrees within its 3 dB band; a valley
+    between two slopes, as where no zero lies between two resonances, does not, and is left out too.
+
+    Biased where two resonances overlap, and by the window of a local method that is wider than the resonance.
     """
+    expect("frf", frf, FRF)
     G = np.asarray(frf.G)[position, :, out, into]
+    std = np.asarray(frf.std)[position, :, out, into]
+    shared = np.maximum(np.asarray(frf.window, float)[position], 1.0)
     magnitude = np.maximum(np.abs(G), 1e-300)
     level = 20 * np.log10(magnitude)
-    doubt = 2 * np.nan_to_num(np.asarray(frf.std)[position, :, out, into]) / magnitude
+    doubt = 2 * np.nan_to_num(std) / magnitude
     higher, lower = 20 * np.log10(1 + doubt), -20 * np.log10(np.maximum(1 - doubt, 1e-300))
     found = []
     for kind, sign, of_peak, of_base in (("resonance", 1.0, lower, higher), ("antiresonance", -1.0, higher, lower)):
@@ -37,15 +57,64 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
         bases = zip(about["left_bases"], about["right_bases"], strict=True)
         for i, prominence, ends in zip(peaks, about["prominences"], bases, strict=True):
             base = max(ends, key=lambda k: sign * level[k])
-            if prominence > of_peak[i] + of_base[base] and _turn(G, sign * level, i) > _TURN:
-                found.append(Feature(kind, float(frf.frequency[i]), float(level[i]), float(prominence)))
+            if prominence <= of_peak[i] + of_base[base] or _turn(G, sign * level, i) <= _TURN:
+                continue
+            value, spread = (G, std) if sign > 0 else (1 / G, std / magnitude**2)
+            fitted = _around(np.asarray(frf.frequency, float), value, spread, shared, _lines(sign * level, i), i)
+            if fitted is not None:
+                found.append(Feature(kind, fitted[0], float(level[i]), float(prominence), *fitted[1:]))
     return sorted(found, key=lambda x: -x.prominence_db)
 
 
-def _turn(G, level, at: int) -> float:
-    """Phase between the nearest lines on both sides of a peak where the level is 3 dB lower (or the ends), rad."""
+def _lines(level, at: int) -> slice:
+    """The lines around a peak that tell of it."""
+    left, right = _edges(level, at)
+    reach = [max(int(np.ceil(_AROUND * n)), _FEWEST) for n in (at - left, right - at)]
+    return slice(max(at - reach[0], 0), min(at + reach[1] + 1, len(level)))
+
+
+def _edges(level, at: int) -> tuple[int, int]:
+    """The nearest lines on both sides of a peak where the level is 3 dB lower, or the ends."""
     gone = level < level[at] - 3.0
     left, right = np.flatnonzero(gone[:at]), np.flatnonzero(gone[at:])
-    first = left[-1] if left.size else 0
-    last = at + right[0] if right.size else len(level) - 1
+    return (left[-1] if left.size else 0), (at + right[0] if right.size else len(level) - 1)
+
+
+def _turn(G, level, at: int) -> float:
+    """Phase between the lines on both sides of a peak where the level is 3 dB lower (or the ends), rad."""
+    first, last = _edges(level, at)
     return abs(np.angle(G[last] * G[first].conj()))
+
+
+def _around(frequency, G, std, shared, lines: slice, at: int) -> tuple[float, float, float, float] | None:
+    """Frequency, damping and their deviations of the pole behind a peak; `None` where it is not significant."""
+    f = frequency[lines]
+    apart = float(np.median(np.diff(f))) if len(f) > 1 else 0.0
+    by_line = (float(frequency[at]), apart / np.sqrt(12.0), float("nan"), float("nan"))
+    if len(f) < 2 * _FEWEST or not np.isfinite(G[lines]).all():
+        return by_line
+    known = bool(np.isfinite(std[lines]).all() and (std[lines] > 0).all())
+    fitted = _one_pole(f, G[lines], std[lines] if known else None, float(np.mean(shared[lines])), frequency[at])
+    size, spread = fitted.residues
+    if known and np.abs(size[0, 0]) < _SIGNIFICANT * spread[0, 0]:
+        return None
+    frequency_std, damping_std = float(fitted.frequency_std[0]), float(fitted.damping_std[0])
+    pole = float(np.abs(fitted.poles[0]) / 2 / np.pi)
+    if abs(pole - frequency[at]) > 2 * apart or not frequency_std < apart:
+        return by_line
+    damping = float(fitted.damping[0])
+    sure = damping_std < _SURE * damping
+    return (pole, frequency_std, damping, damping_std) if sure else (pole, frequency_std, float("nan"), float("nan"))
+
+
+def _one_pole(f, G, std, shared: float, centre: float) -> PoleFit:
+    """One pole pair and a complex straight line."""
+    s = 2j * np.pi * f
+    x = (f - centre) / max(np.ptp(f), 1e-300)
+    smooth = np.stack([np.ones_like(x), 1j * np.ones_like(x), x, 1j * x], axis=1).astype(complex)
+    magnitude = np.abs(G)
+    wide = f[magnitude > magnitude.max() / np.sqrt(2)]
+    damping = max(np.ptp(wide), np.min(np.diff(f))) / (2 * centre)
+    start = 2 * np.pi * centre * complex(-damping, np.sqrt(max(1 - damping**2, 0.0)))
+    floor = None if std is None else np.maximum(std, 1e-6 * magnitude)[:, None]
+    return fit_poles(s, G[:, None], floor, np.array([start]), smooth, shared=shared)

@@ -43,11 +43,25 @@ Leaf = np.ndarray | str | Unreadable
 
 
 class Variables(dict[str, Leaf]):
-    """Variables by name, with the units (as the file writes them) of those that have one."""
+    """Variables by name, with the units (as the file writes them) of those that have one, and other names for some of
+    them (`speed` for `speed [deg/s]`)."""
 
-    def __init__(self, variables: Mapping[str, Leaf], units: Mapping[str, str] | None = None):
+    def __init__(
+        self,
+        variables: Mapping[str, Leaf],
+        units: Mapping[str, str] | None = None,
+        aliases: Mapping[str, str] | None = None,
+    ):
         super().__init__(variables)
+        self.aliases = dict(aliases or {})
         self.units = {name: unit for name, unit in (units or {}).items() if unit}
+        self.units |= {alias: self.units[name] for alias, name in self.aliases.items() if name in self.units}
+
+    def __contains__(self, name) -> bool:
+        return super().__contains__(name) or name in self.aliases
+
+    def __missing__(self, name: str) -> Leaf:
+        return self[self.aliases[name]]
 
 
 Attributes = Mapping[str, float | int | str]

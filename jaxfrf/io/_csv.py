@@ -65,11 +65,12 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
         headings = _commented_headings(lines, numbered[0][0], separator, table.shape[1])
     if headings is None:
         headings = [str(i) for i in range(1, table.shape[1] + 1)]
-    units = _units(text, separator, table.shape[1])
-    headings, bracketed = _without_units(headings)
     _check_headings(path, headings, table.shape[1])
+    plain, bracketed = _without_units(headings)
+    units = _units(text, separator, table.shape[1]) or bracketed
     columns = {name: table[:, i] for i, name in enumerate(headings)}
-    return Variables(columns, dict(zip(headings, units or bracketed, strict=True)))
+    aliases = {short: name for short, name in zip(plain, headings, strict=True) if short not in columns}
+    return Variables(columns, dict(zip(headings, units, strict=True)), aliases)
 
 
 def _units(text: list[str], separator: str | None, width: int) -> list[str] | None:

@@ -57,7 +57,8 @@ def joined(files: Mapping[pathlib.Path, Mapping[str, Leaf]]) -> Variables:
     units: dict[str, str] = {}
     for path, variables in files.items():
         said = getattr(variables, "units", {})
-        for name, value in variables.items():
+        aliases = getattr(variables, "aliases", {})
+        for name, value in {**variables, **{alias: variables[name] for alias, name in aliases.items()}}.items():
             found[f"{path.name}:{name}"] = value
             units[f"{path.name}:{name}"] = said.get(name, "")
             if name in MAPPED and name not in SIGNALS:

@@ -152,12 +152,14 @@ def _flat_v5(name: str, x):
         for field in x.dtype.names:
             yield from _flat_v5(f"{name}.{field}", x.item()[x.dtype.names.index(field)])
     elif x.dtype.names and 0 < x.size <= _MOST_ELEMENTS:
+        yield name, Unreadable(f"a MATLAB struct array of {x.size}, {name}(1).{x.dtype.names[0]} and so on")
         for i, element in enumerate(x.ravel(order="F"), 1):
             for field in x.dtype.names:
                 yield from _flat_v5(f"{name}({i}).{field}", element[field])
     elif x.dtype.names:
         yield name, Unreadable(f"a MATLAB struct array {x.shape}")
     elif x.dtype == object and 0 < x.size <= _MOST_ELEMENTS:
+        yield name, Unreadable(f"a MATLAB cell array of {x.size}, {name}{{1}} and so on")
         for i, element in enumerate(x.ravel(order="F"), 1):
             yield from _flat_v5(f"{name}{{{i}}}", element)
     elif x.dtype == object:

@@ -19,5 +19,6 @@ from .gap import (
     gap_maps as gap_maps,
     torque_courses as torque_courses,
 )
+from .modes import stabilisation as stabilisation
 from .plan import plan as plan
 from .spectrum import spectrum as spectrum

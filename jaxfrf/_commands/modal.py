@@ -1,0 +1,91 @@
+"""`jaxfrf modal`."""
+
+import pathlib
+
+from .._errors import input_error
+from .arguments import check_picture, check_result, check_target, command, naming, range_of
+
+
+def add(commands) -> None:
+    parser = command(commands, "modal", run, "Find the modes of an FRF: frequencies, damping, residues, intervals.")
+    parser.add_argument("frf", metavar="FRF", help="FRF of `jaxfrf estimate`, .nc .mat .npz")
+    parser.add_argument("-o", "--output", required=True, help="modes to write: .json")
+    parser.add_argument("--plot", metavar="FILE", help="stabilisation diagram to write: .png, .pdf, .svg")
+    parser.add_argument("--band", metavar="LOW:HIGH", help="use only the lines in this band, Hz")
+    parser.add_argument("--order", type=int, metavar="N", help="highest model order (default 30, or what lines allow)")
+    parser.add_argument("--near", metavar="HZ,...", help="take the modes near these, not the automatic choice")
+    parser.add_argument("--position", type=int, default=0, metavar="P", help="operating point, from 0 (default 0)")
+
+
+def run(given) -> dict:
+    from ..frf.modal import modal
+    from ..io._json import write_json
+    from ..io.responses import read_frf
+
+    check_target(given.output, (".json",))
+    check_result(given.output, [given.frf], "FRF")
+    if given.plot:
+        check_picture(given.plot)
+    near, band = _frequencies(given.near), _band(given.band)
+    frf = read_frf(given.frf)
+    with naming([given.frf]):
+        found = modal(frf, position=given.position, band=band, max_order=given.order, near=near)
+    contents = _contents(found, given.frf)
+    write_json(given.output, contents)
+    written = [given.output]
+    if given.plot:
+        from .. import plot
+
+        plot.save(plot.stabilisation(found, title=pathlib.Path(given.frf).name)[0], given.plot)
+        written.append(given.plot)
+    return {"text": [*_lines(found), f"wrote {', '.join(written)}"], "json": contents | {"output": written}}
+
+
+def _contents(found, source: str) -> dict:
+    return {
+        "frf": source,
+        "misfit": found.misfit,
+        "modes": [
+            {
+                "frequency_hz": m.frequency,
+                "frequency_std": m.frequency_std,
+                "damping": m.damping,
+                "damping_std": m.damping_std,
+                "residue_real": m.residue.real,
+                "residue_imag": m.residue.imag,
+                "residue_std": m.residue_std,
+                "significance": m.significance,
+            }
+            for m in found.modes
+        ],
+        "dropped_hz": found.dropped,
+    }
+
+
+def _lines(found) -> list[str]:
+    lines = [f"{len(found.modes)} mode(s) from {found.frequency[0]:.4g} to {found.frequency[-1]:.4g} Hz (95 %)"]
+    lines += [
+        f"  {m.frequency:.5g} +- {1.96 * m.frequency_std:.2g} Hz, damping {100 * m.damping:.3g} +- "
+        f"{196 * m.damping_std:.2g} %"
+        for m in found.modes
+    ]
+    if found.misfit > 2:
+        lines.append(
+            f"the modes leave {found.misfit:.2g} times the standard deviation of the FRF: a mode is missing (--near, "
+            "--order), or it is not linear"
+        )
+    return lines
+
+
+def _frequencies(text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        return [float(x) for x in text.split(",")]
+    except ValueError:
+        raise input_error("--near", repr(text), "frequencies in Hz", "Write e.g. --near 12.5,31.") from None
+
+
+def _band(text: str | None) -> tuple[float, float] | None:
+    band = range_of("--band", text, float)
+    return None if band is None else (band[0] or 0.0, float("inf") if band[1] is None else band[1])

@@ -1,0 +1,333 @@
+"""Modes of a machine from its FRF: poles, damping and residues, with intervals and a stabilisation diagram."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+
+from .._arguments import expect
+from .._errors import input_error
+from .._types import Array
+from ..experiment import QUANTITIES
+from .poles import PoleFit, fit_poles
+from .response import FRF
+
+_NEAR_FREQUENCY = 0.01  # relative: poles of two orders nearer than this are one
+_NEAR_DAMPING = 0.2  # relative, beside an absolute half of the next
+_NEAR_DAMPING_ABSOLUTE = 0.002
+_OFTEN = 0.4  # of the orders above the one where it came up first that a mode is found at
+_LARGEST_DAMPING = 0.5  # more is no resonance
+_SIGNIFICANT = 4.0  # standard deviations of its residues, root mean square over the elements
+_SURE = 0.5  # relative standard deviation of a damping beyond which nothing is known of it
+
+
+class Mode(eqx.Module):
+    """A mode: lambda = -damping w + j w sqrt(1 - damping^2), w = 2 pi frequency.
+
+    **Fields:** `frequency`: Hz (undamped). `damping`: ratio to the critical one. `frequency_std`, `damping_std`:
+    standard deviations; 95 % intervals are +-1.96 of them. `residue`: (out, in), of 1/(s - lambda), unit of G rad/s.
+    `residue_std`: of its modulus, (out, in). `significance`: root mean square of residue over its standard deviation.
+    """
+
+    frequency: float = eqx.field(static=True)
+    damping: float = eqx.field(static=True)
+    frequency_std: float = eqx.field(static=True)
+    damping_std: float = eqx.field(static=True)
+    residue: Complex[np.ndarray, "out in"]
+    residue_std: Float[np.ndarray, "out in"]
+    significance: float = eqx.field(static=True)
+
+    @property
+    def pole(self) -> complex:
+        """rad/s, that of the pair with a positive imaginary part."""
+        return 2 * np.pi * self.frequency * complex(-self.damping, np.sqrt(1 - self.damping**2))
+
+
+class Stabilisation(eqx.Module):
+    """The poles of all model orders: `order`, `frequency` (Hz), `damping` of each, and whether the order below had it,
+    too (`stable`)."""
+
+    order: Int[np.ndarray, "pole"]
+    frequency: Float[np.ndarray, "pole"]
+    damping: Float[np.ndarray, "pole"]
+    stable: Bool[np.ndarray, "pole"]
+
+
+class ModalModel(eqx.Module):
+    """The modes of an FRF at one operating point.
+
+    **Fields:** `modes`: by frequency, those that are significant. `background`: what the modes outside the band and the
+    rigid motion amount to: coefficients of s^(q-2), s^(q-1), s^q, (3, out, in), q the derivative that y is. `misfit`:
+    root mean square of the residual over its standard deviation; far above 1 the standard deviations, which are widened
+    by it, are lower limits. `stabilisation`: see there. `dropped`: frequencies, Hz, of stable poles that turned out not
+    significant. `frequency`, `measured`: the FRF that was fitted.
+    """
+
+    modes: tuple[Mode, ...]
+    background: Float[np.ndarray, "term out in"]
+    misfit: float
+    stabilisation: Stabilisation
+    dropped: Float[np.ndarray, "mode"]
+    frequency: Float[np.ndarray, "freq"]
+    measured: Complex[np.ndarray, "freq out in"]
+    y_quantity: str = eqx.field(static=True)
+    u_unit: str = eqx.field(static=True, default="")
+    y_unit: str = eqx.field(static=True, default="")
+
+    def response(self, frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "freq out in"]:
+        """G of the modes and the background, (freq, out, in)."""
+        s = 2j * np.pi * np.asarray(frequency, float)
+        G = np.einsum("ft,toi->foi", _background(s, self.y_quantity), self.background)
+        for mode in self.modes:
+            R, pole = mode.residue, mode.pole
+            G = G + R / (s - pole)[:, None, None] + R.conj() / (s - np.conj(pole))[:, None, None]
+        return G
+
+
+def modal(
+    frf: FRF,
+    *,
+    position: int = 0,
+    band: tuple[float, float] | None = None,
+    max_order: int | None = None,
+    near: Sequence[float] | None = None,
+) -> ModalModel:
+    """Modes of an FRF: frequencies, damping ratios and residues, each with its standard deviation.
+
+    Poles come from a right matrix fraction in z = exp(-j w T), fitted by least squares to all elements at once for
+    every order up to `max_order` (polyreference least-squares complex frequency domain). A pole that stays from order
+    to order is a mode. Modes, residues and a background are then fitted together, each line weighed by its standard
+    deviation; modes without significance are left out and the others fitted again.
+
+        G(s) = sum_i R_i/(s - lambda_i) + conj. + B_0 s^(q-2) + B_1 s^(q-1) + B_2 s^q,   q = 0, 1, 2 as y is
+
+    Standard deviations are those of this fit (Cramer-Rao), with the misfit, and with lines that share data (`window`)
+    counted as fewer. Biased: modes smoothed by a window wider than their resonance look more damped, and closely spaced
+    modes of a record with few lines may be taken as one. Fails where fewer than three lines lie in a resonance.
+
+    **Arguments:**
+
+    - `frf`: `position` chooses the operating point, `band` (low, high; Hz) a part.
+    - `max_order`: of the denominator; by default 30, or less where there are few lines.
+    - `near`: frequencies, Hz, of the modes to take, where the automatic choice is not wanted.
+
+    **Raises:** `jaxfrf.InputError` if too few lines are left, or no pole lies near one of `near`.
+
+    **Source:** Peeters, Van der Auweraer, Guillaume & Leuridan, Shock and Vibration 11 (2004) 395-409.
+    """
+    expect("frf", frf, FRF)
+    frequency, G, std, shared = _chosen(frf, position, band)
+    order = _order(max_order, len(frequency), frf.n_in)
+    table = _stabilisation(frequency, G, std, order)
+    start = _clusters(table) if near is None else _nearest(table, near)
+    s = 2j * np.pi * frequency
+    background = _background(s, frf.y_quantity)
+    fitted, dropped = _significant(s, G, std, start, background, shared, keep=near is not None)
+    n_out, n_in = G.shape[1:]
+    scale = fitted.misfit if np.isfinite(fitted.misfit) else 1.0
+    return ModalModel(
+        modes=_modes(fitted, n_out, n_in),
+        background=fitted.coefficients[:, 2 * len(fitted.poles) :].T.reshape(-1, n_out, n_in),
+        misfit=float(scale),
+        stabilisation=table,
+        dropped=np.sort(np.abs(dropped)) / (2 * np.pi),
+        frequency=frequency,
+        measured=G,
+        y_quantity=frf.y_quantity,
+        u_unit=frf.u_unit,
+        y_unit=frf.y_unit,
+    )
+
+
+def _chosen(frf: FRF, position: int, band):
+    if not -frf.n_pos <= position < frf.n_pos:
+        raise input_error("position", f"{position}", f"one of {frf.n_pos} (from 0)", "Choose another.")
+    low, high = band or (0.0, np.inf)
+    frequency, G = np.asarray(frf.frequency, float), np.asarray(frf.G)[position]
+    std = np.asarray(frf.std)[position]
+    wanted = (frequency >= low) & (frequency <= high) & (frequency > 0) & np.isfinite(G).all(axis=(1, 2))
+    if wanted.sum() < 12:
+        raise input_error(
+            "lines", f"{int(wanted.sum())} in the band", "12 or more with a finite response", "Widen the band."
+        )
+    frequency, G, std = frequency[wanted], G[wanted], std[wanted]
+    shared = float(np.mean(np.maximum(np.asarray(frf.window, float)[position][wanted], 1.0)))
+    level = np.sqrt(np.mean(np.abs(G) ** 2, axis=0))
+    usable = np.isfinite(std).all() and (std > 0).all()
+    # Below a thousandth of the element's level a standard deviation says more of the noise than of the model.
+    return frequency, G, np.maximum(std, 1e-4 * np.maximum(np.abs(G), 1e-2 * level)) if usable else None, shared
+
+
+def _order(asked: int | None, n_lines: int, n_in: int) -> int:
+    most = max((n_lines - 4) // (1 + n_in) - 1, 2)
+    if asked is None:
+        return min(30, most)
+    if not 2 <= asked <= most:
+        raise input_error("max_order", f"{asked}", f"2 to {most} with {n_lines} lines", "Choose another.")
+    return int(asked)
+
+
+def _background(s: np.ndarray, quantity: str) -> Float[np.ndarray, "freq term"]:
+    q = QUANTITIES[quantity]
+    middle = np.exp(np.mean(np.log(np.abs(s))))
+    return np.stack([(s / middle) ** n * middle**n for n in (q - 2, q - 1, q)], axis=1)
+
+
+# --- poles of all orders
+
+
+def _stabilisation(frequency, G, std, most: int) -> Stabilisation:
+    """Poles of the orders 2, 3, ..., `most`."""
+    rows, before = [], np.zeros(0, complex)
+    for order, poles in _poles_by_order(frequency, G, std, most):
+        stable = [_known(pole, before) for pole in poles]
+        rows += [(order, abs(p) / 2 / np.pi, -p.real / abs(p), x) for p, x in zip(poles, stable, strict=True)]
+        before = poles
+    columns = list(zip(*rows, strict=True)) or [(), (), (), ()]
+    kinds = (int, float, float, bool)
+    return Stabilisation(*(np.array(x, kind) for x, kind in zip(columns, kinds, strict=True)))
+
+
+def _known(pole: complex, before) -> bool:
+    if not len(before):
+        return False
+    w, other = abs(pole), np.abs(before)
+    damping, others = -pole.real / w, -before.real / other
+    near = np.abs(other - w) < _NEAR_FREQUENCY * w
+    return bool(np.any(near & (np.abs(others - damping) < _NEAR_DAMPING * damping + _NEAR_DAMPING_ABSOLUTE)))
+
+
+def _poles_by_order(frequency, G, std, most: int):
+    """(order, poles in the band with a positive imaginary part, stable ones), by reduced normal equations.
+
+    The equations of an order are a part of those of every higher one: the Gram matrices are made once.
+    """
+    n_freq, n_out, n_in = G.shape
+    first, span = frequency[0], frequency[-1] - frequency[0]
+    period = 1.0 / (2 * (span + 0.1 * span)) if first > 0 else 1.0 / (2 * frequency[-1])
+    # The band is moved to begin at zero: only its width asks for orders.
+    shift = 2 * np.pi * max(first - 0.05 * span, 0.0)
+    z = np.exp(-1j * (2 * np.pi * frequency - shift) * period)
+    powers = z[:, None] ** np.arange(most + 1)
+    level = np.sqrt(np.mean(np.abs(G) ** 2, axis=0)) + 1e-300
+    real = shift == 0.0
+    R, S, T = [], [], 0.0
+    for out in range(n_out):
+        spread = np.abs(G[:, out]) + 1e-2 * level[out] if std is None else std[:, out] + 3e-3 * np.abs(G[:, out])
+        weight = 1.0 / np.sqrt(np.mean(spread**2, axis=1))
+        X = weight[:, None] * powers
+        Y = -(X[:, :, None] * G[:, out][:, None, :]).reshape(n_freq, -1)
+        part = np.real if real else np.asarray
+        R.append(part(X.conj().T @ X))
+        S.append(part(X.conj().T @ Y))
+        T = T + part(Y.conj().T @ Y)
+    for order in range(2, most + 1):
+        n, m = order + 1, (order + 1) * n_in
+        M = np.array(T[:m, :m])
+        for r, x in zip(R, S, strict=True):
+            M -= x[:n, :m].conj().T @ np.linalg.lstsq(r[:n, :n], x[:n, :m], rcond=1e-13)[0]
+        # The lowest coefficient is the identity: poles without a mode then are unstable.
+        alpha = -np.linalg.lstsq(M[n_in:, n_in:], M[n_in:, :n_in], rcond=1e-13)[0].reshape(order, n_in, n_in)
+        yield order, _in_band(_roots(alpha), period, shift, frequency)
+
+
+def _roots(alpha) -> np.ndarray:
+    """Roots z of det(I + sum_r alpha_r z^r) = 0: one over the eigenvalues of the companion matrix."""
+    order, n, _ = alpha.shape
+    companion = np.zeros((order * n, order * n), alpha.dtype)
+    companion[:n] = -alpha.transpose(2, 0, 1).reshape(n, order * n)
+    companion[n:, :-n] = np.eye((order - 1) * n)
+    values = np.linalg.eigvals(companion)
+    return 1.0 / values[np.abs(values) > 1e-12]
+
+
+def _in_band(z: np.ndarray, period: float, shift: float, frequency) -> np.ndarray:
+    poles = -np.log(z) / period + 1j * shift
+    w = np.abs(poles)
+    low, high = 2 * np.pi * frequency[0], 2 * np.pi * frequency[-1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        damping = -poles.real / w
+    wanted = (poles.imag > 0) & (w >= low) & (w <= high) & (damping > 1e-5) & (damping < _LARGEST_DAMPING)
+    return poles[wanted][np.argsort(w[wanted])]
+
+
+# --- which of them are modes
+
+
+def _clusters(table: Stabilisation) -> np.ndarray:
+    """One pole for each run of stable ones: of the highest order that has it, those that came often."""
+    left = np.flatnonzero(table.stable)
+    found, orders = [], np.unique(table.order)
+    while left.size:
+        # The densest place first: the pole with the most others near it.
+        f, d = table.frequency[left], table.damping[left]
+        near = np.abs(f[:, None] - f) < _NEAR_FREQUENCY * f[:, None]
+        near &= np.abs(d[:, None] - d) < 2 * _NEAR_DAMPING * d[:, None] + _NEAR_DAMPING_ABSOLUTE
+        centre = near[np.argmax(near.sum(axis=1))]
+        members = left[centre]
+        came = orders[orders >= table.order[members].min()]
+        if len(np.unique(table.order[members])) >= max(_OFTEN * len(came), 3):
+            found.append(_pole(np.median(table.frequency[members]), np.median(table.damping[members])))
+        left = left[(np.abs(f - np.median(table.frequency[members])) >= _NEAR_FREQUENCY * f) & ~centre]
+    return np.array(sorted(found, key=abs), complex)
+
+
+def _nearest(table: Stabilisation, near: Sequence[float]) -> np.ndarray:
+    chosen = []
+    for f in near:
+        distance = np.abs(table.frequency - f)
+        if not distance.size or distance.min() > 0.05 * f:
+            raise input_error(
+                "near", f"no pole near {f:g} Hz", "frequencies of poles", "See the stabilisation diagram."
+            )
+        members = np.flatnonzero(distance < max(1.5 * distance.min(), _NEAR_FREQUENCY * f))
+        chosen.append(_pole(np.median(table.frequency[members]), np.median(table.damping[members])))
+    return np.array(sorted(chosen, key=abs), complex)
+
+
+def _pole(frequency: float, damping: float) -> complex:
+    return 2 * np.pi * frequency * complex(-damping, np.sqrt(1 - damping**2))
+
+
+def _significant(s, G, std, poles, background, shared: float, keep: bool) -> tuple[PoleFit, np.ndarray]:
+    """Fit all, leave out the least significant, until all that is left is significant."""
+    g = G.reshape(len(s), -1)
+    sigma = None if std is None else std.reshape(len(s), -1)
+    dropped = []
+    while True:
+        fitted = fit_poles(s, g, sigma, poles, background, shared=shared)
+        if keep or not len(fitted.poles):
+            return fitted, np.array(dropped)
+        strength = _strength(fitted)
+        loose = fitted.damping_std / np.abs(fitted.damping)
+        bad = (strength < _SIGNIFICANT) | ~(loose < _SURE) | (fitted.damping <= 0) | (fitted.damping > _LARGEST_DAMPING)
+        if not bad.any():
+            return fitted, np.array(dropped)
+        # Those without any significance at once, the doubtful ones one by one: they may gain by what went.
+        gone = bad & (strength <= max(_SIGNIFICANT / 2, np.min(np.where(bad, strength, np.inf))))
+        dropped += list(fitted.poles[gone])
+        poles = fitted.poles[~gone]
+
+
+def _strength(fitted: PoleFit) -> np.ndarray:
+    """Root mean square over the elements of residues over their standard deviation."""
+    size, std = fitted.residues
+    return np.sqrt(np.mean((np.abs(size) / std) ** 2, axis=0))
+
+
+def _modes(fitted: PoleFit, n_out: int, n_in: int) -> tuple[Mode, ...]:
+    residue, std = fitted.residues
+    strength = _strength(fitted) if len(fitted.poles) else []
+    return tuple(
+        Mode(
+            frequency=float(abs(pole) / 2 / np.pi),
+            damping=float(fitted.damping[i]),
+            frequency_std=float(fitted.frequency_std[i]),
+            damping_std=float(fitted.damping_std[i]),
+            residue=residue[:, i].reshape(n_out, n_in),
+            residue_std=std[:, i].reshape(n_out, n_in),
+            significance=float(strength[i]),
+        )
+        for i, pole in enumerate(fitted.poles)
+    )

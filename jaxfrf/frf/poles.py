@@ -1,0 +1,173 @@
+"""Poles and residues by weighted least squares, with their covariance: the residues are eliminated."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+_STEPS = 60
+_ENOUGH = 1e-10  # relative change of the cost
+_LEAST = 1e-6  # damping ratio
+
+
+class PoleFit(NamedTuple):
+    """`poles`: rad/s, by frequency. `frequency_std`: Hz. `coefficients`: (element, 2 poles + terms), real: real and
+    imaginary part of every residue, then the background; `coefficient_std` likewise. `misfit`: root mean square of the
+    residual over its standard deviation; 1 by definition where that is not known."""
+
+    poles: Complex[np.ndarray, "pole"]
+    damping: Float[np.ndarray, "pole"]
+    frequency_std: Float[np.ndarray, "pole"]
+    damping_std: Float[np.ndarray, "pole"]
+    coefficients: Float[np.ndarray, "element coefficient"]
+    coefficient_std: Float[np.ndarray, "element coefficient"]
+    misfit: float
+
+    @property
+    def residues(self) -> tuple[Complex[np.ndarray, "element pole"], Float[np.ndarray, "element pole"]]:
+        """Residues, and the standard deviation of their moduli."""
+        n, shape = len(self.poles), (len(self.coefficients), len(self.poles), 2)
+        c, d = (x[:, : 2 * n].reshape(shape) for x in (self.coefficients, self.coefficient_std))
+        return c[..., 0] + 1j * c[..., 1], np.sqrt(np.sum(d**2, axis=-1)) + 1e-300
+
+
+def mode_basis(s, poles) -> Complex[np.ndarray, "freq 2*pole"]:
+    """1/(s - p) + 1/(s - p*), and j/(s - p) - j/(s - p*), for every pole: real coefficients are a residue's parts."""
+    a, b = 1 / (s[:, None] - poles), 1 / (s[:, None] - poles.conj())
+    return np.stack([a + b, 1j * (a - b)], axis=-1).reshape(len(s), -1)
+
+
+def fit_poles(
+    s: Complex[np.ndarray, "freq"],
+    G: Complex[np.ndarray, "freq element"],
+    std: Float[np.ndarray, "freq element"] | None,
+    poles: Complex[np.ndarray, "pole"],
+    background: Complex[np.ndarray, "freq term"],
+    *,
+    shared: float = 1.0,
+) -> PoleFit:
+    """Gauss-Newton on frequency and damping of every pole, residues and background eliminated (variable projection).
+
+    **Arguments:** `std`: of G; `None`: the same relative one everywhere, found from the residual. `poles`: where to
+    start. `background`: more basis functions with real coefficients. `shared`: lines behind each estimate, which
+    neighbouring ones share.
+
+    **Source:** Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432.
+    """
+    sigma = _relative(G) if std is None else np.asarray(std, float)
+    middle = float(np.exp(np.mean(np.log(np.abs(s)))))
+    x = _coordinates(np.asarray(poles, complex), middle)
+    state = _project(s, G, sigma, x, background, middle)
+    lift = 1e-3
+    for _ in range(_STEPS):
+        if not len(x):
+            break
+        H, g = state.gram, state.slope
+        step = np.linalg.lstsq(H + lift * np.diag(np.diag(H)), g, rcond=None)[0]
+        trial = x - np.clip(step, -0.2, 0.2)
+        trial_state = _project(s, G, sigma, trial, background, middle)
+        if trial_state.cost < state.cost:
+            done = state.cost - trial_state.cost < _ENOUGH * state.cost
+            x, state, lift = trial, trial_state, max(lift / 5, 1e-9)
+            if done:
+                break
+        else:
+            lift *= 10
+            if lift > 1e4:
+                break
+    return _result(s, x, state, middle, shared, known=std is not None)
+
+
+class _State(NamedTuple):
+    cost: float
+    gram: np.ndarray  # of the poles, the residues eliminated
+    slope: np.ndarray
+    coefficients: np.ndarray
+    spread: np.ndarray  # variances of the coefficients for known poles, and what they change with the poles
+    change: np.ndarray
+    dof: float
+
+
+def _relative(G) -> np.ndarray:
+    return np.maximum(np.abs(G), 1e-2 * np.sqrt(np.mean(np.abs(G) ** 2, axis=0)) + 1e-300)
+
+
+def _coordinates(poles, middle: float) -> np.ndarray:
+    """ln of frequency over the middle one, and ln of damping, by turns."""
+    w = np.abs(poles)
+    return np.stack([np.log(w / middle), np.log(np.maximum(-poles.real / w, _LEAST))], axis=1).ravel()
+
+
+def _poles(x, middle: float) -> np.ndarray:
+    w, damping = middle * np.exp(x[::2]), np.minimum(np.exp(x[1::2]), 0.999)
+    return w * (-damping + 1j * np.sqrt(1 - damping**2))
+
+
+def _project(s, G, sigma, x, background, middle: float) -> _State:
+    """Residues and background for these poles, what is left, and its slope by the poles."""
+    poles = _poles(x, middle)
+    basis = np.concatenate([mode_basis(s, poles), background], axis=1)
+    scale = np.linalg.norm(basis, axis=0)
+    slopes = _slopes(s, poles)  # (freq, pole, coordinate, part)
+    weight = (np.sqrt(2) / sigma).T  # of real and imaginary part, (element, freq)
+    A = _stacked(weight[..., None] * (basis / scale))
+    b = _stacked((weight * G.T)[..., None])
+    Q, R = np.linalg.qr(A)
+    inverse = np.linalg.pinv(R)
+    c = inverse @ (Q.mT @ b)
+    left = A @ c - b
+    coefficients, inverse = c[..., 0] / scale, inverse / scale[:, None]
+    parts = coefficients[:, : 2 * len(poles)].reshape(len(b), len(poles), 2)
+    J = np.einsum("fpkr,epr->efpk", slopes, parts, optimize=True).reshape(len(b), len(s), len(x))
+    J = _stacked(weight[..., None] * J)
+    inside = Q.mT @ J
+    outside = J - Q @ inside
+    dof = 2 * G.size - coefficients.size - len(x)
+    return _State(
+        cost=float(np.sum(left**2)),
+        gram=np.sum(outside.mT @ outside, axis=0),
+        slope=np.sum(outside.mT @ left, axis=0)[:, 0],
+        coefficients=coefficients,
+        spread=np.sum(inverse**2, axis=-1),
+        change=-inverse @ inside,
+        dof=max(dof, 1),
+    )
+
+
+def _stacked(x) -> np.ndarray:
+    """Real parts, then imaginary parts, along the last axis but one."""
+    return np.concatenate([x.real, x.imag], axis=-2)
+
+
+def _slopes(s, poles) -> Complex[np.ndarray, "freq pole 2 2"]:
+    """Derivative of both basis functions of a pole by ln of its frequency and ln of its damping."""
+    w = np.abs(poles)
+    damping = -poles.real / w
+    root = np.sqrt(np.maximum(1 - damping**2, 1e-12))
+    by = np.stack([poles, w * damping * (-1 - 1j * damping / root)], axis=-1)  # d pole
+    a, b = 1 / (s[:, None] - poles) ** 2, 1 / (s[:, None] - poles.conj()) ** 2
+    up, down = a[..., None] * by, b[..., None] * by.conj()
+    return np.stack([up + down, 1j * (up - down)], axis=-1)
+
+
+def _result(s, x, state: _State, middle: float, shared: float, known: bool) -> PoleFit:
+    misfit = np.sqrt(state.cost / state.dof)
+    # Relative deviations of 1 were assumed where none is known: the misfit is their size then.
+    widened = (max(misfit, 1.0) if known else misfit) ** 2 * shared
+    covariance = np.linalg.pinv(state.gram) if len(x) else np.zeros((0, 0))
+    std = np.sqrt(np.maximum(np.diag(covariance), 0) * widened)
+    through = np.einsum("ecp,pq,ecq->ec", state.change, covariance, state.change)
+    poles = _poles(x, middle)
+    order = np.argsort(np.abs(poles))
+    of_poles = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
+    columns = np.concatenate([of_poles, np.arange(2 * len(poles), state.coefficients.shape[1])])
+    damping = -poles.real / np.maximum(np.abs(poles), 1e-300)
+    return PoleFit(
+        poles=poles[order],
+        damping=damping[order],
+        frequency_std=(np.abs(poles) / 2 / np.pi * std[::2])[order],
+        damping_std=(damping * std[1::2])[order],
+        coefficients=state.coefficients[:, columns.astype(int)],
+        coefficient_std=np.sqrt((state.spread + through) * widened)[:, columns.astype(int)],
+        misfit=float(misfit) if known else 1.0,
+    )

@@ -1,0 +1,109 @@
+"""Modes against closed-form plants: poles, damping, residues, their intervals, and what is no mode."""
+
+import json
+
+import numpy as np
+import plants
+import pytest
+
+import jaxfrf as jf
+from jaxfrf.__main__ import main
+
+F = np.arange(4.0, 60.0, 0.2)
+FREQUENCY, DAMPING = np.array([12.0, 31.0, 33.0]), np.array([0.02, 0.01, 0.015])
+SHAPES = np.array([[1.0, 0.6, -0.8], [-0.7, 1.0, 0.5]])
+
+
+def residues():
+    """Of x/F = sum phi phi^T/(s^2 + 2 d w s + w^2): phi phi^T/(p - p*)."""
+    w = 2 * np.pi * FREQUENCY
+    return [np.outer(SHAPES[:, i], SHAPES[:, i]) / (2j * w[i] * np.sqrt(1 - DAMPING[i] ** 2)) for i in range(3)]
+
+
+def response(f, quantity="position"):
+    s, w = 2j * np.pi * f[:, None, None], 2 * np.pi * FREQUENCY
+    modes = sum(np.outer(SHAPES[:, i], SHAPES[:, i]) / (s**2 + 2 * DAMPING[i] * w[i] * s + w[i] ** 2) for i in range(3))
+    return (modes + 0.02 / s**2 + 1e-6 * np.eye(2)) * s ** ["position", "velocity", "acceleration"].index(quantity)
+
+
+def frf(G, f, sigma, quantity="position"):
+    variance = sigma.transpose(0, 2, 1).reshape(1, len(f), 4) ** 2
+    shape = (1, len(f))
+    return jf.FRF(
+        G=G[None],
+        frequency=f,
+        cov=variance[..., None] * np.eye(4) + 0j,
+        dof=np.full(shape, 1e3),
+        status=np.zeros(shape, int),
+        window=np.ones(shape),
+        y_quantity=quantity,
+    )
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    G = response(F)
+    sigma = 0.02 * np.abs(G) + 0.01 * np.sqrt(np.mean(np.abs(G) ** 2, axis=0))
+    return [frf(G + sigma * plants.circular(np.random.default_rng(seed), G.shape), F, sigma) for seed in range(12)]
+
+
+@pytest.mark.parametrize("quantity", ["position", "velocity", "acceleration"])
+def test_modes_without_noise(quantity):
+    G = response(F, quantity)
+    found = jf.modal(frf(G, F, 1e-6 * np.abs(G), quantity), max_order=14)
+    np.testing.assert_allclose([m.frequency for m in found.modes], FREQUENCY, rtol=1e-6)
+    np.testing.assert_allclose([m.damping for m in found.modes], DAMPING, rtol=1e-4)
+    if quantity == "position":
+        for mode, known in zip(found.modes, residues(), strict=True):
+            np.testing.assert_allclose(mode.residue, known, rtol=1e-3, atol=1e-5 * np.abs(known).max())
+    np.testing.assert_allclose(found.response(F), G, rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_intervals_hold(noisy):
+    """95 % intervals of 72 frequencies and damping ratios; binomial limits of 3.5 standard deviations."""
+    inside = []
+    for record in noisy:
+        found = jf.modal(record, max_order=14)
+        assert len(found.modes) == 3 and 0.8 < found.misfit < 1.2
+        for mode, f, d in zip(found.modes, FREQUENCY, DAMPING, strict=True):
+            inside += [abs(mode.frequency - f) < 1.96 * mode.frequency_std]
+            inside += [abs(mode.damping - d) < 1.96 * mode.damping_std]
+    assert np.mean(inside) > 0.95 - 3.5 * np.sqrt(0.95 * 0.05 / len(inside))
+
+
+def test_features_have_intervals(noisy):
+    """Of the first resonance, one pole beside a straight line; a line is 0.2 Hz wide."""
+    inside = []
+    for record in noisy:
+        feature = min(jf.features(record), key=lambda x: abs(x.frequency - 12.0))
+        assert feature.frequency_std < 0.02 and feature.damping_std < 0.2 * feature.damping
+        inside += [abs(feature.frequency - 12.0) < 1.96 * feature.frequency_std]
+        inside += [abs(feature.damping - 0.02) < 1.96 * feature.damping_std]
+    assert np.mean(inside) > 0.95 - 3.5 * np.sqrt(0.95 * 0.05 / len(inside))
+
+
+def test_no_modes():
+    G = np.ones((len(F), 2, 2)) * (1 + 0j)
+    sigma = 0.1 * np.abs(G)
+    record = frf(G + sigma * plants.circular(np.random.default_rng(0), G.shape), F, sigma)
+    assert jf.modal(record, max_order=12).modes == ()
+
+
+def test_wrong_arguments(noisy):
+    with pytest.raises(jf.InputError, match="found 2 in the band; expected 12 or more"):
+        jf.modal(noisy[0], band=(10.0, 10.3))
+    with pytest.raises(jf.InputError, match="no pole near 500"):
+        jf.modal(noisy[0], near=[500.0], max_order=8)
+    with pytest.raises(jf.InputError, match="max_order: found 5000"):
+        jf.modal(noisy[0], max_order=5000)
+
+
+def test_the_command(noisy, tmp_path, capsys):
+    path, out, picture = tmp_path / "frf.npz", tmp_path / "modes.json", tmp_path / "modes.png"
+    jf.io.write_frf(path, noisy[0])
+    options = ["--order", "10", "--band", "8:20", "--near", "12"]
+    assert main(["modal", str(path), "-o", str(out), "--plot", str(picture), *options]) == 0
+    (mode,) = json.loads(out.read_text())["modes"]
+    assert abs(mode["frequency_hz"] - 12.0) < 3 * mode["frequency_std"] and picture.stat().st_size > 1000
+    assert "12" in capsys.readouterr().out
