@@ -11,9 +11,9 @@ threads, each waits for the others for ever (PyAutoFit #1530 found the same of F
 many calls are never ready together; threads that sleep cost nothing measurable."""
 
 _LOOPS = "--xla_cpu_use_fusion_emitters"
-"""Loops by XLA's older code generator: two thirds of the processor time of compiling (simulation 15.6 against 9.9 s, the
-Gram matrix of a fit 20.5 against 15.0 s), the same speed. XLA ends a program whose flags it does not know, therefore
-only where it is known to know it."""
+"""Loops by XLA's older code generator: two thirds of the processor time of compiling (a simulation 9.9 instead of
+15.6 s, the Gram matrix of a fit 15.0 instead of 20.5 s), the same speed. XLA ends a program whose flags it does not
+know, therefore only where it is known to know it."""
 
 
 def prepare() -> None:
