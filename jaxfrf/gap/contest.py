@@ -226,7 +226,8 @@ def _best(now: Fitted, before: Written, views, rankings, had, records: Records, 
     winner, its = running[0]
     floor, frequency, select = before.evidence.plain, records.whole.frequency, records.select
     versus = lambda one, two: compared(one.residual[select], two.residual[select], floor, frequency)
-    is_number = all(o.number in {n.name for n in now.these} for o in winner.hypothesis.own)
+    own = winner.hypothesis.own
+    is_number = bool(own) and all(o.number in {n.name for n in now.these} for o in own)
     without = (_held(now, winner.hypothesis, records, say) if is_number else None) or before
     result = versus(without, its)
     name = said(winner.hypothesis.key)
@@ -321,7 +322,7 @@ def _cost(found: Fitted, like: Fitted) -> float:
 def _against(now: Fitted, winner: _Runner, result: Comparison) -> str:
     """What speaks against an effect, in words; empty where nothing does."""
     told = winner.hypothesis.told(winner.found)
-    name, (value, std) = next(iter(told.items()))
+    name, (value, std) = next(iter(told.items()), ("", (1.0, 0.0)))
     if name != "ratio" and abs(value) < 1.96 * std:
         return f"its {name} is {value:.3g} +- {1.96 * std:.2g}, which holds none of it"
     if result.p_value <= SIGNIFICANT and result.gain > LEAST_GAIN:
