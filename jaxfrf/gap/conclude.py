@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import numpy as np
 
-from ..effects import EncoderQuantisation, library
+from ..effects import EncoderQuantisation, TorqueRipple, library
 from ..robot import Robot
 from ..trajectory.measured import Measured
 from ..trajectory.ripple import ripple_effects
@@ -15,7 +15,6 @@ from .judge import Written, over_floor, relative_torque, written
 from .quantised import resolution
 from .result import Estimate, Named
 from .settings import (
-    CHANCE,
     EXPLAINED,
     FLOOR,
     GAINS,
@@ -51,7 +50,7 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     last = steps[-1].found if steps else found.base
     louder, extended = _with_loud_ripple(found, steps, last, records)
     counts = _counting(records.whole, given)
-    effects = (*(_named(step, given, records) for step in steps), *louder, *counts)
+    effects = (*(_named(step, last, given) for step in steps), *louder, *counts)
     taken_back = "".join(f" {text[0].upper() + text[1:]}." for text in (*refused, found.refused) if text)
     base = steps[0].without if steps else found.written
     extended = base if extended is found.written else extended
@@ -100,13 +99,14 @@ def _verdict(
     floor, where = base.evidence.plain, records.judged
     misfit = lambda x: 0.5 * float(np.mean(np.abs(x.residual[where] / floor) ** 2))
     before, after, most = misfit(base), misfit(extended), last.excess(records.fitted)
-    if most > UNEXPLAINED and (not effects or after - FLOOR > (1 - EXPLAINED) * (before - FLOOR)):
+    if last.of_worst_axis > UNEXPLAINED and (not effects or after - FLOOR > (1 - EXPLAINED) * (before - FLOOR)):
         return "unexplained", (
-            f"In one axis and band the misfit is {most:.3g} times the floor's, whatever the robot's numbers are, and "
-            "no effect of the library mends that: something is missing that it does not hold. The maps show where."
+            f"In one axis the misfit is {last.of_worst_axis:.3g} times the floor's, whatever the robot's numbers are, "
+            "and no effect of the library mends that: something is missing that it does not hold. The maps show where."
         )
     if effects:
-        return _told(steps, effects, before, after)
+        on = "the sealed positions" if len(records.sealed) else "the fitted positions, none being sealed"
+        return _told(steps, effects, before, after, on)
     met = relative_torque(records.whole, extended.residual, where)
     looked = "no effect explains more of the rest on positions that chose nothing"
     if most <= FLOOR and not refused:
@@ -119,19 +119,19 @@ def _verdict(
     return "inconclusive", "No effect stands out, but the gap is not bounded below the tolerance either."
 
 
-def _told(steps: Sequence[Step], effects, before: float, after: float) -> tuple[str, str]:
-    names = " and ".join(said((e.name, e.joint)).replace(" of ", " on ") for e in effects)
+def _told(steps: Sequence[Step], effects, before: float, after: float, on: str) -> tuple[str, str]:
+    names = lambda some: " and ".join(said((e.name, e.joint)).replace(" of ", " on ") for e in some)
     rivals = close_rivals(steps)
-    part = 100 * float(np.clip((before - after) / max(before, 1e-12), 0.0, 1.0))
     if rivals:
-        others = ", ".join(said(key).replace(" of ", " on ") for key in rivals)
-        return "ambiguous", f"{names[0].upper() + names[1:]} explains the gap; {others} does so nearly as well."
-    numbers = [said(s.key) for s in steps if s.is_number]
-    wrong = f" {', '.join(numbers)}: a number that the robot has is wrong, no term is missing." if numbers else ""
-    return "named", (
-        f"Missing: {names}. The robot that is written with {'it' if len(effects) == 1 else 'them'} leaves "
-        f"{100 - part:.0f} % of the misfit that the robot's own numbers leave.{wrong}"
-    )
+        others, text = ", ".join(said(key).replace(" of ", " on ") for key in rivals), names(effects)
+        return "ambiguous", f"{text[0].upper() + text[1:]} explains the gap; {others} does so nearly as well."
+    left = 100 * float(np.clip(after / max(before, 1e-12), 0.0, 1.0))
+    missing, wrong = names(e for e in effects if not e.is_number), names(e for e in effects if e.is_number)
+    texts = [f"Missing: {missing}."] if missing else []
+    texts += [f"A number of the robot is wrong: {wrong}."] if wrong else []
+    kind = "it" if len(effects) == 1 else "them"
+    texts.append(f"The robot that is written with {kind} leaves {left:.0f} % of the misfit on {on}.")
+    return "named", " ".join(texts)
 
 
 def close_rivals(steps: Sequence[Step]) -> list[tuple[str, str]]:
@@ -149,21 +149,22 @@ def _one_class(one, other) -> bool:
     return one[1] == other[1] and any({one[0], other[0]} <= names for names in ONE_CLASS)
 
 
-def _named(step: Step, given: Robot, records: Records) -> Named:
-    effect, joint = step.hypothesis.effect_in(step.found), step.hypothesis.joint
-    told = step.hypothesis.told(step.found)
+def _named(step: Step, last: Fitted, given: Robot) -> Named:
+    effect, joint = step.hypothesis.effect_in(last), step.hypothesis.joint
+    told = step.hypothesis.told(last)
     equivalent = [n for law in ONE_LAW if effect.name in law for n in sorted(law - {effect.name})]
     equivalent += [r.key[0] for r in step.rivals if r.near and r.key[0] != effect.name]
     equivalent = tuple(dict.fromkeys(equivalent))
     return Named(
         effect=effect,
         joint=joint,
-        parameters={n: Estimate(float(v), float(s), effect.units[n]) for n, (v, s) in told.items()},
+        parameters={n: Estimate(float(v), float(s), effect.units[n]) for n, (v, s) in told.items()} or _waves(effect),
         p_value=step.on_select.p_value,
         equivalent=equivalent,
         separating_experiment="; ".join(f"{o}: {how}" for o, how in effect.confusable.items() if o in equivalent),
         explains=float(np.clip(step.on_select.gain, 0.0, 1.0)),
         visible=_visible(effect, given, joint) or step.scored.size,
+        is_number=step.is_number,
     )
 
 
@@ -196,21 +197,26 @@ def _with_loud_ripple(found: Contest, steps, last: Fitted, records: Records) -> 
     effects = ripple_effects(names, [o for o, _ in loud], np.array([w for _, w in loud]))
     if louder is None or (not steps and any(against_it(records, found.written, louder, e.joint) for e in effects)):
         return (), now
-    tests = sum(len(names) * n for n in (50, 12))
-    return tuple(_ripple(effect, last, tests) for effect in effects), louder
+    return tuple(_ripple(effect, last) for effect in effects), louder
 
 
-def _ripple(effect, last: Fitted, tests: int) -> Named:
+def _waves(effect) -> dict[str, Estimate]:
+    """Amplitudes, orders and phases of ripple, whose intervals are not known."""
     values = {}
-    for name in ("amplitude", "order", "phase"):
-        row = np.ravel(np.asarray(getattr(effect, name), float))
+    for name in ("amplitude", "teeth", "order", "phase"):
+        row = np.ravel(np.asarray(getattr(effect, name, []), float))
         for i, value in enumerate(row):
-            values[name if len(row) == 1 else f"{name}_{i + 1}"] = Estimate(
-                float(value), float("nan"), effect.units[name]
-            )
+            place = name if len(row) == 1 else f"{name}_{i + 1}"
+            values[place] = Estimate(float(value), float("nan"), effect.units[name])
+    return values
+
+
+def _ripple(effect, last: Fitted) -> Named:
     typical = type(effect).typical(last.robot, effect.joint)
     visible = float(np.max(np.asarray(effect.amplitude)) / np.max(np.asarray(typical.amplitude)))
-    return Named(effect, effect.joint, values, min(1.0, CHANCE * tests / 50), (), "", 1.0, visible)
+    kind = "torque" if isinstance(effect, TorqueRipple) else "resolver"
+    p_value = last.wave_p_value(kind, last.robot.axis_names.index(effect.joint))
+    return Named(effect, effect.joint, _waves(effect), p_value, (), "", 1.0, visible)
 
 
 def _counting(record: Measured, robot: Robot) -> tuple[Named, ...]:

@@ -20,7 +20,7 @@ from ..trajectory.measured import Measured
 from .fitted import Fitted, Say, at, fitted, fitted_from, further
 from .hypothesis import Hypothesis, hypothesis
 from .judge import COMPARED, Comparison, Written, compared, written
-from .rank import Scored, ranked, squares
+from .rank import Scored, ranked
 from .rounds import Round, keep_round, read_round
 from .settings import (
     CREDIBLE,
@@ -203,12 +203,11 @@ def incredible(found: Fitted, far: float = FAR) -> list[str]:
 
 
 class _Runner(eqx.Module):
-    """A candidate in the race. `cost`: its cost, weighed as that of the robot before."""
+    """A candidate in the race."""
 
     scored: Scored
     hypothesis: Hypothesis
     found: Fitted
-    cost: float
 
 
 def _best(now: Fitted, before: Written, views, rankings, had, records: Records, say: Say) -> tuple[Step | None, str]:
@@ -216,17 +215,20 @@ def _best(now: Fitted, before: Written, views, rankings, had, records: Records, 
     runners = _first_heat(now, views, rankings, had, fit, say)
     if not runners:
         return None, "no candidate explains more than chance"
-    least = min(r.cost for r in runners)
-    runners = [_finished(r, now, fit, say) for r in runners if r.cost <= IN_THE_RACE * least]
-    runners = sorted(_once_each(runners), key=lambda r: r.cost)
+    costs = _costs([r.found for r in runners], now)
+    runners = [
+        _finished(r, fit, say) for r, cost in zip(runners, costs, strict=True) if cost <= IN_THE_RACE * min(costs)
+    ]
+    runners, costs, before_cost = _in_order(runners, now)
     after = [written(r.found.written(), records.whole) for r in runners]
-    running = [(r, w) for r, w in zip(runners, after, strict=True) if w is not None]
+    running = [(r, c / before_cost, w) for r, c, w in zip(runners, costs, after, strict=True) if w is not None]
     if not running:
         return None, "no robot with more can be simulated"
-    winner, its = running[0]
+    winner, cost, its = running[0]
     floor, frequency, select = before.evidence.plain, records.whole.frequency, records.select
     versus = lambda one, two: compared(one.residual[select], two.residual[select], floor, frequency)
-    is_number = all(o.number in {n.name for n in now.these} for o in winner.hypothesis.own)
+    own = winner.hypothesis.own
+    is_number = bool(own) and all(o.number in {n.name for n in now.these} for o in own)
     without = (_held(now, winner.hypothesis, records, say) if is_number else None) or before
     result = versus(without, its)
     name = said(winner.hypothesis.key)
@@ -234,11 +236,8 @@ def _best(now: Fitted, before: Written, views, rankings, had, records: Records, 
     against = _against(now, winner, result)
     if against:
         return None, f"{name} was not taken: {against}"
-    cost = _cost(now, now)
-    rivals = tuple(Rival(r.hypothesis.key, r.cost / cost, _near(versus(w, its))) for r, w in running[1:])
-    return Step(
-        winner.hypothesis, winner.scored, winner.found, its, without, is_number, result, winner.cost / cost, rivals
-    ), ""
+    rivals = tuple(Rival(r.hypothesis.key, c, _near(versus(w, its))) for r, c, w in running[1:])
+    return Step(winner.hypothesis, winner.scored, winner.found, its, without, is_number, result, cost, rivals), ""
 
 
 def _held(now: Fitted, free: Hypothesis, records: Records, say: Say) -> Written | None:
@@ -264,7 +263,7 @@ def _first_heat(now: Fitted, views, rankings, had, record: Measured, say: Say) -
                 fit = fitted_from(begun.robot, begun.unknown, record, view, say, FIRST_HEAT)
             except InputError:
                 continue
-            found.append(_Runner(this, begun, fit, _cost(fit, now)))
+            found.append(_Runner(this, begun, fit))
     return found
 
 
@@ -293,35 +292,37 @@ def _shapes(view: Fitted, scored, chosen, record: Measured) -> list[Scored]:
     return [this for key, this in best.items() if key not in [s.key for s in chosen]]
 
 
-def _finished(runner: _Runner, now: Fitted, record: Measured, say: Say) -> _Runner:
+def _finished(runner: _Runner, record: Measured, say: Say) -> _Runner:
     found = further(runner.found, record, say, ROUNDS - FIRST_HEAT)
-    cost = _cost(found, now)
     told = runner.hypothesis.told(found)
     values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in told.items())
-    say(f"  {said(runner.hypothesis.key)}: {values}; costs {cost / _cost(now, now):.3g} of what was before")
-    return _Runner(runner.scored, runner.hypothesis, found, cost)
+    say(f"  {said(runner.hypothesis.key)}: {values}")
+    return _Runner(runner.scored, runner.hypothesis, found)
 
 
-def _once_each(runners) -> list[_Runner]:
-    """Of two views' runners with the same effect, the cheaper one."""
+def _in_order(runners: Sequence[_Runner], now: Fitted) -> tuple[list[_Runner], list[float], float]:
+    """Each effect once, the cheapest first, with their costs and that of the robot before."""
+    *costs, before = _costs([*(r.found for r in runners), now], now)
     best: dict = {}
-    for runner in sorted(runners, key=lambda r: r.cost):
-        best.setdefault(runner.hypothesis.key, runner)
-    return list(best.values())
+    for cost, runner in sorted(zip(costs, runners, strict=True), key=lambda pair: pair[0]):
+        best.setdefault(runner.hypothesis.key, (runner, cost))
+    return [r for r, _ in best.values()], [c for _, c in best.values()], before
 
 
-def _cost(found: Fitted, like: Fitted) -> float:
-    """Squares of what is left over the floor of another, of which so many count as one, and those of the tolerances."""
-    if found is like:
-        return squares(like) / like.look.posterior.effect + like.priced
-    over = np.sum(np.abs(found.left / like.look.evidence.floor) ** 2)
-    return float(over) / like.look.posterior.effect + found.priced
+def _costs(robots: Sequence[Fitted], like: Fitted) -> list[float]:
+    """Squares of what is left over the floor of one of them, so many counting as one, and those of the tolerances.
+
+    How many is told by the robot in which they are fewest: what an effect leaves that is not there repeats from line to
+    line, and would make its robot look as if little were known."""
+    effect = min(found.look.posterior.effect for found in robots)
+    over = lambda found: float(np.sum(np.abs(found.left / like.look.evidence.plain) ** 2))
+    return [over(found) / effect + found.priced for found in robots]
 
 
 def _against(now: Fitted, winner: _Runner, result: Comparison) -> str:
     """What speaks against an effect, in words; empty where nothing does."""
     told = winner.hypothesis.told(winner.found)
-    name, (value, std) = next(iter(told.items()))
+    name, (value, std) = next(iter(told.items()), ("", (1.0, 0.0)))
     if name != "ratio" and abs(value) < 1.96 * std:
         return f"its {name} is {value:.3g} +- {1.96 * std:.2g}, which holds none of it"
     if result.p_value <= SIGNIFICANT and result.gain > LEAST_GAIN:

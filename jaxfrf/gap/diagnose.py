@@ -39,11 +39,11 @@ def diagnose(
     does, each within what is known of it: where they explain the record, nothing is missing, and those that are off
     are told. Otherwise every effect of the library on every joint is scored beside these numbers by what its law,
     evaluated along the simulated motion, takes off the residual (torque, at every line from 0 to the highest excited
-    one, unexcited ones and the slow motion included); those that promise most become robots in which the effect's parameters are
-    numbers of which nothing is known, and all numbers are fitted again. The one that costs least is taken if it is
-    better, simulated as it would be written, on positions that chose nothing, and this repeats with the effect in the
-    robot. The sealed positions are opened once, at the end: an effect with which their gap does not shrink is taken
-    back.
+    one, unexcited ones and the slow motion included); those that promise most become robots in which the effect's
+    parameters are numbers of which nothing is known, and all numbers are fitted again. The one that costs least is
+    taken if it is better, simulated as it would be written, on positions that chose nothing, and this repeats with the
+    effect in the robot. The sealed positions are opened once, at the end: an effect with which their gap does not
+    shrink is taken back.
 
     A number that the robot has, with a tolerance, may be what is wrong: it is set free like an effect, and told to be a
     number. Thresholds stand in `settings`. Wrong where several effects of a similar signature act at once, and where an

@@ -6,10 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.stats
 from jaxtyping import Float
 
 from ..calibration.numbers import Number, numbers, with_numbers
-from ..calibration.ripple import sure_orders
+from ..calibration.ripple import TRIED, sure_orders
 from ..calibration.search import Look, Search
 from ..effects import TorqueConstant
 from ..effects._place import axis_of
@@ -17,7 +18,7 @@ from ..robot import Robot, Tolerances
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import excess, remainder
 from ..trajectory.ripple import Order, ripple_effects
-from .settings import FLOOR, ROUNDS, SLOW
+from .settings import FLOOR, LOOKS_FOR_RIPPLE, ROUNDS, SLOW
 
 Say = Callable[[str], None]
 
@@ -55,6 +56,11 @@ class Fitted(eqx.Module):
         """Mean square over the floor where most is left: of one axis in one band."""
         return excess(self.left, self.look.evidence.plain, record.frequency)
 
+    @property
+    def of_worst_axis(self) -> float:
+        """Mean square over the floor that is left of the axis with most."""
+        return 0.5 * float(np.max(np.mean(np.abs(self.left / self.look.evidence.plain) ** 2, axis=(0, 1, 2))))
+
     def place(self, name: str) -> int:
         return [n.name for n in self.these].index(name)
 
@@ -70,8 +76,24 @@ class Fitted(eqx.Module):
     def waves(self) -> list[tuple[Order, Float[np.ndarray, "2"]]]:
         """Orders of ripple that are there beyond chance, with the coefficients of sine and cosine."""
         orders, posterior = self.look.orders, self.look.posterior
-        c = posterior.change[len(posterior.change) - 2 * len(orders) :].reshape(-1, 2)
-        return [(o, w) for o, w, sure in zip(orders, c, sure_orders(orders, posterior), strict=True) if sure]
+        return [
+            (o, w)
+            for o, w, sure in zip(orders, self._coefficients, sure_orders(orders, posterior), strict=True)
+            if sure
+        ]
+
+    @property
+    def _coefficients(self) -> Float[np.ndarray, "order 2"]:
+        change = self.look.posterior.change
+        return change[len(change) - 2 * len(self.look.orders) :].reshape(-1, 2)
+
+    def wave_p_value(self, kind: str, axis: int) -> float:
+        """Of the surest order of one motor's ripple of a kind, were there none, among all that were tried."""
+        spread = np.sqrt(np.diag(self.look.posterior.covariance))[-2 * len(self.look.orders) :].reshape(-1, 2)
+        size = np.sum((self._coefficients / np.maximum(spread, 1e-300)) ** 2, axis=1)
+        own = [x for o, x in zip(self.look.orders, size, strict=True) if (o.kind, o.axis) == (kind, axis)]
+        tests = self.robot.n_axes * sum(map(len, TRIED.values()))
+        return float(min(1.0, tests * scipy.stats.chi2.sf(max(own), 2)))
 
     def written(self, quiet: bool = False) -> Robot:
         """The robot as it would be written, with its motors' ripple; `quiet`: without what is louder than usual."""
@@ -132,13 +154,15 @@ class _Fit:
         for number in range(rounds):
             if stays:
                 break
-            found = self.search.further(look, ripple and number == 0)
+            found = self.search.further(look, ripple and number < LOOKS_FOR_RIPPLE)
             if found is None:
                 break
-            before, look, left = left, found, self._excess(found)
+            slow = found.misfit > SLOW * look.misfit and found.left > SLOW * look.left
+            look, before, left = found, left, self._excess(found)
             stays = self.search.stays(look)
             self.say(f"    {look.misfit**0.5:.3g} times the floor, at most {left**0.5:.3g} behind the next step")
-            if left > SLOW * before and not FLOOR < left < 2 * FLOOR:
+            near = FLOOR < left < 2 * FLOOR
+            if slow and left > SLOW * before and not near and not (ripple and number < LOOKS_FOR_RIPPLE - 1):
                 break
         return self.found(look, stays)
 

@@ -82,7 +82,8 @@ def hypothesis(view: Fitted, effect: AbstractEffect, joint: str) -> Hypothesis |
         stated += [(f"{last}.com", _UNKNOWN), (f"{last}.inertia", _AROUND_A_PAYLOAD)]
     unknown = Tolerances((*view.unknown.stated, *stated))
     fitted = {n.name for n in numbers(changed.with_tolerances(unknown))}
-    if not own or not any(o.number in fitted for o in own):
+    waves = hasattr(effect, "amplitude")  # taken as it was scored: its size is no single number
+    if not waves and not any(o.number in fitted for o in own):
         return None
     return Hypothesis(effect, joint, changed, unknown, own)
 
@@ -109,7 +110,9 @@ def _own(robot: Robot, effect: AbstractEffect, joint: str) -> tuple[Own, ...]:
     return tuple(
         Own(f"{joint}.{effect.name}.{name}", name)
         for name in effect.units
-        if np.ndim(getattr(effect, name)) == 0 and name not in ("smoothing", "level" * (effect.name == _OFFSET))
+        if not hasattr(effect, "amplitude")
+        and np.ndim(getattr(effect, name)) == 0
+        and name not in ("smoothing", "level" * (effect.name == _OFFSET))
     )
 
 

@@ -10,8 +10,10 @@ from ..effects import AbstractEffect
 from ..trajectory.evidence import placed, precise, weigh
 from ..trajectory.joined import places
 from ..trajectory.measured import Measured
+from ..trajectory.remainder import remainder
+from ..trajectory.ripple import gear_orders
 from ..trajectory.signature import signature
-from .candidates import Candidate, candidates
+from .candidates import Candidate, candidates, gear_errors
 from .fitted import Fitted
 from .settings import OWN
 
@@ -86,9 +88,21 @@ def _pool(view: Fitted, record: Measured, own) -> list[Candidate]:
     largest = np.abs(np.asarray(record.data.u)).max(axis=(0, 1, 2))
     had = {n.name for n in view.these}
     at_its_numbers = view.look.evidence.robot
-    return [
-        c for c in candidates(at_its_numbers, largest, own) if f"{c.joint}.{_NUMBERS.get(c.name, c.name)}" not in had
-    ]
+    found = [*candidates(at_its_numbers, largest, own), *_gear_errors(view)]
+    return [c for c in found if f"{c.joint}.{_NUMBERS.get(c.name, c.name)}" not in had]
+
+
+def _gear_errors(view: Fitted) -> list[Candidate]:
+    """Errors of the teeth of every gear, at the orders that most of the residual goes by."""
+    look, robot, found = view.look, view.look.evidence.robot, []
+    change = look.posterior.change
+    first = len(change) - 2 * len(look.orders)
+    for axis in robot.flexible_axes:
+        # Whole orders of this motor stay in the residual: they would take most of an error at an order nearby.
+        other = np.array([i < first or look.orders[(i - first) // 2].axis != axis for i in range(len(change))])
+        left = remainder(look.evidence, look.weighed, change[other], np.flatnonzero(other))
+        found += gear_errors(robot, axis, gear_orders(look.evidence.scenes, left, look.evidence.floor, axis))
+    return found
 
 
 # Effects that are an error of a number which a robot may have.

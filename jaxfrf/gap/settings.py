@@ -7,6 +7,7 @@ SELECT = 3  # one of so many
 
 # How far a robot is fitted
 ROUNDS = 8  # simulations of a robot that is fitted, at most; from a start that was fitted before
+LOOKS_FOR_RIPPLE = 3  # first rounds, in which further orders are looked for
 FIRST_HEAT = 2  # of them, for a candidate, before those that are far behind are given up
 SLOW = 0.7  # of what a round before left: more, and what is far from the floor will not come down to it by itself
 IN_THE_RACE = 1.5  # times the least cost: more after the first heat is not fitted further
@@ -42,8 +43,7 @@ PRICE = 0.1  # of the squares that some axes gain, which others may lose beyond 
 RISES = 1.1  # of the torque that the effect's own joint is missed by
 
 # Words
-UNEXPLAINED = 2.0  # mean square over the floor of one axis in one band, which must not be left
+UNEXPLAINED = 2.0  # mean square over the floor of one axis, which must not be left
 EXPLAINED = 0.5  # of the misfit above the floor that must be gone on positions that chose nothing
 TOLERANCE = 0.06  # of the torque, rms of an axis: half a decibel
 SHOWN = 12  # candidates in a ranking
-CHANCE = 1e-3  # of a loud order of ripple that is named without being there
