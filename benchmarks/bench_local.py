@@ -67,6 +67,10 @@ def main() -> None:
     for contender in (LOOP, NORMAL, FULL):
         result["memory"].append(_run(max(arguments.cores), measure="memory", case="lrm", contender=contender))
     print(_memory_table(result["memory"]), flush=True)
+    result["rate"] = _run(1, measure="rate")
+    print(_rate_line(result["rate"]), flush=True)
+    result["start"] = _run(max(arguments.cores), measure="start")
+    print(_start_table(result["start"]), flush=True)
     for name, sizes in _growth_sizes(arguments.quick).items():
         result["growth"][name] = _run(max(arguments.cores), measure="growth", sizes=sizes)
         print(_growth_table(name, result["growth"][name]), flush=True)
@@ -110,7 +114,8 @@ def _run(cores: int, **request):
             os.sched_setaffinity(0, chosen)
 
     threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-    environment = os.environ | dict.fromkeys(threads, str(cores))
+    blas = cores if request["measure"] in ("speed", "memory") else 1  # contenders share cores; else as a user has it
+    environment = os.environ | dict.fromkeys(threads, str(blas))
     environment |= {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "0", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, __file__, "--worker", json.dumps(request)]
     done = subprocess.run(
@@ -166,27 +171,29 @@ def _measure_memory(case: str, contender: str) -> dict:
 
 
 def _measure_growth(sizes) -> dict:
-    """Sizes (positions, experiments), smallest first: the peak of a process only rises."""
+    """Sizes (positions, experiments, lines, axes), smallest first: the peak of a process only rises."""
     rows = []
-    for n_pos, n_exp in sizes:
-        for stacked in (True, False):
-            spectra = _spectra(n_pos, n_exp)
-            rows.append(_grown(spectra if stacked else _one_by_one(spectra), n_pos, n_exp, stacked))
+    for size in sizes:
+        n_pos, n_exp, n_lines, n_axes = size
+        spectra = _spectra(n_pos, n_exp, n_lines, n_axes)
+        width = WIDTH if n_axes == 6 else None
+        rows.append(_grown(spectra, size, width, stacked=True))
+        if n_axes == 6 and n_exp > 1:
+            rows.append(_grown(_one_by_one(spectra), size, width, stacked=False))
     return {"sizes": rows}
 
 
-def _grown(spectra, n_pos: int, n_exp: int, stacked: bool) -> dict:
+def _grown(spectra, size, width, stacked: bool) -> dict:
     import jaxfrf as jf
 
-    method = jf.LRM(order=ORDER, width=WIDTH)
+    method = jf.LRM(order=ORDER, width=width)
     began = time.perf_counter()
     jf.estimate(spectra, method)
     first = time.perf_counter() - began
     wall = statistics.median(_time(lambda: jf.estimate(spectra, method))[0] for _ in range(3))
     n_windows = spectra.n_pos * len(spectra.lines)
     return {
-        "positions": n_pos,
-        "experiments": n_exp,
+        **dict(zip(("positions", "experiments", "lines", "axes"), size, strict=True)),
         "stacked": stacked,
         "windows": n_windows,
         "ms": wall * 1e3,
@@ -196,18 +203,68 @@ def _grown(spectra, n_pos: int, n_exp: int, stacked: bool) -> dict:
     }
 
 
+def _measure_rate() -> dict:
+    """What LRM's windows need at least, beside what NumPy's complex matrix product does on the same core."""
+    spectra = _one_by_one(_spectra(1, N_EXP))
+    import numpy as np
+
+    import jaxfrf as jf
+
+    X = np.ones((600, 600), complex)
+    product = 8 * 600**3 / min(_time(lambda: X @ X)[1] for _ in range(3)) / 1e9
+    method = jf.LRM(order=ORDER, width=WIDTH)
+    jf.estimate(spectra, method)
+    n_windows, n = spectra.n_pos * len(spectra.lines), (ORDER + 1) * spectra.n_in + ORDER * spectra.n_out
+    pairs = (spectra.n_in + spectra.n_out) * (spectra.n_in + spectra.n_out + 1) // 2
+    moments = 2 * WIDTH * (2 * ORDER + 1) * 2 * pairs
+    solved = 4 * n**3 / 3 + 4 * n**2 * (spectra.n_out + spectra.n_in) + 8 * n * spectra.n_out**2
+    seconds = min(_time(lambda: jf.estimate(spectra, method))[1] for _ in range(3))
+    return {"product_gflops": product, "estimate_gflops": n_windows * (moments + solved) / seconds / 1e9}
+
+
+def _measure_start() -> dict:
+    """Seconds of whole processes: the best of three."""
+    import tempfile
+
+    run = [sys.executable, "-m", "jaxfrf"]
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"XDG_CACHE_HOME": folder, "JAX_ENABLE_COMPILATION_CACHE": "1"}
+        environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+
+        def seconds(command):
+            began = time.perf_counter()
+            subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, check=True)
+            return time.perf_counter() - began
+
+        seconds([*run, "example", "-o", "record.npz"])
+        estimate = [*run, "estimate", "record.npz", "-o", "frf.npz"]
+        return {
+            "import jaxfrf": min(seconds([sys.executable, "-c", "import jaxfrf"]) for _ in range(3)),
+            "an empty Python": min(seconds([sys.executable, "-c", ""]) for _ in range(3)),
+            "jaxfrf --help": min(seconds([*run, "--help"]) for _ in range(3)),
+            "jaxfrf estimate, auto, nothing compiled before": seconds(estimate),
+            "the same again": min(seconds(estimate) for _ in range(3)),
+        }
+
+
 def _peak_mb() -> float:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1024 if sys.platform != "darwin" else peak / 1024**2
 
 
-_WORKERS = {"speed": _measure_speed, "memory": _measure_memory, "growth": _measure_growth}
+_WORKERS = {
+    "speed": _measure_speed,
+    "memory": _measure_memory,
+    "growth": _measure_growth,
+    "rate": _measure_rate,
+    "start": _measure_start,
+}
 
 
 # Data and contenders -------------------------------------------------------------------------------------------------
 
 
-def _spectra(n_pos: int, n_exp: int):
+def _spectra(n_pos: int, n_exp: int, n_lines: int = 336, n_axes: int = 6):
     from jaxfrf._environment import prepare
 
     prepare()
@@ -215,7 +272,9 @@ def _spectra(n_pos: int, n_exp: int):
     import numpy as np
 
     rng = np.random.default_rng(SEED)
-    return _plants.experiment([_plants.random_axes(6, rng) for _ in range(n_pos)], n_exp, DISTURBANCE, rng)[0]
+    plants = [_plants.random_axes(n_axes, rng) for _ in range(n_pos)]
+    lines = _plants.paper_lines() if n_lines == 336 else np.arange(n_lines) + 112
+    return _plants.experiment(plants, n_exp, DISTURBANCE, rng, lines)[0]
 
 
 def _one_by_one(spectra):
@@ -278,7 +337,14 @@ def _difference(G, reference) -> float:
 def _growth_sizes(quick: bool) -> dict:
     experiments = (1, 12) if quick else (1, 3, 6, 12, 24)
     positions = (1, 4) if quick else (1, 4, 16, 49)
-    return {"experiments": [(1, n) for n in experiments], "positions": [(n, N_EXP) for n in positions]}
+    lines = (336, 3360) if quick else (336, 1000, 3360, 20000)
+    axes = (2, 12) if quick else (2, 6, 12, 40)
+    return {
+        "experiments": [(1, n, 336, 6) for n in experiments],
+        "positions": [(n, N_EXP, 336, 6) for n in positions],
+        "lines": [(1, 1, n, 6) for n in lines],
+        "axes (as many experiments, windows of 24 lines)": [(1, n, 336, n) for n in axes],
+    }
 
 
 # Printing ------------------------------------------------------------------------------------------------------------
@@ -356,16 +422,29 @@ def _memory_table(rows) -> str:
     return "\n".join(lines)
 
 
+def _rate_line(found) -> str:
+    share = found["estimate_gflops"] / found["product_gflops"]
+    return (
+        f"\nArithmetic that LRM's windows need: {found['estimate_gflops']:.1f} Gflop/s, {share:.0%} of NumPy's complex "
+        f"matrix product ({found['product_gflops']:.0f} Gflop/s, one core, processor time)"
+    )
+
+
+def _start_table(found) -> str:
+    lines = [f"\nWhole processes, {found['cores']} core(s), wall time, s"]
+    return "\n".join(lines + [f"  {name:48}{value:7.2f}" for name, value in found.items() if name != "cores"])
+
+
 def _growth_table(name: str, found: dict) -> str:
     lines = [
-        f"\nGrowth with {name}, LRM, {found['cores']} cores (the peak is that of the process so far)",
-        f"  {'positions':>9}{'experiments':>13}{'':12}{'windows':>9}{'ms':>9}{'us/window':>11}"
+        f"\nGrowth with {name}, LRM, {found['cores']} core(s) (the peak is that of the process so far)",
+        f"  {'axes':>4}{'positions':>11}{'experiments':>13}{'':12}{'windows':>9}{'ms':>9}{'us/window':>11}"
         f"{'compile s':>11}{'peak MB':>9}",
     ]
     for row in found["sizes"]:
         kind = "stacked" if row["stacked"] else "one by one"
         lines.append(
-            f"  {row['positions']:9}{row['experiments']:13}{kind:>12}{row['windows']:9}{row['ms']:9.1f}"
+            f"  {row['axes']:4}{row['positions']:11}{row['experiments']:13}{kind:>12}{row['windows']:9}{row['ms']:9.1f}"
             f"{row['us_per_window']:11.1f}{row['compile_s']:11.1f}{row['peak_mb']:9.0f}"
         )
     return "\n".join(lines)
