@@ -143,7 +143,7 @@ def main() -> None:
     began, text = time.perf_counter(), [__doc__.partition("\n")[0]]
     cases = [case for case in (TUNING if arguments.tuning else CASES) if arguments.case in case.name]
     for case in cases:
-        for n_exp in EXPERIMENTS:
+        for n_exp in arguments.experiments:
             head = f"{case.name}, damping {case.damping:g}, disturbance {100 * case.disturbance:g} %, n_e = {n_exp}"
             _say(text, f"\n{head}, {arguments.seeds} seeds")
             _say(text, f"  {'':20}{'all':>8}{'at resonances':>15}{'error':>9}{'at res.':>9}{'width':>7}{'s':>7}")
@@ -179,6 +179,7 @@ def _arguments():
     parser.add_argument("--tuning", action="store_true", help="the plants and seeds on which choices were made")
     parser.add_argument("--methods", nargs="+", choices=tuple(METHODS), help="only these")
     parser.add_argument("--case", default="", help="only plants whose name holds this, e.g. 'six axes'")
+    parser.add_argument("--experiments", nargs="+", type=int, default=EXPERIMENTS)
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--write", type=pathlib.Path, help="also write the table to this file")
     return parser.parse_args()

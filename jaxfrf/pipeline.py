@@ -108,14 +108,22 @@ class Summary(eqx.Module):
             "warnings": list(frf.warnings),
         }
 
+    def _data(self) -> str:
+        spectra = self.spectra
+        if spectra.segments:
+            each = spectra.n_exp // spectra.segments
+            return f"{each} experiment(s), {spectra.segments} segments of {spectra.period} samples each"
+        if not spectra.periodic:
+            return f"{spectra.n_exp} experiment(s) without a period, {spectra.period} samples each"
+        return f"{spectra.n_exp} experiment(s) of {spectra.n_periods} period(s)"
+
     def lines(self) -> list[str]:
         """For a person."""
         about = self.as_dict()
         frf = self.frf
         text = [
             f"{frf.n_out} x {frf.n_in} FRF at {about['positions']} operating point(s), {about['lines']} lines from "
-            f"{about['band_hz'][0]:.4g} to {about['band_hz'][1]:.4g} Hz, from {about['experiments']} experiment(s) of "
-            f"{about['periods']} period(s)",
+            f"{about['band_hz'][0]:.4g} to {about['band_hz'][1]:.4g} Hz, from {self._data()}",
             f"method: {about['method']}",
         ]
         if about["median_relative_std"] is None:

@@ -433,7 +433,7 @@ def test_auto_narrows_at_resonances():
 
 
 def test_auto_uses_the_windows_it_is_given():
-    records = plants.steady_spectra(plants.two_mass_loop(2), LOG_ODD, 4000, 2, process_noise=0.05)
+    records = plants.steady_spectra(plants.two_mass_loop(2), LOG_ODD, 4000, 1, process_noise=0.05)
     frf = jf.estimate(records.spectra(), jf.Auto(widths=(30, 10)))
     assert frf.window.min() >= 10 and frf.window.max() <= 30
     one = jf.estimate(records.spectra(), jf.Auto(jf.LPM(), widths=(16,)))
@@ -444,7 +444,7 @@ def test_auto_uses_the_windows_it_is_given():
 
 @pytest.mark.parametrize("with_reference", [True, False])
 def test_auto_goes_through_the_reference_where_there_is_one(with_reference):
-    records = plants.steady_spectra(plants.two_mass_loop(2), LOG_ODD, 4000, 2, process_noise=0.05)
+    records = plants.steady_spectra(plants.two_mass_loop(2), LOG_ODD, 4000, 1, process_noise=0.05)
     spectra = records.spectra(with_reference)
     direct = jf.estimate(spectra, jf.LPM(width=20)).G
     np.testing.assert_array_equal(jf.estimate(spectra, jf.Auto(jf.LPM(), widths=(20,), use_reference=False)).G, direct)

@@ -11,8 +11,8 @@ from .welch import Welch
 def spectra_of(data: Experiment, method: AbstractMethod, *, periods=None, band=None, robust: bool = False) -> Spectra:
     """The spectra that `method` needs: of steady periods; of the whole record if it is not periodic and the method can
     have a transient term; of segments for `jaxfrf.Welch`. `periods` (from, to) and `band` (low, high, Hz) choose a
-    part, `None` at an end: open. `robust`: weigh periods (`jaxfrf.dft`). A record that shows a period, but states none, is
-    taken whole only if the method was given a transient term.
+    part, `None` at an end: open. `robust`: weigh periods (`jaxfrf.dft`). A record that shows a period, but states none,
+    is taken whole only if the method was given a transient term.
 
     A record that was made in memory is screened first (`jaxfrf.screen`); one that was read from files has been.
 

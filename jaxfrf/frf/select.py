@@ -45,8 +45,9 @@ class Auto(AbstractMethod):
     of all is `H1` (through the reference), which has no window and no bias of one.
 
     Fractions are fitted in two stages, which removes the bias of the noise in their regressors
-    (`jaxfrf.frf.two_stage`). The choices were made on the tuning plants of `benchmarks/bench_coverage.py`, which reports
-    on others. In closed loop without a reference, the noise in u biases every window alike, and nothing of that is seen.
+    (`jaxfrf.frf.two_stage`). The choices were made on the tuning plants of `benchmarks/bench_coverage.py`, which
+    reports on others. In closed loop without a reference, the noise in u biases every window alike, and nothing of that
+    is seen.
 
     **Arguments:**
 
