@@ -7,6 +7,7 @@ import sys
 
 from . import __version__, _environment
 from ._commands import COMMANDS
+from ._commands.arguments import check_inputs
 from ._errors import InputError
 
 
@@ -19,6 +20,7 @@ def main(arguments=None) -> int:
         return 0
     _environment.prepare()
     try:
+        check_inputs(given)
         summary = given.run(given)
     except (InputError, ImportError, OSError) as error:
         return _stopped(given.command, _plain(error), error, 2)

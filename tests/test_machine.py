@@ -11,7 +11,7 @@ from jaxfrf.machine import CubicSpring, Machine, fit_machine, rank_effects, simu
 
 FS, PERIOD = 100.0, 200
 TRUE = {"m": 2.0, "d": 3.0, "k": 2000.0}
-CUBIC = 2e6
+CUBIC = 3e5
 
 
 def matrices(v):
@@ -36,17 +36,17 @@ def driven(force, fs=FS):
 
 @pytest.fixture(scope="module")
 def record():
-    """The last two of five periods."""
+    """The last two of eight periods."""
     rng = np.random.default_rng(3)
     t = np.arange(PERIOD) / FS
     f = sum(4.0 * np.cos(2 * np.pi * k * t * FS / PERIOD + rng.uniform(0, 6)) for k in range(3, 22, 2))
-    u = np.tile(f, 5)
-    y = driven(u)[3 * PERIOD :]
+    u = np.tile(f, 8)
+    y = driven(u)[6 * PERIOD :]
     return jf.Experiment(u[: len(y)], y, FS, PERIOD, y_quantity="position", u_unit="N", y_unit="m")
 
 
 def test_motion_is_that_of_another_integrator(record):
-    found = simulate_machine(machine().with_effects(CubicSpring("spring", CUBIC)), record, settle=5)
+    found = simulate_machine(machine().with_effects(CubicSpring("spring", CUBIC)), record, settle=6, steps=2)
     rms = np.sqrt(np.mean(np.asarray(record.y) ** 2))
     np.testing.assert_allclose(found[0], record.y[0, 0, -PERIOD:], atol=3e-3 * rms)
 
@@ -72,11 +72,11 @@ def test_names_of_effects():
 def test_a_cubic_spring_is_found_and_fitted(record):
     """From starts that are 20 % off; the one candidate that is true is first, and its number is right."""
     start = machine(m=2.3, d=4.0, k=2400.0)
-    candidates = [Backlash("spring", 1e-3), CoulombFriction("spring", 0.5), CubicSpring("spring", 2e5)]
+    candidates = [Backlash("spring", 1e-3), CoulombFriction("spring", 0.5), CubicSpring("spring", 1e5)]
     plain, ranked = rank_effects(start, record, candidates)
     best = ranked[0]
-    assert best.effect.name == "cubic_spring" and best.gain > 30 * ranked[1].gain
-    assert plain.residual > 0.2 and best.fit.residual < 5e-3
+    assert best.effect.name == "cubic_spring" and best.gain > 5 * ranked[1].gain
+    assert plain.residual > 0.02 and best.fit.residual < 0.2 * plain.residual
     for name, value in {**TRUE, "spring.cubic_spring.stiffness": CUBIC}.items():
         assert abs(best.fit.values[name] / value - 1) < 0.02, name
 
