@@ -29,10 +29,12 @@ def add_record_options(parser: argparse.ArgumentParser, method: str | None, defa
     parser.add_argument("--methods", action=_ListMethods, nargs=0, help="list the estimators and stop")
     parser.add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help="e.g. width=34, order=2")
     parser.add_argument(
-        "--map", help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]; y=rec.act_vel"
+        "--map",
+        help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]; y=rec.act_vel; u=a.csv:tau1; columns "
+        "without headings by number, from 1",
     )
     parser.add_argument(
-        "--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720"
+        "--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720,y_unit=deg/s"
     )
     parser.add_argument("--scale", help="factors to SI units: y=0.0174532925")
     add_anyway_option(parser)
