@@ -7,6 +7,7 @@ import sys
 
 from . import __version__, _environment
 from ._commands import COMMANDS
+from ._commands.arguments import check_inputs
 from ._commands.each import check_alone, run_each
 from ._errors import InputError
 
@@ -25,6 +26,7 @@ def main(arguments=None) -> int:
             summary = run_each(given)
         else:
             check_alone(given)
+            check_inputs(given)
             summary = given.run(given)
     except (InputError, ImportError, OSError) as error:
         return _stopped(given.command, _plain(error), error, 2)

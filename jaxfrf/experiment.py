@@ -11,12 +11,7 @@ from ._arguments import expect
 from ._errors import input_error
 from ._types import Array
 from .periodic import FoundPeriod, find_period
-
-QUANTITIES = {"position": 0, "velocity": 1, "acceleration": 2}
-"""How many times each quantity is the time derivative of a position."""
-
-UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
-
+from .units import QUANTITIES, UNITS as UNITS
 
 _LARGEST = 1e100
 

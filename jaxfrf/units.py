@@ -2,7 +2,10 @@
 
 import re
 
-from .experiment import QUANTITIES, UNITS
+QUANTITIES = {"position": 0, "velocity": 1, "acceleration": 2}
+"""How many times each quantity is the time derivative of a position."""
+
+UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
 
 DEFAULT_INPUT = "N m"
 

@@ -153,10 +153,10 @@ def test_names_open_no_device_and_change_no_setting():
 
 # --- directions of the imports
 
-BASE = {"errors", "types", "status", "environment", "files", "arguments", "memory", "compile"}
+BASE = {"errors", "types", "status", "environment", "files", "arguments", "memory", "compile", "units"}
 EXCITATION = BASE | {"excitation", "periodic"}
 EXPERIMENT = EXCITATION | {"experiment"}
-SPECTRA = EXPERIMENT | {"spectra", "units"}
+SPECTRA = EXPERIMENT | {"spectra"}
 FRF = SPECTRA | {"screening", "frf"}
 ROBOT = BASE | {"effects", "robot"}
 SIMULATION = EXPERIMENT | ROBOT | {"simulation"}
@@ -171,8 +171,7 @@ MAY_IMPORT = {
     "excitation": BASE | {"excitation"},
     "periodic": BASE | {"periodic"},
     "experiment": BASE | {"periodic", "experiment"},
-    "units": BASE | {"experiment"},
-    "spectra": BASE | {"periodic", "experiment", "units", "spectra"},
+    "spectra": BASE | {"periodic", "experiment", "spectra"},
     "screening": BASE | {"periodic", "experiment", "spectra", "screening"},
     "frf": FRF - {"excitation"},
     "examples": EXPERIMENT,
@@ -182,6 +181,7 @@ MAY_IMPORT = {
     "graybox": GRAYBOX,
     "trajectory": TRAJECTORY,
     "calibration": TRAJECTORY | {"parts", "calibration"},
+    "machine": GRAYBOX | {"machine"},
     "gap": GRAYBOX | {"parts", "trajectory", "calibration", "gap"},
     "io": IO,
     "plot": IO | {"trajectory", "calibration", "plot"},

@@ -8,8 +8,9 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 
 from .._errors import InputError, OutputError, input_error
-from .._files import check_writable
+from .._files import check_readable, check_writable
 
+_QUICK = 5e6  # bytes that are read twice without being noticed
 RECORD_FILES = (".nc", ".mat", ".npz")  # that are written
 
 
@@ -28,10 +29,12 @@ def add_record_options(parser: argparse.ArgumentParser, method: str | None, defa
     parser.add_argument("--methods", action=_ListMethods, nargs=0, help="list the estimators and stop")
     parser.add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help="e.g. width=34, order=2")
     parser.add_argument(
-        "--map", help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]; y=rec.act_vel"
+        "--map",
+        help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]; y=rec.act_vel; u=a.csv:tau1; columns "
+        "without headings by number, from 1",
     )
     parser.add_argument(
-        "--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720"
+        "--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720,y_unit=deg/s"
     )
     parser.add_argument("--scale", help="factors to SI units: y=0.0174532925")
     add_anyway_option(parser)
@@ -96,6 +99,51 @@ def check_x64(who: str) -> None:
         require_x64(who)
     except ValueError as error:
         raise InputError(str(error)) from None
+
+
+_READ = {
+    "data": "a measurement file",
+    "frf": "an FRF",
+    "robot": "a robot, .toml or .urdf",
+    "design": "a design, .toml",
+    "effects": "a Python file (.py) that defines effects",
+    "configurations": "arm angles, .csv or .txt",
+}
+
+
+def check_inputs(given: argparse.Namespace) -> None:
+    """Files that are not there, and the syntax of options, before anything large is imported."""
+    for name, what in _READ.items():
+        paths = getattr(given, name, None) or ()
+        for path in [paths] if isinstance(paths, str) else paths:
+            check_readable(pathlib.Path(path), what)
+    _check_variables(given)
+
+
+def _check_variables(given: argparse.Namespace) -> None:
+    """Names of `--map` in files that are quickly read, before JAX is imported."""
+    files = getattr(given, "data", None)
+    if not files or not hasattr(given, "map"):
+        return
+    from ..io.record_arguments import parse_map, parse_scale, parse_values
+
+    names = parse_map(given.map) if given.map else {}
+    for text, parse in ((given.set, parse_values), (given.scale, parse_scale)):
+        if text:
+            parse(text)
+    path = pathlib.Path(files[0])
+    if len(files) > 1 or path.suffix.lower() not in (".csv", ".npz", ".mat", ".txt") or path.stat().st_size > _QUICK:
+        return
+    from ..io._container import load
+    from ..io._select import missing, select
+
+    variables = load(path)
+    if {"G", "frequency"} <= set(variables):
+        return
+    for key in ("u", "y", *(k for k in names if k not in ("u", "y"))):
+        if names.get(key, key) == key and key not in variables:
+            raise missing(path, variables, key, key)
+        select(path, variables, key, names.get(key, key))
 
 
 def check_seed(seed: int) -> None:

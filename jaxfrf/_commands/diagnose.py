@@ -24,7 +24,12 @@ from .each import add_each_options
 def add(commands) -> None:
     parser = command(commands, "diagnose", run, "Find the effect that a robot's model lacks, from records.")
     parser.add_argument("data", nargs="+", metavar="DATA", help="records (.nc .mat .npz .csv)")
-    parser.add_argument("--robot", required=True, metavar="ROBOT.toml", help="the robot as it is modelled so far")
+    parser.add_argument(
+        "--robot",
+        required=True,
+        metavar="ROBOT",
+        help="the robot as it is modelled so far, .toml or .urdf (drives beside it)",
+    )
     parser.add_argument("-o", "--output", required=True, help="diagnosis to write: .json")
     parser.add_argument("--report", metavar="FILE", help="page about the diagnosis to write: .html")
     parser.add_argument("--robot-out", metavar="FILE", help="robot with what was missing to write: .toml")

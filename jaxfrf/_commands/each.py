@@ -5,7 +5,7 @@ import importlib.util
 from collections.abc import Mapping
 
 from .._errors import input_error
-from .arguments import check_x64, say
+from .arguments import check_inputs, check_x64, say
 
 _BESIDE = {"plot": ".png", "report": ".html", "robot_out": ".toml"}  # what a command can write beside its result
 
@@ -23,12 +23,13 @@ def add_each_options(parser: argparse.ArgumentParser) -> None:
 
 def run_each(given) -> dict:
     """The command for every file of `given.data`."""
-    from ..batch import each
-
+    check_inputs(argparse.Namespace(**vars(given) | {"data": ()}))  # patterns are for `each` to look at
     check_x64(f"jaxfrf {given.command} --each")
     frf = ".nc" if _is_there("h5netcdf") else ".npz"
     given.result = frf if given.command == "estimate" else ".json"
     given.beside = _beside(given)
+    from ..batch import each
+
     batch = each(given, workers=given.workers, cluster=given.cluster, say=None if given.json else say)
     return {"text": batch.lines(), "json": batch.as_dict(), "code": 1 if batch.failed else 0}
 

@@ -35,7 +35,12 @@ def add(commands) -> None:
     parser.add_argument(
         "data", nargs="+", metavar="DATA", help="records (.nc .mat .npz .csv) or FRFs (of `jaxfrf estimate`)"
     )
-    parser.add_argument("--robot", required=True, metavar="ROBOT.toml", help="the robot; its values are the start")
+    parser.add_argument(
+        "--robot",
+        required=True,
+        metavar="ROBOT",
+        help="the robot, .toml or .urdf (drives beside it); its values are the start",
+    )
     parser.add_argument("-o", "--output", required=True, help="fit to write: .json")
     parser.add_argument("--report", metavar="FILE", help="page about the fit to write: .html")
     parser.add_argument(

@@ -7,7 +7,7 @@ from .arguments import check_picture, check_seed, check_target, check_x64, comma
 
 def add(commands) -> None:
     parser = command(commands, "positions", run, "Choose arm configurations to measure a robot at, before measuring.")
-    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("robot", metavar="ROBOT", help=".toml, or .urdf with its drives in a .toml beside it")
     parser.add_argument("design", metavar="DESIGN.toml")
     own_effects.add_effects_option(parser)
     parser.add_argument("-n", "--count", type=int, default=7, help="positions to choose (default 7)")

@@ -9,7 +9,7 @@ from .arguments import RECORD_FILES, Percent, check_seed, check_target, command
 
 def add(commands) -> None:
     parser = command(commands, "simulate", run, "Play a design on a simulated robot in closed loop.")
-    parser.add_argument("robot", metavar="ROBOT.toml")
+    parser.add_argument("robot", metavar="ROBOT", help=".toml, or .urdf with its drives in a .toml beside it")
     parser.add_argument("design", metavar="DESIGN.toml")
     own_effects.add_effects_option(parser)
     parser.add_argument("-o", "--output", required=True, help="record to write: .nc, .mat or .npz")

@@ -176,8 +176,8 @@ def fit(
 
     **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together, or no start gives a finite cost.
     """
-    expect("frf", frf, FRF)
     expect("model", model, AbstractModel)
+    expect("frf", frf, FRF)
     require_x64("fit")
     solver = LevenbergMarquardt() if solver is None else solver
     check_solver(solver)

@@ -246,12 +246,14 @@ def _independent(known, overlap, inside) -> np.ndarray:
     if overlap is None:
         return n
     shared = np.stack(
-        [
-            np.einsum("bf,fv,fg,bg,gv->bv", inside, own, np.square(rho), inside, own, optimize=True)
-            for own, rho in zip(known.astype(float), np.asarray(overlap), strict=True)
-        ]
+        [_shared(own, rho.power(2), inside) for own, rho in zip(known.astype(float), overlap, strict=True)]
     )
     return np.where(shared > 0, n**2 / np.maximum(shared, 1e-300), 0.0)
+
+
+def _shared(own, squared, inside) -> np.ndarray:
+    """Sum of squared correlations within every band, (band, vec)."""
+    return np.stack([np.sum((row := band[:, None] * own) * (squared @ row), axis=0) for band in inside])
 
 
 def _cells(x, shape: tuple[int, int]) -> np.ndarray:

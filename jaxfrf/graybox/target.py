@@ -5,6 +5,7 @@ import dataclasses
 import equinox as eqx
 import jax
 import numpy as np
+import scipy.sparse
 from jaxtyping import Bool, Complex, Float, PyTree
 
 from .._errors import input_error
@@ -69,7 +70,8 @@ class Target(eqx.Module):
     **Fields:** `log_G`: log of the measured elements, (pos, freq, vec), columns stacked; 0 where left out.
     `magnitude`, `phase`: square roots of the weights of Re E and Im E, (pos, freq, vec). `whitener`: matrix applied to
     E before them, (pos, freq, vec, vec), or `None`. `cov`: covariance of E, (pos, freq, vec, vec), zero where unknown.
-    `overlap`: correlation between the estimates of two lines, (pos, freq, freq), or `None` for independent lines.
+    `overlap`: correlation between the estimates of two lines, a sparse (freq, freq) for each position, or `None` for
+    independent lines.
     `points`: operating points, leading axis pos. `used`: (pos, freq, vec). `scatter`: how much more the cost and the
     variance of its gradient are than weights from the true covariance would make them, because the weights come from
     a covariance of few degrees of freedom, (pos, freq, 2).
@@ -82,7 +84,7 @@ class Target(eqx.Module):
     phase: Float[Array, "pos freq vec"]
     whitener: Complex[Array, "pos freq vec vec"] | None
     cov: Complex[Array, "pos freq vec vec"]
-    overlap: Float[Array, "pos freq freq"] | None
+    overlap: tuple[scipy.sparse.csr_array, ...] | None
     points: PyTree
     used: Bool[Array, "pos freq vec"]
     scatter: Float[Array, "pos freq two"]
@@ -161,10 +163,20 @@ def roughness(
         return np.zeros(g.shape)
     share = ((frequency[2:] - frequency[1:-1]) / (frequency[2:] - frequency[:-2]))[:, None]
     off = np.abs(g[:, 1:-1] - share * g[:, :-2] - (1 - share) * g[:, 2:]) ** 2 / (1 + share**2 + (1 - share) ** 2)
-    near = np.abs(np.arange(len(frequency))[:, None] - np.arange(1, len(frequency) - 1)) <= _NEIGHBOURS
-    mean = lambda x, w: np.einsum("fk,pkv->pfv", w / w.sum(axis=1, keepdims=True), x)
-    whole = np.abs(np.arange(len(frequency))[:, None] - np.arange(len(frequency))) <= _NEIGHBOURS
-    return mean(off, near) / mean(np.abs(g) ** 2, whole)
+    return _running_mean(off, len(frequency), 1) / _running_mean(np.abs(g) ** 2, len(frequency), 0)
+
+
+def _running_mean(x, count: int, first: int) -> np.ndarray:
+    """Mean of x (pos, line, vec), which begins at line `first` of `count`, over the neighbours of every line."""
+    line = np.arange(count)
+    low = np.clip(line - _NEIGHBOURS - first, 0, x.shape[1])
+    high = np.clip(line + _NEIGHBOURS + 1 - first, 0, x.shape[1])
+    n = max(2 * _NEIGHBOURS + 1, 1)
+    index = np.minimum(low[:, None] + np.arange(n), x.shape[1] - 1)
+    inside = low[:, None] + np.arange(n) < high[:, None]
+    # Sums of differences of running totals would lose the small values behind a large one.
+    total = sum(x[:, index[:, k]] * inside[:, k, None] for k in range(n))
+    return total / (high - low)[:, None]
 
 
 def _user_weights(frf: FRF, weights: Weights) -> np.ndarray:
@@ -229,8 +241,8 @@ def _scatter(frf: FRF, weights: Weights, variance, used, floor: float) -> np.nda
     return np.stack([1 + share * (cost - 1), 1 + share**2 * (gradient - 1)], axis=-1)
 
 
-def overlap(window) -> np.ndarray | None:
-    """Correlation between local estimates at two lines whose windows share data, (pos, freq, freq).
+def overlap(window) -> tuple[scipy.sparse.csr_array, ...] | None:
+    """Correlation between local estimates at two lines whose windows share data, sparse (freq, freq) for each position.
 
     The correlation of two second-order local polynomial fits through windows of these widths that stand about (or, at
     an end of the band, beside) their lines. `None` where every window is one line wide.
@@ -238,28 +250,31 @@ def overlap(window) -> np.ndarray | None:
     if np.all(window <= 1):
         return None
     kernels = {}
-    result = np.empty((*window.shape, window.shape[1]))
-    for pos, widths in enumerate(np.asarray(np.rint(window), int)):
-        key = widths.tobytes()
-        if key not in kernels:
-            rows = np.stack([_kernel(line, width, len(widths)) for line, width in enumerate(widths)])
-            product = rows @ rows.T
-            size = np.sqrt(np.diagonal(product))
-            kernels[key] = product / size[:, None] / size[None, :]
-        result[pos] = kernels[key]
-    return result
+    keys = []
+    for widths in np.asarray(np.rint(window), int):
+        keys.append(widths.tobytes())
+        if keys[-1] in kernels:
+            continue
+        count = len(widths)
+        widths = np.clip(widths, 1, count)
+        lines = np.arange(count)
+        first = np.clip(lines - widths // 2, 0, count - widths)
+        shapes = {place: _kernel(*place) for place in set(zip((lines - first).tolist(), widths.tolist(), strict=True))}
+        places = zip((lines - first).tolist(), widths.tolist(), strict=True)
+        weights = np.concatenate([shapes[place] for place in places])
+        columns = np.concatenate([np.arange(a, a + n) for a, n in zip(first, widths, strict=True)])
+        ends = np.concatenate([[0], np.cumsum(widths)])
+        rows = scipy.sparse.csr_array((weights, columns, ends), shape=(count, count))
+        rows = scipy.sparse.diags_array(1 / np.sqrt(rows.power(2).sum(axis=1))) @ rows
+        kernels[keys[-1]] = scipy.sparse.csr_array(rows @ rows.T)
+    return tuple(kernels[key] for key in keys)
 
 
-def _kernel(line: int, width: int, count: int) -> np.ndarray:
-    """Weights that a second-order local fit gives to the lines of its window."""
-    width = min(max(width, 1), count)
-    first = min(max(line - width // 2, 0), count - width)
-    row = np.zeros(count)
-    where = np.arange(first, first + width)
-    x = (where - line) / max(width, 1)
+def _kernel(at: int, width: int) -> np.ndarray:
+    """Weights that a second-order local fit at line `at` of a window gives to its lines."""
+    x = (np.arange(width) - at) / max(width, 1)
     powers = np.stack([x**p for p in range(min(3, width))], axis=1)
-    row[where] = np.linalg.pinv(powers)[0]
-    return row
+    return np.linalg.pinv(powers)[0]
 
 
 def assumed_cost(target: Target, floor: float) -> float:
@@ -278,6 +293,8 @@ def select(target: Target, positions=None, lines=None) -> Target:
     lines = slice(None) if lines is None else np.asarray(lines)
     cut = lambda x: None if x is None else np.asarray(x)[positions][:, lines]
     whole = target.overlap
+    chosen = None if whole is None else np.arange(len(whole))[positions]
+    shared = None if whole is None else tuple(whole[i][:, lines][lines] for i in chosen)
     return dataclasses.replace(
         target,
         frequency=np.asarray(target.frequency)[lines],
@@ -289,6 +306,6 @@ def select(target: Target, positions=None, lines=None) -> Target:
         cov=cut(target.cov),
         used=cut(target.used),
         scatter=cut(target.scatter),
-        overlap=None if whole is None else np.asarray(whole)[positions][:, lines][:, :, lines],
+        overlap=shared,
         points=jax.tree.map(lambda x: np.asarray(x)[positions], target.points),
     )

@@ -148,7 +148,7 @@ def _position(target: Target, slope, pos: int):
     Q = np.swapaxes(seen_J.conj(), -1, -2) @ (np.square(weight)[..., None] * seen_factor)
     T = np.concatenate([Q.real, Q.imag], axis=-1) / np.sqrt(2)  # (freq, parameter, 2 vec)
     flat = T.reshape(len(T), -1)
-    rho = None if target.overlap is None else np.asarray(target.overlap[pos])
+    rho = None if target.overlap is None else target.overlap[pos]
     flat = flat * np.sqrt(np.asarray(target.scatter[pos])[:, 1:])
     T = flat.reshape(T.shape)
     spread = flat if rho is None else rho @ flat

@@ -6,6 +6,7 @@ import re
 import numpy as np
 
 from .._errors import InputError, input_error
+from ..units import known_unit
 from ._container import Leaf, Variables
 
 KIND = "a table of numbers"
@@ -14,27 +15,6 @@ _COMMENTS = ("#", "%")
 _SEPARATORS = (";", "\t", ",", None)
 _HEADING = re.compile(r"(?P<name>[^\[(]*\w[^\[(]*)[\[(](?P<unit>[^\[\]()\d]{1,9}\d?)[\])]")
 _LOOK = 20  # last lines that tell the separator
-_UNITS = {
-    *("", "-", "1", "s", "ms", "us", "µs", "hz", "v", "mv", "a", "ma", "n", "nm", "n m", "n*m", "m", "mm", "um", "µm"),
-    *(
-        "m/s",
-        "m/s^2",
-        "mm/s",
-        "rad",
-        "rad/s",
-        "rad/s^2",
-        "deg",
-        "°",
-        "deg/s",
-        "°/s",
-        "rpm",
-        "1/min",
-        "%",
-        "k",
-        "°c",
-        "g",
-    ),
-}
 
 
 def load(path: pathlib.Path) -> dict[str, Leaf]:
@@ -156,7 +136,7 @@ def _are_units(fields: list[str]) -> bool:
     """`[s]`, `(N m)`, `rad/s`, `-`, or nothing: short, and in brackets or of the usual letters."""
     plain = [field.strip("[]() ") for field in fields]
     bracketed = any(field[:1] in "[(" for field in fields if field)
-    return all(len(x) < 12 for x in plain) and (bracketed or all(x.lower() in _UNITS for x in plain))
+    return all(len(x) < 12 for x in plain) and (bracketed or all(not x or known_unit(x) for x in plain))
 
 
 def _fields(line: str, separator: str | None) -> list[str]:

@@ -51,8 +51,8 @@ def simulate(
     **Raises:** `jaxfrf.InputError` where robot, design and positions do not fit together, and where runs
     diverge: it names positions and experiments, and nothing is recorded then.
     """
-    expect("design", design, Multisine)
     expect("robot", robot, Robot)
+    expect("design", design, Multisine)
     require_x64("A simulation")
     check_fit(robot, design.fs, design.n_in, "design")
     positions = check_positions(robot, positions)
@@ -117,8 +117,8 @@ def replay(
     **Raises:** `jaxfrf.InputError` without `r` or `q`, where the record does not fit the robot, where `r` has a
     mean that lets the motors drift away, and where runs diverge.
     """
-    expect("data", data, Experiment)
     expect("robot", robot, Robot)
+    expect("data", data, Experiment)
     check_noise(noise)
     if noise and key is None:
         raise input_error("key", "none", f"a key for a noise of {noise:g} rad", "Give key=jax.random.key(0).")

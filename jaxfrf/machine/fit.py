@@ -1,0 +1,193 @@
+"""A machine fitted through the experiment: its motion under the measured input against the measured output."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.fft
+import scipy.optimize
+import scipy.stats
+
+from .._arguments import expect
+from .._errors import input_error
+from .._types import require_x64
+from ..effects import AbstractEffect
+from ..experiment import QUANTITIES, Experiment
+from .model import Machine
+from .simulate import driving, fine_steps, motion
+
+_FLOOR = 1e-3  # of the output's rms at a line: below it no model is right
+_BEYOND = 1.5  # times the highest excited line: distortion shows there, too
+
+
+class MachineFit(eqx.Module):
+    """A machine fitted to a record.
+
+    **Fields:** `machine`: at the result. `values`, `std`: of every free parameter; std by the curvature, widened by the
+    misfit. `residual`: root of the power of measured less simulated output over that of the measured one, at the lines
+    of the fit. `misfit`: root mean square of the residual over its standard deviation. `lines`: those of the fit.
+    `converged`.
+    """
+
+    machine: Machine
+    values: dict[str, float] = eqx.field(static=True)
+    std: dict[str, float] = eqx.field(static=True)
+    residual: float = eqx.field(static=True)
+    misfit: float = eqx.field(static=True)
+    lines: np.ndarray
+    converged: bool = eqx.field(static=True)
+
+
+def fit_machine(
+    machine: Machine,
+    data: Experiment,
+    *,
+    band: tuple[float, float] | None = None,
+    settle: int = 3,
+    steps: int | None = None,
+    floor: float = _FLOOR,
+) -> MachineFit:
+    """Fit masses, springs, dampers and effects of a machine to a record, by simulating it under the measured input.
+
+    The mean steady period of the measured output, in the machine's quantity, is compared with the simulated one at all
+    lines of `band`, excited or not: what a nonlinear spring or friction adds there is part of the answer. Least squares
+    by a trust-region method with the Jacobian by forward differentiation through the simulation.
+
+    Biased by noise of the measured input (it drives the model), and where the machine drifts by what is not measured.
+
+    **Arguments:**
+
+    - `machine`: its `effects` are fitted, too, from the numbers that they have.
+    - `data`: a periodic record; its output in any quantity.
+    - `band`: Hz; by default from the first line, or 0 where the machine's quantity is a derivative of the measured one
+      (of which a period's mean is then known to be 0), to 1.5 times the highest excited one.
+    - `settle`: periods before the one that is compared. `steps`: see `simulate_machine`.
+    - `floor`: standard deviation of the model itself, over the rms of the output.
+
+    **Raises:** `jaxfrf.InputError` for records without a period, and where the simulation diverges at the start.
+    """
+    require_x64("fit_machine")
+    expect("machine", machine, Machine)
+    expect("data", data, Experiment)
+    if not data.period:
+        raise input_error("period", "0", "a periodic record", "Say its period, or cut it to whole periods.")
+    if (data.n_in, data.n_out) != (machine.inputs.shape[1], len(machine.outputs)):
+        raise input_error(
+            "data and machine",
+            f"{data.n_out} outputs of {data.n_in} inputs",
+            f"{len(machine.outputs)} of {machine.inputs.shape[1]}",
+            "Choose channels (names=), or correct inputs and outputs of the machine.",
+        )
+    lines, measured, sigma = _measured(machine, data, band, floor)
+    names = [n for n, p in machine.parameters.items() if p.free and p.same_as is None]
+    start = {n: float(p.start) for n, p in machine.parameters.items()}
+    steps = fine_steps(machine, start, data.fs) if steps is None else steps
+    u = jnp.asarray(np.tile(driving(data), (1, settle + 1, 1)))
+    x0 = np.array([np.log(start[n]) if machine.parameters[n].positive else 0.0 for n in names])
+    scale = np.array([machine.parameters[n].scale for n in names])
+    positive = np.array([machine.parameters[n].positive for n in names])
+
+    def values_at(x):
+        found = {n: jnp.asarray(v) for n, v in start.items()}
+        for i, n in enumerate(names):
+            found[n] = jnp.exp(x[i]) if positive[i] else start[n] + scale[i] * x[i]
+        return found | {n: found[p.same_as] for n, p in machine.parameters.items() if p.same_as}
+
+    def errors(x):
+        y = motion(machine, values_at(x), u, data.fs, steps)[:, -data.period :]
+        Y = jnp.fft.rfft(y, axis=1)[:, lines] / data.period
+        e = ((Y - measured) / sigma).ravel()
+        return jnp.concatenate([e.real, e.imag]) * jnp.sqrt(2.0)
+
+    errors, jacobian = jax.jit(errors), jax.jit(jax.jacfwd(errors))
+    if not np.isfinite(np.asarray(errors(x0))).all():
+        raise input_error("machine", "a simulation that diverges at its start", "a finite motion", "Correct the start.")
+    solved = scipy.optimize.least_squares(
+        lambda x: np.nan_to_num(np.asarray(errors(x)), nan=1e6, posinf=1e6, neginf=-1e6),
+        x0,
+        jac=lambda x: np.nan_to_num(np.asarray(jacobian(x))),
+        x_scale="jac",
+        max_nfev=60,
+        xtol=1e-8,
+        ftol=1e-10,
+    )
+    return _result(machine, names, solved, lines, measured, sigma, values_at, positive, scale)
+
+
+def _measured(machine: Machine, data: Experiment, band, floor: float):
+    """Lines, the mean period's Fourier coefficients there in the machine's quantity, and their standard deviation."""
+    y = np.asarray(data.y)[0][:, data.transient_periods * data.period :]
+    periods = y.reshape(len(y), -1, data.period, y.shape[2])
+    Y = scipy.fft.rfft(periods, axis=2) / data.period
+    times = QUANTITIES[machine.quantity] - QUANTITIES[data.y_quantity]
+    omega = 2 * np.pi * data.fs / data.period * np.arange(Y.shape[2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.where(omega > 0, (1j * omega) ** times, 1.0 if times == 0 else 0.0)[:, None]
+    mean = Y.mean(axis=1) * factor
+    power = np.abs(scipy.fft.rfft(driving(data), axis=1)) ** 2
+    top = int(np.max(np.flatnonzero(power.sum(axis=(0, 2)) > 1e-4 * power.sum(axis=(0, 2)).max())))
+    low, high = band or ((0.0 if times > 0 else 1.0) * data.fs / data.period, _BEYOND * top * data.fs / data.period)
+    lines = np.flatnonzero((omega >= 2 * np.pi * low) & (omega <= 2 * np.pi * high))
+    lines = lines[lines > 0] if times <= 0 else lines
+    if not lines.size:
+        raise input_error("band", f"no line from {low:g} to {high:g} Hz", "some", "Widen the band.")
+    n = periods.shape[1]
+    noise = np.var(Y, axis=1, ddof=1) / n * np.abs(factor) ** 2 if n > 1 else np.zeros(mean.shape)
+    rms = np.sqrt(np.mean(np.abs(mean[:, lines]) ** 2, axis=1, keepdims=True))
+    return lines, mean[:, lines], np.sqrt(noise[:, lines] + (floor * rms) ** 2)
+
+
+def _result(machine, names, solved, lines, measured, sigma, values_at, positive, scale) -> MachineFit:
+    dof = max(len(solved.fun) - len(names), 1)
+    # Twice the sum of both parts is one complex residual: mean square 1 each where the model is right.
+    misfit = np.sqrt(np.sum(solved.fun**2) / dof)
+    covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * max(misfit, 1.0) ** 2
+    found = {n: float(v) for n, v in values_at(jnp.asarray(solved.x)).items()}
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    std = {
+        n: float(s * (found[n] if positive[i] else scale[i]))
+        for i, (n, s) in enumerate(zip(names, spread, strict=True))
+    }
+    e = (solved.fun[: solved.fun.size // 2] + 1j * solved.fun[solved.fun.size // 2 :]) / np.sqrt(2)
+    left = np.sum(np.abs(e.reshape(measured.shape) * sigma) ** 2)
+    return MachineFit(
+        machine=machine.with_values(found),
+        values={n: found[n] for n in names},
+        std=std,
+        residual=float(np.sqrt(left / np.sum(np.abs(measured) ** 2))),
+        misfit=float(misfit),
+        lines=lines,
+        converged=bool(solved.status > 0),
+    )
+
+
+class Ranked(eqx.Module):
+    """A candidate: the `fit` with it, and `gain`, the factor by which the power of the residual fell."""
+
+    effect: AbstractEffect
+    fit: MachineFit
+    gain: float = eqx.field(static=True)
+    p_value: float = eqx.field(static=True)
+
+
+def rank_effects(
+    machine: Machine, data: Experiment, candidates: Sequence[AbstractEffect], **options
+) -> tuple[MachineFit, list[Ranked]]:
+    """The fit without any, and every candidate by how much of the residual it takes, the best first.
+
+    Each is fitted together with all other parameters. `p_value` is that of an F test with as many degrees of freedom as
+    lines that were compared: a guide, not a verdict, as what is left is mostly not noise.
+
+    **Arguments:** `options`: of `fit_machine`.
+    """
+    plain = fit_machine(machine, data, **options)
+    ranked = []
+    for effect in candidates:
+        found = fit_machine(plain.machine.with_effects(effect), data, **options)
+        more, dof = len(found.values) - len(plain.values), max(2 * len(found.lines) * data.n_exp - len(found.values), 1)
+        before, after = plain.misfit**2, found.misfit**2
+        statistic = max(before / max(after, 1e-300) - 1.0, 0.0) * dof / max(more, 1)
+        ranked.append(Ranked(effect, found, before / max(after, 1e-300), float(scipy.stats.f.sf(statistic, more, dof))))
+    return plain, sorted(ranked, key=lambda x: -x.gain)

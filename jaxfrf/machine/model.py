@@ -1,0 +1,162 @@
+"""A machine by its matrices, with effects at named places."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Complex, Float
+
+from .._errors import input_error
+from .._types import Array
+from ..effects import AbstractEffect
+from ..graybox import AbstractModel, Parameter
+
+Values = Mapping[str, Array]
+
+
+class Machine(AbstractModel):
+    """A drive or structure of your own, M q'' + D q' + K q = B u - sum of its effects, y = C q or its derivative.
+
+    **Arguments:**
+
+    - `matrices`: called with a dictionary of parameter values, gives M, D, K, (dof, dof) each, written in `jax.numpy`;
+      most often an `eqx.Module`.
+    - `parameters`: name -> `Parameter` (or a number: a positive parameter that starts there).
+    - `inputs`: B, (dof, in). `outputs`: C, (out, dof).
+    - `places`: name -> (dof,): the deflection at a place is p . q, and a force against it acts along p. A coupling
+      between masses 0 and 1 is `[1, -1]`.
+    - `quantity`: what y is: `position`, `velocity` or `acceleration`.
+    - `effects`: of `jaxfrf.effects`, or `CubicSpring`, whose `joint` is the name of a place. Their numbers are
+      parameters, too: `<place>.<effect>.<number>`.
+    - `smoothing`: of Coulomb friction, rad/s or m/s.
+
+    It is a gray-box model: `jaxfrf.fit` fits its linear part to an FRF; `jaxfrf.machine.fit_machine` all of it to the
+    record.
+    """
+
+    parameters: dict[str, Parameter]
+    matrices: Callable
+    inputs: Float[np.ndarray, "dof in"]
+    outputs: Float[np.ndarray, "out dof"]
+    places: dict[str, Float[np.ndarray, "dof"]]
+    effects: tuple[AbstractEffect, ...]
+    quantity: str = eqx.field(static=True)
+    smoothing: float = eqx.field(static=True)
+
+    def __init__(
+        self,
+        matrices: Callable,
+        parameters: Mapping[str, Parameter | float],
+        *,
+        inputs,
+        outputs,
+        places: Mapping[str, object] | None = None,
+        quantity: str = "velocity",
+        effects: tuple[AbstractEffect, ...] = (),
+        smoothing: float = 1e-2,
+    ):
+        self.matrices = matrices
+        self.parameters = {n: p if isinstance(p, Parameter) else Parameter(float(p)) for n, p in parameters.items()}
+        self.inputs, self.outputs = np.atleast_2d(np.asarray(inputs, float)), np.atleast_2d(np.asarray(outputs, float))
+        self.places = {name: np.asarray(p, float) for name, p in (places or {}).items()}
+        self.effects, self.quantity, self.smoothing = (), quantity, float(smoothing)
+        for effect in effects:
+            self._add(effect)
+
+    def __check_init__(self):
+        n = len(self.inputs)
+        wrong = [name for name, p in self.places.items() if p.shape != (n,)]
+        if self.outputs.shape[1] != n or wrong:
+            raise input_error(
+                "machine",
+                f"inputs {self.inputs.shape}, outputs {self.outputs.shape}"
+                + (f", place {wrong[0]!r} {self.places[wrong[0]].shape}" if wrong else ""),
+                f"(dof, in), (out, dof) and (dof,) with {n} degrees of freedom",
+                "Correct the shapes.",
+            )
+        if self.quantity not in ("position", "velocity", "acceleration"):
+            raise input_error("quantity", repr(self.quantity), "position, velocity or acceleration", "Choose one.")
+
+    def _add(self, effect: AbstractEffect) -> None:
+        if effect.joint not in self.places:
+            known = ", ".join(self.places) or "none"
+            raise input_error(
+                f"{effect.name}: joint", repr(effect.joint), f"a place of the machine ({known})", "Name it in places."
+            )
+        self.effects = (*self.effects, effect)
+        for field in effect.units:
+            value = float(np.asarray(getattr(effect, field)))
+            name = f"{effect.joint}.{effect.name}.{field}"
+            low, _ = effect.bounds[field]
+            scale = abs(value) or 1.0
+            # What may be of either sign, or nothing, is fitted as it is; shapes as their logarithm.
+            positive = low > 0 and value > 0
+            unit = effect.units[field]
+            self.parameters[name] = Parameter(value, unit, positive=positive, scale=scale)
+
+    def with_effects(self, *effects: AbstractEffect) -> "Machine":
+        """The machine with more effects, whose numbers are parameters then."""
+        return self._changed(self.parameters, (*self.effects, *effects))
+
+    def with_values(self, values: Mapping[str, float]) -> "Machine":
+        """The machine whose parameters start at these values."""
+        moved = {
+            n: dataclasses.replace(p, start=np.float64(values.get(n, p.start))) for n, p in self.parameters.items()
+        }
+        effects = tuple(
+            dataclasses.replace(e, **{f: float(moved[f"{e.joint}.{e.name}.{f}"].start) for f in e.units})
+            for e in self.effects
+        )
+        return self._changed(moved, effects)
+
+    def held(self, *names: str) -> "Machine":
+        """The machine with these parameters fixed where they start.
+
+        **Raises:** `jaxfrf.InputError` for a name that it does not have.
+        """
+        for name in names:
+            if name not in self.parameters:
+                raise input_error("held", repr(name), f"one of {', '.join(self.parameters)}", "Correct the name.")
+        fixed = {n: dataclasses.replace(p, free=False) if n in names else p for n, p in self.parameters.items()}
+        return self._changed(fixed, self.effects)
+
+    def _changed(self, parameters: Mapping[str, Parameter], effects: tuple[AbstractEffect, ...]) -> "Machine":
+        """With these effects; what `parameters` says of their numbers stays."""
+        made = Machine(
+            self.matrices,
+            {n: p for n, p in parameters.items() if n not in self._effect_names()},
+            inputs=self.inputs,
+            outputs=self.outputs,
+            places=self.places,
+            quantity=self.quantity,
+            effects=effects,
+            smoothing=self.smoothing,
+        )
+        return eqx.tree_at(
+            lambda m: m.parameters,
+            made,
+            made.parameters | {n: p for n, p in parameters.items() if n in made.parameters},
+        )
+
+    def _effect_names(self) -> set[str]:
+        return {f"{e.joint}.{e.name}.{f}" for e in self.effects for f in e.units}
+
+    def effects_at(self, values: Values) -> tuple[AbstractEffect, ...]:
+        """Its effects with these numbers, which may be traced."""
+        found = []
+        for effect in self.effects:
+            for field in effect.units:
+                name = f"{effect.joint}.{effect.name}.{field}"
+                effect = eqx.tree_at(lambda e, f=field: getattr(e, f), effect, values[name])
+            found.append(effect)
+        return tuple(found)
+
+    def response(self, frequency, values, point) -> Complex[Array, "freq out in"]:
+        """G of the matrices alone, without the effects, under a held input's continuous equivalent: s^n C (M s^2 + D s
+        + K)^-1 B."""
+        s = 2j * jnp.pi * jnp.asarray(frequency)[:, None, None]
+        M, D, K = self.matrices(values)
+        G = self.outputs @ jnp.linalg.solve(M * s**2 + D * s + K, self.inputs + 0j)
+        return G * s ** ("position", "velocity", "acceleration").index(self.quantity)

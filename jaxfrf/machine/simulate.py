@@ -1,0 +1,106 @@
+"""The motion of a machine under a measured input."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._arguments import expect
+from .._errors import input_error
+from .._types import Array, require_x64
+from ..experiment import Experiment
+from .forces import force
+from .model import Machine
+
+_TURN = 1.5  # rad of the fastest mode, or of friction's decay, in a step
+
+
+def simulate_machine(machine: Machine, data: Experiment, values=None, *, steps: int | None = None, settle: int = 3):
+    """The output of a machine that the input of a record drives, held between samples.
+
+    A periodic record is played as its mean steady period, `settle` times before the one that is kept; any other once,
+    from rest. Integrated by the classical Runge-Kutta method in `steps` steps a sample (by default as many as the
+    fastest mode asks for).
+
+    **Arguments:** `values`: parameters by name; by default where they start.
+
+    **Returns:** (exp, time, out), in the machine's quantity, of the first operating point.
+    """
+    require_x64("A simulation")
+    expect("machine", machine, Machine)
+    expect("data", data, Experiment)
+    values = {n: jnp.asarray(p.start) for n, p in machine.parameters.items()} if values is None else values
+    u = driving(data)
+    played = np.tile(u, (1, settle + 1 if data.period else 1, 1))
+    steps = fine_steps(machine, values, data.fs) if steps is None else steps
+    y = motion(machine, values, jnp.asarray(played), data.fs, steps)
+    return y[:, -u.shape[1] :]
+
+
+def driving(data: Experiment) -> Float[np.ndarray, "exp time in"]:
+    """The mean steady period of u, or all of it."""
+    u = np.asarray(data.u)[0]
+    if not data.period:
+        return u
+    return u[:, data.transient_periods * data.period :].reshape(len(u), -1, data.period, u.shape[2]).mean(axis=1)
+
+
+def fine_steps(machine: Machine, values, fs: float) -> int:
+    """Steps in a sample that the fastest mode at these values asks for."""
+    M, D, K = (np.asarray(x, float) for x in machine.matrices(values))
+    rate = np.sqrt(np.max(np.abs(np.linalg.eigvals(np.linalg.solve(M, K))), initial=0.0))
+    decay = np.max(np.abs(np.linalg.eigvals(np.linalg.solve(M, D))), initial=0.0)
+    for effect in machine.effects:
+        p = machine.places[effect.joint]
+        inverse = float(p @ np.linalg.solve(M, p))
+        slope = abs(float(np.asarray(getattr(effect, "level", 0.0)))) / machine.smoothing
+        decay = max(decay, inverse * slope)
+    needed = max(rate, decay) / fs / _TURN
+    if not needed < 200:
+        raise input_error(
+            "machine",
+            f"a mode or friction at a rate of {max(rate, decay):.3g}/s",
+            f"what 200 steps in a sample of {1 / fs:g} s can follow",
+            "Raise the smoothing of friction, or make that spring rigid.",
+        )
+    return max(1, math.ceil(needed))
+
+
+def motion(machine: Machine, values, u: Float[Array, "exp time in"], fs: float, steps: int):
+    """(exp, time, out); differentiable by `values`."""
+    M, D, K = machine.matrices(values)
+    effects = [(e, jnp.asarray(machine.places[e.joint])) for e in machine.effects_at(values)]
+    own = [1.0 / jnp.maximum(p @ jnp.linalg.pinv(K) @ p, 1e-30) for _, p in effects]
+
+    def acceleration(q, v, pull):
+        total = pull - D @ v - K @ q
+        for (effect, p), stiffness in zip(effects, own, strict=True):
+            total = total - p[:, None] * force(effect, p @ q, p @ v, stiffness, machine.smoothing)
+        return jnp.linalg.solve(M, total)
+
+    h = 1.0 / (fs * steps)
+
+    def step(_, state, pull):
+        q, v = state
+        a1 = acceleration(q, v, pull)
+        a2 = acceleration(q + 0.5 * h * v, v + 0.5 * h * a1, pull)
+        v2 = v + 0.5 * h * a2
+        a3 = acceleration(q + 0.5 * h * (v + 0.5 * h * a1), v2, pull)
+        v3 = v + h * a3
+        a4 = acceleration(q + h * v2, v3, pull)
+        moved = q + h * (v + h / 6 * (a1 + a2 + a3))
+        return moved, v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+
+    def sample(state, now):
+        pull = jnp.asarray(machine.inputs) @ now
+        q, v = state
+        seen = {"position": q, "velocity": v}.get(machine.quantity)
+        seen = acceleration(q, v, pull) if seen is None else seen
+        state = jax.lax.fori_loop(0, steps, lambda i, x: step(i, x, pull), state)
+        return state, jnp.asarray(machine.outputs) @ seen
+
+    rest = jnp.zeros((len(machine.inputs), u.shape[0]))
+    _, y = jax.lax.scan(sample, (rest, rest), jnp.moveaxis(u, 0, -1))
+    return jnp.moveaxis(y, -1, 0)

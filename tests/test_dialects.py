@@ -1,0 +1,127 @@
+"""What people log: several files, units, structs of other programs, tables without headings, MDF, Parquet."""
+
+import numpy as np
+import pytest
+import scipy.io
+
+import jaxfrf as jf
+from jaxfrf.units import differentiated, known_unit, response_unit
+
+RNG = np.random.default_rng(0)
+T = np.arange(80) * 1e-3
+U = np.tile(RNG.standard_normal(20), 4)
+Y = np.roll(U, 2)
+PERIOD = {"period": 20}
+
+
+def table(path, heading, *columns):
+    rows = [",".join(repr(float(x)) for x in row) for row in zip(*columns, strict=True)]
+    path.write_text("\n".join([*([heading] if heading else []), *rows]))
+    return path
+
+
+def test_one_record_in_several_files(tmp_path):
+    u, y = table(tmp_path / "u.csv", "t,a,b", T, U, 2 * U), table(tmp_path / "y.csv", "t,a", T, Y)
+    data = jf.io.read(u, y, names={"u": "u.csv:[a;b]", "y": "y.csv:a"}, values={**PERIOD, "y_quantity": "position"})
+    np.testing.assert_array_equal(data.u[0, 0], np.stack([U, 2 * U], axis=1))
+    np.testing.assert_array_equal(data.y[0, 0, :, 0], Y)
+    assert data.fs == 1000.0 and [s.name for s in data.sources] == ["u.csv", "y.csv"]
+    with pytest.raises(jf.InputError, match=r"found 'a'; expected FILE:NAME with one of u\.csv, y\.csv"):
+        jf.io.read(u, y, names={"u": "u.csv:a", "y": "a"})
+    late = table(tmp_path / "y.csv", "t,a", T + 0.002, Y)
+    with pytest.raises(jf.InputError, match="one clock for all files"):
+        jf.io.read(u, late, names={"u": "u.csv:a", "y": "y.csv:a"})
+
+
+@pytest.mark.parametrize("heading", ["time [ms],M [mNm],n [rpm]", "time,M,n\nms,mNm,rpm"])
+def test_units_are_converted(tmp_path, heading):
+    path = table(tmp_path / "a.csv", heading, 1e3 * T, 1e3 * U, Y * 30 / np.pi)
+    data = jf.io.read(path, names={"t": "time", "u": "M", "y": "n"}, values=PERIOD)
+    np.testing.assert_allclose(data.u[0, 0, :, 0], U, rtol=1e-12)
+    np.testing.assert_allclose(data.y[0, 0, :, 0], Y, rtol=1e-12)
+    assert data.fs == 1000.0 and data.y_quantity == "velocity" and (data.u_unit, data.y_unit) == ("", "")
+    scaled = jf.io.read(path, names={"t": "time", "u": "M", "y": "n"}, values=PERIOD, scale={"u": 1.0})
+    np.testing.assert_allclose(scaled.u[0, 0, :, 0], 1e3 * U, rtol=1e-12)
+
+
+def test_units_go_with_the_data(tmp_path):
+    path = table(tmp_path / "a.csv", "t,u,y\ns,N,mm", T, U, 1e3 * Y)
+    data = jf.io.read(path, values=PERIOD)
+    assert (data.y_quantity, data.u_unit, data.y_unit) == ("position", "N", "m")
+    spectra = jf.with_output_quantity(jf.dft(data), "acceleration")
+    frf = jf.estimate(spectra, jf.H1())
+    assert response_unit(frf) == "(m/s^2)/N"
+    for name in ("a.nc", "a.npz"):
+        jf.io.write_frf(tmp_path / name, frf)
+        assert response_unit(jf.io.read_frf(tmp_path / name)) == "(m/s^2)/N"
+        jf.io.write(tmp_path / name, data)
+        assert jf.io.read(tmp_path / name).y_unit == "m" or name == "a.npz"
+    figure, _ = jf.plot.bode(frf)
+    assert any("(m/s^2)/N" in text.get_text() for text in figure.texts)
+    asked = jf.io.read(path, values={**PERIOD, "u_unit": "kN"})
+    np.testing.assert_allclose(asked.u[0, 0, :, 0], 1e3 * U)
+
+
+def test_known_units():
+    assert known_unit("[N m]") == ("N m", 1.0) and known_unit("Deg/s")[0] == "rad/s" and known_unit("furlong") is None
+    assert differentiated("m", 2) == "m/s^2" and differentiated("V", 1) == "V/s" and differentiated("V", -1) == "V s"
+
+
+def test_a_quantity_that_nobody_states(tmp_path):
+    data = jf.io.read(table(tmp_path / "a.csv", "t,u,y", T, U, Y), values=PERIOD)
+    assert any("does not say what y is" in text for text in data.warnings)
+
+
+def test_columns_are_counted_from_one(tmp_path):
+    path = table(tmp_path / "a.csv", None, T, U, Y)
+    data = jf.io.read(path, names={"t": "1", "u": "2", "y": "2:3"}, values=PERIOD)
+    np.testing.assert_array_equal(data.y[0, 0], np.stack([U, Y], axis=1))
+    for names in ({"t": "1", "u": "0", "y": "2"}, {"t": "1", "u": "0:2", "y": "2"}):
+        with pytest.raises(jf.InputError, match="counted from 1"):
+            jf.io.read(path, names=names)
+
+
+def test_structs_of_dspace(tmp_path):
+    rows = np.zeros((1, 2), dtype=[("Name", object), ("Data", object)])
+    rows[0, 0], rows[0, 1] = ("Model Root/torque", U[None]), ("Model Root/speed", Y[None])
+    scipy.io.savemat(tmp_path / "a.mat", {"rec": {"X": {"Data": T[None]}, "Y": rows}})
+    for y in ("rec.Y.speed", "rec.Y(2).Data"):
+        names = {"t": "rec.X.Data", "u": "rec.Y.torque", "y": y}
+        np.testing.assert_array_equal(jf.io.read(tmp_path / "a.mat", names=names, values=PERIOD).y[0, 0, :, 0], Y)
+
+
+def test_time_series_of_simulink(tmp_path):
+    """A vector signal is logged as (channel, 1, time)."""
+    scipy.io.savemat(tmp_path / "a.mat", {"ts": {"Time": T[:, None], "Data": np.stack([U, Y])[:, None]}})
+    data = jf.io.read(tmp_path / "a.mat", names={"t": "ts.Time", "u": "ts.Data[0]", "y": "ts.Data[1]"}, values=PERIOD)
+    np.testing.assert_array_equal(data.y[0, 0, :, 0], Y)
+
+
+def test_tables_of_labview(tmp_path):
+    head = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\t\nChannels\t2\t\t\n"
+    head += "Samples\t80\t80\t\n***End_of_Header***\t\t\t\nX_Value\tM\tn\tComment\n"
+    rows = [f"{t!r}\t{u!r}\t{y!r}\t" for t, u, y in zip(T.tolist(), U.tolist(), Y.tolist(), strict=True)]
+    (tmp_path / "a.lvm").write_text(head + "\n".join(rows))
+    data = jf.io.read(tmp_path / "a.lvm", names={"t": "X_Value", "u": "M", "y": "n"}, values=PERIOD)
+    np.testing.assert_array_equal(data.y[0, 0, :, 0], Y)
+
+
+def test_parquet(tmp_path):
+    pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    units = {"t": "s", "u": "N", "y": "g"}
+    schema = pa.schema([pa.field(name, pa.float64(), metadata={"unit": unit}) for name, unit in units.items()])
+    parquet.write_table(pa.table([T, U, Y], schema=schema), tmp_path / "a.parquet")
+    data = jf.io.read(tmp_path / "a.parquet", values=PERIOD)
+    assert (data.y_quantity, data.u_unit, data.y_unit) == ("acceleration", "N", "m/s^2")
+    np.testing.assert_allclose(data.y[0, 0, :, 0], 9.80665 * Y)
+
+
+def test_mdf(tmp_path):
+    asammdf = pytest.importorskip("asammdf")
+    signals = [asammdf.Signal(x, T, name=n, unit=w) for n, x, w in (("M", 1e3 * U, "mNm"), ("n", Y, "rad/s"))]
+    with asammdf.MDF(version="4.10") as file:
+        file.append(signals)
+        file.save(tmp_path / "a.mf4")
+    data = jf.io.read(tmp_path / "a.mf4", names={"u": "M", "y": "n"}, values=PERIOD)
+    np.testing.assert_allclose(data.u[0, 0, :, 0], U, rtol=1e-12)
+    assert abs(data.fs - 1000) < 1e-6

@@ -1,0 +1,112 @@
+"""Machines of one's own with effects: against SciPy's integrator, and against what others found on a real axis."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+
+import jaxfrf as jf
+from jaxfrf.effects import Backlash, CoulombFriction, FrictionAsymmetry
+from jaxfrf.machine import CubicSpring, Machine, fit_machine, rank_effects, simulate_machine
+
+FS, PERIOD = 100.0, 200
+TRUE = {"m": 2.0, "d": 3.0, "k": 2000.0}
+CUBIC = 3e5
+
+
+def matrices(v):
+    return v["m"] * jnp.eye(1), v["d"] * jnp.eye(1), v["k"] * jnp.eye(1)
+
+
+def machine(**start):
+    return Machine(
+        matrices, TRUE | start, inputs=[[1.0]], outputs=[[1.0]], places={"spring": [1.0]}, quantity="position"
+    )
+
+
+def driven(force, fs=FS):
+    """Position of a mass on a cubic spring under a held force, from rest, by SciPy's adaptive integrator."""
+    x, found = np.zeros(2), []
+    for f in force:
+        found.append(x[0])
+        law = lambda t, s, f=f: [s[1], (f - TRUE["d"] * s[1] - TRUE["k"] * s[0] - CUBIC * s[0] ** 3) / TRUE["m"]]
+        x = scipy.integrate.solve_ivp(law, (0, 1 / fs), x, rtol=1e-10, atol=1e-14).y[:, -1]
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def record():
+    """The last two of eight periods."""
+    rng = np.random.default_rng(3)
+    t = np.arange(PERIOD) / FS
+    f = sum(4.0 * np.cos(2 * np.pi * k * t * FS / PERIOD + rng.uniform(0, 6)) for k in range(3, 22, 2))
+    u = np.tile(f, 8)
+    y = driven(u)[6 * PERIOD :]
+    return jf.Experiment(u[: len(y)], y, FS, PERIOD, y_quantity="position", u_unit="N", y_unit="m")
+
+
+def test_motion_is_that_of_another_integrator(record):
+    found = simulate_machine(machine().with_effects(CubicSpring("spring", CUBIC)), record, settle=6, steps=2)
+    rms = np.sqrt(np.mean(np.asarray(record.y) ** 2))
+    np.testing.assert_allclose(found[0], record.y[0, 0, -PERIOD:], atol=3e-3 * rms)
+
+
+def test_linear_part_is_a_gray_box(record):
+    f = np.array([1.0, 5.0, 20.0])
+    s = 2j * np.pi * f
+    G = machine().response(f, TRUE, None)[:, 0, 0]
+    np.testing.assert_allclose(G, 1 / (TRUE["m"] * s**2 + TRUE["d"] * s + TRUE["k"]), rtol=1e-12)
+
+
+def test_names_of_effects():
+    with pytest.raises(jf.InputError, match=r"joint: found 'gear'; expected a place of the machine \(spring\)"):
+        machine().with_effects(CubicSpring("gear", 1.0))
+    both = machine().with_effects(CoulombFriction("spring", 0.1)).held("m")
+    assert not both.parameters["m"].free and both.parameters["spring.coulomb_friction.level"].free
+    assert float(both.with_values({"k": 3.0}).parameters["k"].start) == 3.0
+    with pytest.raises(jf.InputError, match="held: found 'x'"):
+        both.held("x")
+
+
+@pytest.mark.slow
+def test_a_cubic_spring_is_found_and_fitted(record):
+    """From starts that are 20 % off; the one candidate that is true is first, and its number is right."""
+    start = machine(m=2.3, d=4.0, k=2400.0)
+    candidates = [Backlash("spring", 1e-3), CoulombFriction("spring", 0.5), CubicSpring("spring", 1e5)]
+    plain, ranked = rank_effects(start, record, candidates)
+    best = ranked[0]
+    assert best.effect.name == "cubic_spring" and best.gain > 5 * ranked[1].gain
+    assert plain.residual > 0.02 and best.fit.residual < 0.2 * plain.residual
+    for name, value in {**TRUE, "spring.cubic_spring.stiffness": CUBIC}.items():
+        assert abs(best.fit.values[name] / value - 1) < 0.02, name
+
+
+@pytest.mark.slow
+@pytest.mark.data
+def test_a_real_axis(measured):
+    """EMPS: mass 95.11 kg, 203.5 N s/m, Coulomb 20.39 N, offset -3.16 N by its authors (Janot, Gautier & Brunot 2019),
+    from the torque along the motion: here from the motion under the measured force."""
+    data = jf.io.read(
+        measured / "emps" / "DATA_EMPS.mat",
+        names={"u": "vir", "y": "qm"},
+        values={"fs": 1000, "period": 6240, "samples": slice(6240, 18720), "y_quantity": "position", "y_unit": "m"},
+        scale={"u": 35.15},
+    )
+    slide = Machine(
+        lambda v: (v["mass"] * jnp.eye(1), v["damping"] * jnp.eye(1), jnp.zeros((1, 1))),
+        {"mass": 80.0, "damping": 300.0},
+        inputs=[[1.0]],
+        outputs=[[1.0]],
+        places={"slide": [1.0]},
+        smoothing=1e-3,
+    )
+    plain = fit_machine(slide, data, settle=1)
+    friction = slide.with_effects(CoulombFriction("slide", 5.0), FrictionAsymmetry("slide", 1.0))
+    found = fit_machine(
+        friction.held("slide.friction_asymmetry.level", "slide.friction_asymmetry.smoothing"), data, settle=1
+    )
+    assert found.residual < 0.3 * plain.residual and found.residual < 0.06
+    known = {"mass": 95.11, "damping": 203.5, "slide.coulomb_friction.level": 20.39}
+    for name, value in known.items():
+        assert abs(found.values[name] / value - 1) < 0.08, (name, found.values[name])
+    assert abs(found.values["slide.friction_asymmetry.offset"] + 3.16) < 0.5
