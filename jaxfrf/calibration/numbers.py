@@ -221,17 +221,18 @@ def _with_parameter(robot: Robot, name: str, value: float) -> Robot:
 
 
 def _with_drives(robot: Robot, values) -> Robot:
-    """Torque constants and delays in the place of those that the robot has; none that is nothing where it has none."""
+    """Torque constants and delays in the place of those that the robot has; none that is nothing, but where the robot
+    has one that is: robots then share what is compiled."""
     kept = list(robot.effects)
     for kind, joint, value in values:
         effect, _ = _DRIVE[kind]
         axis = robot.axis_names.index(joint)
         had = [e for e in kept if isinstance(e, effect) and axis_of(robot, e.joint) == axis]
         kept = [e for e in kept if not any(e is other for other in had)]
-        if kind == "torque_constant" and (value != 0.0 or had):
+        if kind == "torque_constant" and (value != 0.0 or any(float(e.error) == 0.0 for e in had)):
             kept.append(TorqueConstant(joint, jnp.asarray(value, float)))
-        elif kind == "delay" and (value > 0.0 or had):
-            kept.append(TorqueDelay(joint, jnp.asarray(max(value, 0.0), float)))
+        elif kind == "delay" and value > 0.0:
+            kept.append(TorqueDelay(joint, jnp.asarray(value, float)))
         elif kind == "torque_offset" and value != 0.0:
             level = sum(float(e.level) for e in had if isinstance(e, FrictionAsymmetry))
             kept.append(FrictionAsymmetry(joint, value, level))

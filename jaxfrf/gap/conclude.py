@@ -19,6 +19,7 @@ from .settings import (
     FLOOR,
     GAINS,
     HOPELESS,
+    LEAST_SIZE,
     OFF,
     PRICE,
     RISES,
@@ -195,6 +196,10 @@ def _with_loud_ripple(found: Contest, steps, last: Fitted, records: Records) -> 
     louder = now if steps else written(last.written(), records.whole)
     names = last.robot.axis_names
     effects = ripple_effects(names, [o for o, _ in loud], np.array([w for _, w in loud]))
+    beyond = over_floor(found.written.residual, found.written.evidence.plain, records.judged) > FLOOR
+    effects = [e for e in effects if beyond[names.index(e.joint)] and _loudness(e, last.robot) >= LEAST_SIZE]
+    if not effects:  # what nobody misses is written with the robot, and not named
+        return (), now
     if louder is None or (not steps and any(against_it(records, found.written, louder, e.joint) for e in effects)):
         return (), now
     return tuple(_ripple(effect, last) for effect in effects), louder
@@ -211,9 +216,14 @@ def _waves(effect) -> dict[str, Estimate]:
     return values
 
 
+def _loudness(effect, robot: Robot) -> float:
+    """Largest amplitude over the just visible one."""
+    typical = type(effect).typical(robot, effect.joint)
+    return float(np.max(np.asarray(effect.amplitude)) / np.max(np.asarray(typical.amplitude)))
+
+
 def _ripple(effect, last: Fitted) -> Named:
-    typical = type(effect).typical(last.robot, effect.joint)
-    visible = float(np.max(np.asarray(effect.amplitude)) / np.max(np.asarray(typical.amplitude)))
+    visible = _loudness(effect, last.robot)
     kind = "torque" if isinstance(effect, TorqueRipple) else "resolver"
     p_value = last.wave_p_value(kind, last.robot.axis_names.index(effect.joint))
     return Named(effect, effect.joint, _waves(effect), p_value, (), "", 1.0, visible)
