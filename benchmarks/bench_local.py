@@ -4,7 +4,7 @@
 
 Six inputs and outputs, 336 lines, 12 experiments; local methods with R = 2 and windows of 34 lines. From spectra in
 memory to an FRF with covariance; the baselines compute G alone. Every measurement runs in a process of its own that is
-pinned to its cores and has as many BLAS threads. Contenders take turns, and ratios are taken turn by turn, so that
+pinned to its cores, with one BLAS thread. Contenders take turns, and ratios are taken turn by turn, so that
 other load on the machine hits all of them; the time of compilation is told apart. "Processor" is the same ratio in
 processor time, which other load hardly touches.
 """
@@ -114,8 +114,7 @@ def _run(cores: int, **request):
             os.sched_setaffinity(0, chosen)
 
     threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-    blas = cores if request["measure"] in ("speed", "memory") else 1  # contenders share cores; else as a user has it
-    environment = os.environ | dict.fromkeys(threads, str(blas))
+    environment = os.environ | dict.fromkeys(threads, "1")  # what small matrices gain by more is less than they cost
     environment |= {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "0", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, __file__, "--worker", json.dumps(request)]
     done = subprocess.run(

@@ -152,3 +152,27 @@ def test_estimates_keep_their_covariance_as_factors(tmp_path):
     np.testing.assert_array_equal(jf.io.read_frf(tmp_path / "frf.npz").cov, np.asarray(frf.cov))
     variance = np.diagonal(np.asarray(frf.cov), axis1=-2, axis2=-1).real.reshape(2, -1, 2, 2).swapaxes(-1, -2)
     np.testing.assert_allclose(frf.std, np.sqrt(variance))
+
+
+def test_positions_in_threads_are_those_one_by_one(monkeypatch):
+    """Three positions for two threads: groups of two, the last filled up."""
+    import importlib
+
+    module = importlib.import_module("jaxfrf.frf.estimate")
+    monkeypatch.setattr(module, "_SHARED", 1)
+    monkeypatch.setattr(module, "_threads", lambda: 2)
+    spectra, told = records(n_pos=3).spectra(), []
+    for _ in range(2):  # compiled by the first group, then by none
+        together = jf.estimate(spectra, jf.H1(), progress=lambda *now: told.append(now))
+    monkeypatch.undo()
+    alone = jf.estimate(spectra, jf.H1())
+    assert told == [(2, 3), (3, 3)] * 2
+    np.testing.assert_allclose(together.G, alone.G, rtol=1e-12)
+    np.testing.assert_allclose(np.asarray(together.cov), np.asarray(alone.cov), rtol=1e-10)
+
+
+def test_logarithmic_mean_of_what_has_no_logarithm():
+    """A first block that is singular: no number is made up."""
+    G = np.stack([np.diag([1.0, 0.0]), np.eye(2)]).astype(complex)
+    mean, _ = jax.jit(jf.LogMean().mean)(jnp.asarray(G))
+    assert np.isnan(mean).all()
