@@ -18,7 +18,7 @@ from .periodic import FoundLines, find_lines
 from .units import differentiated
 
 _SILENT = 1e-14  # power, relative to the median line, below which a line carries nothing (rounding)
-_STRONG, _STRONG_IN_BAND = 1e-4, 1e-10  # power, of the strongest line's, from which a line of a whole record counts
+_STRONG, _STRONG_IN_BAND = 1e-4, 1e-24  # power, of the strongest line's, from which a line of a whole record counts
 _ROUNDS = 4  # of weighing periods
 _WEIGHT_LINES = 9  # that share a weight
 _CUT = 2.0  # times the usual distance of a period from the others, beyond it, where it no longer counts
@@ -162,7 +162,7 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     Leakage makes Y = G U + T with a transient T that is smooth in frequency: only estimators with a transient term
     take such spectra. Lines that hold less than 1e-4 of the strongest reference power (input power where there is no
     reference) are left out: in closed loop the response there would be that of the controller. With `band` all lines in
-    it are taken but those that hold less than 1e-10.
+    it are taken but those that hold rounding only (1e-24).
     """
     expect("data", data, Experiment)
     n = data.n_time
