@@ -77,6 +77,17 @@ def read_records(given: argparse.Namespace, files: Sequence[str]):
     )
 
 
+def read_each(given: argparse.Namespace) -> list:
+    """One record a file; one of all files where `--map` says which file a signal is in."""
+    from ..io._joined import part_of
+    from ..io.record_arguments import parse_map
+
+    names = parse_map(given.map) if given.map else {}
+    if any(part_of(name, [pathlib.Path(path) for path in given.data]) for name in names.values()):
+        return [read_records(given, given.data)]
+    return [read_records(given, [path]) for path in given.data]
+
+
 @contextlib.contextmanager
 def naming(files: Sequence[str]) -> Iterator[None]:
     """What is wrong with the data names the files."""

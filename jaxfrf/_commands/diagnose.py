@@ -14,7 +14,7 @@ from .arguments import (
     check_x64,
     command,
     naming,
-    read_records,
+    read_each,
     say,
     with_tolerances,
 )
@@ -59,7 +59,7 @@ def run(given) -> dict:
     own = own_effects.own_effects(given.effects) if given.effects else ()
     robot = with_tolerances(read_robot(given.robot, own), given.tolerance)
     with Parts(given.output, "diagnose", resume=given.resume, about=own_effects.about(given), say=say) as parts:
-        data = [read_records(given, [path]) for path in given.data]
+        data = read_each(given)
         for text in dict.fromkeys(w for x in data for w in x.warnings):
             print(f"warning: {text}", file=sys.stderr)
         found = _diagnosed(given, robot, data, own, parts)

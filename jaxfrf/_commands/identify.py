@@ -18,7 +18,7 @@ from .arguments import (
     naming,
     options_of,
     range_of,
-    read_records,
+    read_each,
     say,
     with_tolerances,
 )
@@ -263,7 +263,7 @@ def _read(given):
                 raise input_error(f"--{name}", "FRF files", "records", "It was decided when the FRF was estimated.")
         return robot, read_frfs(*given.data), None
     options = options_of(given.option)
-    data = [read_records(given, [path]) for path in given.data]
+    data = read_each(given)
     chosen = None
     if given.method or options:
         chosen = method(given.method or ("auto" if data[0].r is None else "lrm-jio-stacked"), options)

@@ -19,6 +19,7 @@ from .model import Machine
 from .simulate import driving, fine_steps, motion
 
 _FLOOR = 1e-3  # of the output's rms at a line: below it no model is right
+_REACH = np.log(1e4)  # that a positive parameter may move from its start
 _BEYOND = 1.5  # times the highest excited line: distortion shows there, too
 
 
@@ -108,6 +109,7 @@ def fit_machine(
         lambda x: np.nan_to_num(np.asarray(errors(x)), nan=1e6, posinf=1e6, neginf=-1e6),
         x0,
         jac=lambda x: np.nan_to_num(np.asarray(jacobian(x))),
+        bounds=(np.where(positive, x0 - _REACH, -np.inf), np.where(positive, x0 + _REACH, np.inf)),
         x_scale="jac",
         max_nfev=60,
         xtol=1e-8,
@@ -173,15 +175,22 @@ class Ranked(eqx.Module):
 
 
 def rank_effects(
-    machine: Machine, data: Experiment, candidates: Sequence[AbstractEffect], **options
+    machine: Machine,
+    data: Experiment,
+    candidates: Sequence[AbstractEffect],
+    *,
+    band: tuple[float, float] | None = None,
+    settle: int = 3,
+    floor: float = _FLOOR,
 ) -> tuple[MachineFit, list[Ranked]]:
     """The fit without any, and every candidate by how much of the residual it takes, the best first.
 
     Each is fitted together with all other parameters. `p_value` is that of an F test with as many degrees of freedom as
     lines that were compared: a guide, not a verdict, as what is left is mostly not noise.
 
-    **Arguments:** `options`: of `fit_machine`.
+    **Arguments:** `band`, `settle`, `floor`: as of `fit_machine`.
     """
+    options = {"band": band, "settle": settle, "floor": floor}
     plain = fit_machine(machine, data, **options)
     ranked = []
     for effect in candidates:
