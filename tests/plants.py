@@ -223,3 +223,10 @@ def _complex(rng, *shape):
 
 def _apply(G, X):
     return np.einsum("fab,...fb->...fa", G, X)
+
+
+def from_residuals(cov):
+    """The covariance that a method derives from its residuals, without the bias that is added where the data show it."""
+    from jaxfrf.frf.scaled import Widened
+
+    return np.asarray(cov.of if isinstance(cov, Widened) else cov)

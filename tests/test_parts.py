@@ -499,7 +499,13 @@ OUTPUTS = {
     ("command", "option"), [(command, option) for command, (_, outputs) in OUTPUTS.items() for option in outputs]
 )
 class TestOutputsAreTriedFirst:
-    """Before anything is read: the inputs of these commands do not exist."""
+    """Before anything is read: the inputs of these commands hold nothing."""
+
+    @pytest.fixture(autouse=True)
+    def inputs(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        for name in ("no.toml", "no.nc"):
+            (tmp_path / name).write_text("nothing")
 
     def refused(self, capsys, tmp_path, command, option, place, says):
         given, outputs = OUTPUTS[command]

@@ -76,7 +76,7 @@ def assert_transforms(method, seed, T=None, S=None):
     back = np.linalg.solve(T, np.asarray(after.G)) @ S
     assert close(back, before.G)
     J = np.kron(S.T, np.linalg.inv(T))
-    assert close(J @ np.asarray(after.cov) @ J.conj().T, before.cov, 1e-5)
+    assert close(J @ plants.from_residuals(after.cov) @ J.conj().T, plants.from_residuals(before.cov), 1e-5)
     return before, after
 
 
