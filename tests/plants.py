@@ -226,7 +226,7 @@ def _apply(G, X):
 
 
 def from_residuals(cov):
-    """The covariance that a method derives from its residuals, without the bias that is added where the data show it."""
+    """The covariance that a method derives from its residuals, without the bias that the data show."""
     from jaxfrf.frf.scaled import Widened
 
     return np.asarray(cov.of if isinstance(cov, Widened) else cov)
