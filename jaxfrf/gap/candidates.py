@@ -24,9 +24,6 @@ _SLIPS = (3e-5, 1e-4, 3e-4)  # rad
 _CLIPPED = (0.9, 0.8, 0.65, 0.5, 0.4)  # of the largest command
 _HINGES = (1e5, 2.5e5, 6e5, 1.5e6)  # N m/rad
 
-_TEETH = 1e-5  # rad, of the columns of an error of a gear
-_TEETH_VISIBLE = 3e-5  # rad
-
 Make = Callable[[np.ndarray], AbstractEffect]
 
 
@@ -350,29 +347,7 @@ _TABLES: Mapping[str, Callable[[Robot, str], list[Candidate]]] = {
 _ELSEWHERE = frozenset(
     (
         *("torque_saturation", "payload"),  # above: they need more than robot and joint
-        *("torque_ripple", "resolver_ripple"),  # beside the robot's numbers, at orders that are found in the data
-        "transmission_error",  # `gear_errors`: its orders, too
+        *("torque_ripple", "resolver_ripple", "transmission_error"),  # `stage`: their orders are found in the data
         "encoder_quantisation",  # `quantised`: seen in the readings
     )
 )
-
-
-def gear_errors(robot: Robot, axis: int, orders: Iterable[float]) -> list[Candidate]:
-    """An error of the teeth of one gear at these orders of the motor's turn, each a candidate."""
-    joint, ratio = robot.axis_names[axis], abs(float(robot.drives.gear_ratio[axis]))
-    found = []
-    for order in orders:
-        teeth = order * ratio
-        basis = tuple(fx.TransmissionError(joint, [_TEETH], teeth, (1,), [phase]) for phase in (0.0, np.pi / 2))
-        make = functools.partial(_geared, joint, teeth)
-        wide = (np.inf, np.inf)
-        label = f"{teeth:.4g} a turn"
-        found.append(
-            Candidate("transmission_error", joint, basis, make, tuple(-x for x in wide), wide, _TEETH_VISIBLE, label)
-        )
-    return found
-
-
-def _geared(joint, teeth, c):
-    amplitude, phase = _TEETH * np.hypot(c[0], c[1]), np.arctan2(c[1], c[0])
-    return fx.TransmissionError(joint, [float(amplitude)], teeth, (1,), [float(phase)])

@@ -17,11 +17,7 @@ def headline(diagnosis) -> str:
     if diagnosis.verdict == "unexplained":
         where = joined(axes_of(diagnosis))
         return f"Something is missing{f' at {where}' if where else ''} that no known effect explains."
-    told = lambda number: [what(x, diagnosis.verdict) for x in diagnosis.effects if x.is_number == number]
-    missing, wrong = joined(told(False)), joined(told(True))
-    return " ".join(
-        f"{begins}: {names}." for begins, names in (("Missing", missing), ("A number is wrong", wrong)) if names
-    )
+    return f"Missing: {joined([what(x, diagnosis.verdict) for x in diagnosis.effects])}."
 
 
 def what(named, verdict: str) -> str:
@@ -124,10 +120,9 @@ def closed(gap) -> str:
 
 def ripple_written(diagnosis) -> str:
     """Ripple of the motors that is written with the robot though nobody misses it, in a sentence; "" for none."""
-    ripple = lambda robot: [effect for effect in robot.effects if hasattr(effect, "order")]
-    given = len(ripple(diagnosis.given))
+    given = len(diagnosis.given.effects)
     orders: dict[str, list[int]] = {}
-    for effect in ripple(diagnosis.base)[given:]:
+    for effect in diagnosis.base.effects[given:]:
         orders.setdefault(effect.joint, []).extend(effect.order)
     if not orders:
         return ""
