@@ -272,7 +272,8 @@ def test_as_a_program(tmp_path):
     missing = run("estimate", str(tmp_path / "no.nc"), "-o", str(tmp_path / "frf.nc"))
     assert missing.returncode == 2 and missing.stdout == "" and missing.stderr.count("\n") == 1
     assert "no.nc: found no such file" in missing.stderr
-    single = run("estimate", str(tmp_path / "no.nc"), "-o", str(tmp_path / "frf.nc"), JAX_ENABLE_X64="0")
+    (tmp_path / "it.nc").write_bytes(b"x")
+    single = run("estimate", str(tmp_path / "it.nc"), "-o", str(tmp_path / "frf.nc"), JAX_ENABLE_X64="0")
     assert single.returncode == 2 and "needs 64-bit numbers" in single.stderr and "Traceback" not in single.stderr
     reader, writer = os.pipe()
     os.close(reader)

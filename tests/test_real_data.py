@@ -46,13 +46,14 @@ def test_bench_resonances(measured, tmp_path, capsys, method):
     path = bench_file(measured, "A")
     assert estimate(*BENCH, path, "--method", method, "-o", target, "--plot", picture) == 0
     out, error = capsys.readouterr()
-    assert "G11: antiresonance at 53 Hz\n" in out and "G11: resonance at 77 Hz\n" in out
+    for kind, expected in (("antiresonance", 53.0), ("resonance", 77.0)):
+        assert abs(float(re.search(rf"G11: {kind} at ([\d.]+) \+-", out)[1]) - expected) < 1.0
     assert "240 lines from 11 to 250 Hz, from 1 experiment(s) of 19 period(s)" in out
     assert "differs in its last period" in error  # the last sample of the record is a duplicate
     assert picture.stat().st_size > 10_000
     frf = jf.io.read_frf(target)
     found = {x.kind: x.frequency for x in reversed(jf.features(frf))}
-    assert found == {"antiresonance": ANTIRESONANCE, "resonance": RESONANCE}
+    assert found == pytest.approx({"antiresonance": ANTIRESONANCE, "resonance": RESONANCE}, abs=1.0)
 
 
 def test_bench_from_a_single_period(measured, tmp_path, capsys):
