@@ -277,10 +277,11 @@ def test_a_urdf_alone_says_too_little(pendulum, capsys):
     from jaxfrf.__main__ import main
 
     files = [str(pendulum / name) for name in ("motion.csv", "pendulum.urdf", "fit.json")]
-    assert main(["identify", files[0], "--robot", files[1], "-o", files[2]]) == 2
-    assert 'Write one with urdf = "pendulum.urdf"' in capsys.readouterr().err
+    read = ["--map", "u=tau,y=theta", "--set", "fs=500,y_quantity=position"]
+    assert main(["identify", files[0], "--robot", files[1], "-o", files[2], *read]) == 2
+    assert "found no pendulum.toml beside it" in capsys.readouterr().err
     (pendulum / "robot.toml").write_text(DRIVES.replace("pendulum.urdf", "other.urdf"))
-    assert main(["identify", files[0], "--robot", str(pendulum / "robot.toml"), "-o", files[2]]) == 2
+    assert main(["identify", files[0], "--robot", str(pendulum / "robot.toml"), "-o", files[2], *read]) == 2
     assert "other.urdf: found no such file" in capsys.readouterr().err
 
 

@@ -28,7 +28,7 @@ def assert_covers(found, G, lines=(0,), at_most=LEVEL):
     n_pos, _, n_out, n_in = found.G.shape
     dof = np.broadcast_to(found.dof, found.G.shape[:2])
     error = np.abs(np.asarray(found.G) - G) ** 2
-    variance = np.einsum("pfvv->pfv", np.asarray(found.cov)).real
+    variance = np.einsum("pfvv->pfv", plants.from_residuals(found.cov)).real
     variance = variance.reshape(n_pos, -1, n_in, n_out).swapaxes(-1, -2)  # the columns of G were stacked
     inside = error <= scipy.stats.f.ppf(LEVEL, 2, 2 * dof)[..., None, None] * variance
     tail = FALSE_ALARM / 2 / (len(lines) * n_out * n_in)
@@ -61,7 +61,7 @@ def estimate_at_centre(spectra, method):
     found = jf.estimate(plants.spectra(U, Y, R, spectra.lines[window], spectra.fs, spectra.period), method)
     at = slice(width // 2, width // 2 + 1)
     dof = np.broadcast_to(found.dof, found.G.shape[:2])
-    return types.SimpleNamespace(G=found.G[:, at], cov=found.cov[:, at], dof=dof[:, at])
+    return types.SimpleNamespace(G=found.G[:, at], cov=plants.from_residuals(found.cov)[:, at], dof=dof[:, at])
 
 
 @pytest.mark.parametrize("n_out, n_in, n_exp", [(1, 1, 4), (2, 2, 6), (3, 2, 5)])

@@ -11,6 +11,7 @@ import scipy.linalg
 
 import jaxfrf as jf
 from jaxfrf.frf import KroneckerSum, OuterSum, Signals
+from jaxfrf.frf.scaled import Widened
 
 LINES = np.arange(41, 41 + 2 * 24, 2)
 
@@ -146,8 +147,8 @@ def test_a_covariance_of_factors_is_the_array_it_stands_for():
 def test_estimates_keep_their_covariance_as_factors(tmp_path):
     """Stacked estimates take a few factors a line; positions are joined, cut and written without a loss."""
     frf = jf.estimate(records().spectra(), jf.JointInputOutput(jf.LRM(width=12)))
-    assert isinstance(frf.cov, KroneckerSum)
-    assert isinstance(jf.concatenate_positions([frf, frf]).cov, KroneckerSum)
+    assert isinstance(frf.cov, Widened) and isinstance(frf.cov.of, KroneckerSum)
+    assert isinstance(jf.concatenate_positions([frf, frf]).cov.of, KroneckerSum)
     jf.io.write_frf(tmp_path / "frf.npz", frf)
     np.testing.assert_array_equal(jf.io.read_frf(tmp_path / "frf.npz").cov, np.asarray(frf.cov))
     variance = np.diagonal(np.asarray(frf.cov), axis1=-2, axis2=-1).real.reshape(2, -1, 2, 2).swapaxes(-1, -2)

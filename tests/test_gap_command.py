@@ -150,10 +150,12 @@ class TestWhatIsWritten:
         (kind,) = own_effects(folder / "own.py")
         robot = jf.io.read_robot(tmp_path / "extended.toml", own=[kind])
         assert "quadratic_friction" in [e.name for e in robot.effects]
-        assert main(["positions", str(tmp_path / "extended.toml"), "no.toml", "-o", str(tmp_path / "q.csv")]) == 2
+        (tmp_path / "no.toml").write_text("nothing")
+        design = str(tmp_path / "no.toml")
+        assert main(["positions", str(tmp_path / "extended.toml"), design, "-o", str(tmp_path / "q.csv")]) == 2
         assert "found 'quadratic_friction'" in capsys.readouterr().err
         more = ("--effects", str(folder / "own.py"), "-o", str(tmp_path / "q.csv"))
-        assert main(["positions", str(tmp_path / "extended.toml"), "no.toml", *more]) == 2
+        assert main(["positions", str(tmp_path / "extended.toml"), design, *more]) == 2
         assert "no.toml" in capsys.readouterr().err  # the robot was read, the design is next
 
     @pytest.mark.parametrize("name", NAMES)
@@ -255,7 +257,7 @@ class TestBadInput:
         monkeypatch.chdir(tmp_path)
         robot = ("--robot", folder / "robot.toml")
         self.refused(capsys, diagnosing, r"nowhere\.npz: found no such file", "nowhere.npz", *robot)
-        self.refused(capsys, diagnosing, r"no\.toml: no such file", folder / "run0.npz", "--robot", "no.toml")
+        self.refused(capsys, diagnosing, r"no\.toml: found no such file", folder / "run0.npz", "--robot", "no.toml")
         same = ("--robot-out", folder / "robot.toml")
         self.refused(capsys, diagnosing, r"found the robot itself", folder / "run0.npz", *robot, *same)
 

@@ -283,7 +283,7 @@ class TestBadInput:
 
     def test_missing_files(self, folder, tmp_path, capsys):
         self.refused(capsys, r"nowhere\.npz: found no such file", folder, str(tmp_path / "nowhere.npz"))
-        self.refused(capsys, r"nobody\.toml: no such file", folder, str(folder / "run.npz"), robot="nobody.toml")
+        self.refused(capsys, r"nobody\.toml: found no such file", folder, str(folder / "run.npz"), robot="nobody.toml")
 
 
 class TestFitFiles:

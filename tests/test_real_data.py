@@ -83,7 +83,7 @@ def test_bench_load_side(measured):
         ratio = (load.G / motor.G)[0, low, 0, 0]
         assert np.median(np.abs(ratio / expected - 1)) < 0.05
         found = jf.features(load)
-        assert found[0].kind == "resonance" and found[0].frequency == RESONANCE
+        assert found[0].kind == "resonance" and abs(found[0].frequency - RESONANCE) < 1.0  # lines are 1 Hz apart
         assert not any(x.kind == "antiresonance" and x.frequency < RESONANCE for x in found)  # none on this side
 
 

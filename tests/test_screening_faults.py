@@ -205,4 +205,4 @@ def test_what_is_refused_can_be_read_anyway(tmp_path, record):
     np.savez(path, u=record["u"], y=record["y"], fs=FS, period=1500)
     with pytest.raises(jf.InputError, match=r"a\.npz: period"):
         jf.io.read(path)
-    assert "1000 samples" in jf.io.read(path, anyway=True).warnings[0]
+    assert any("1000 samples" in text for text in jf.io.read(path, anyway=True).warnings)

@@ -181,18 +181,23 @@ class RobustMean(AbstractAverage):
 
     def at_point(self, signals: Signals, lines=None) -> Estimate:
         if lines is not None:  # weights look at neighbours
-            return jax.tree.map(lambda x: x[lines], self.at_point(signals))
+            return jax.tree.map(lambda x: x[lines], self._everywhere(signals, jnp.arange(signals.U.shape[1])))
+        return self._everywhere(signals, None)
+
+    def _everywhere(self, signals: Signals, lines) -> Estimate:
         size = self.block_size(signals)
         n_block = signals.n_exp // size
         blocks = jax.tree.map(
             lambda x: x[: n_block * size].reshape(n_block, size, *x.shape[1:]), _by_experiment(signals)
         )
-        each = jax.lax.map(lambda b: self.inner.at_point(dataclasses.replace(signals, **b)), blocks)
-        weight = _block_weights(each.G)
+        each = jax.lax.map(lambda b: self.inner.at_point(dataclasses.replace(signals, **b), lines), blocks)
+        known = jnp.isfinite(each.G).all(axis=(-2, -1))
+        own = jnp.where(known[..., None, None], each.G, 0)
+        weight = _block_weights(own, known)
         total = weight.sum(axis=0)
-        G = jnp.sum(weight[..., None, None] * each.G, axis=0) / total[:, None, None]
+        G = jnp.sum(weight[..., None, None] * own, axis=0) / total[:, None, None]
         size = jnp.sqrt(total**2 * jnp.maximum(1 - 1 / total, 0.1))
-        deviation = jnp.swapaxes(each.G - G, -1, -2).reshape(*each.G.shape[:2], -1) * (weight / size)[..., None]
+        deviation = jnp.swapaxes(own - G, -1, -2).reshape(*each.G.shape[:2], -1) * (weight / size)[..., None]
         scatter = OuterSum(jnp.moveaxis(deviation, 0, -1))
         status = jnp.bitwise_or.reduce(each.status, axis=0) & ~int(Status.NO_COVARIANCE)
         return Estimate(
@@ -201,28 +206,38 @@ class RobustMean(AbstractAverage):
             dof=jnp.maximum(total - 1, 0.5),
             status=status,
             window=each.window.mean(axis=0),
-            doubtful=jnp.zeros(status.shape, bool),
+            doubtful=each.doubtful.any(axis=0),
             cov_noise=None if each.cov_noise is None else sum_over(each.cov_noise, 1 / n_block**2),
             cov_total=scatter,
         )
 
 
-def _block_weights(G) -> Float[Array, "block freq"]:
-    """Weights of (block, freq, out, in)."""
-    middle = lambda x: jnp.median(x, axis=0)
+def _block_weights(G, known) -> Float[Array, "block freq"]:
+    """Weights of (block, freq, out, in); none where a block is not `known`, (block, freq)."""
+
+    def middle(x):
+        there = known.reshape(*known.shape, *[1] * (x.ndim - 2))
+        return jnp.nanmedian(jnp.where(there, x, jnp.nan), axis=0)
+
     centre = middle(G.real) + 1j * middle(G.imag)
     n = G.shape[1]
     line = np.arange(n)
     first, last = np.maximum(line - _WEIGHT_REACH, 0), np.minimum(line + _WEIGHT_REACH + 1, n)
     for _ in range(_ROUNDS):
         power = jnp.abs(G - centre) ** 2
-        distance = jnp.mean(power / jnp.maximum(middle(power), 1e-300), axis=(-2, -1))
+        distance = _nothing(jnp.mean(power / jnp.maximum(middle(power), 1e-300), axis=(-2, -1)), known)
         total = jnp.concatenate([jnp.zeros((len(G), 1)), jnp.cumsum(distance, axis=1)], axis=1)
-        distance = jnp.sqrt((total[:, last] - total[:, first]) / (last - first))
+        count = jnp.concatenate([jnp.zeros((len(G), 1)), jnp.cumsum(known, axis=1)], axis=1)
+        count = jnp.maximum(count[:, last] - count[:, first], 1)
+        distance = jnp.sqrt(jnp.maximum(total[:, last] - total[:, first], 0) / count)
         distance = distance / jnp.maximum(middle(distance), 1e-300)
-        weight = jnp.maximum(1 - (jnp.maximum(distance - 1, 0) / _CUT) ** 2, 0) ** 2
+        weight = _nothing(jnp.maximum(1 - (jnp.maximum(distance - 1, 0) / _CUT) ** 2, 0) ** 2, known)
         centre = jnp.sum(weight[..., None, None] * G, axis=0) / weight.sum(axis=0)[:, None, None]
     return weight
+
+
+def _nothing(x, known):
+    return jnp.where(known, x, 0.0)
 
 
 def _matrix_mean(G):
