@@ -219,6 +219,7 @@ def test_harmonics():
     np.testing.assert_allclose(harmonics(amplitude, order, phase, jnp.asarray(angle)), expected, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_gradients():
     """Through the linearised robot, in the parameters of effects of every kind, against differences."""
     frequency, bare = jnp.array([5.0, 20.0, 60.0]), one_joint()

@@ -165,6 +165,7 @@ class TestFrozen:
         for ours, theirs in ((still.compliance, found[:, :n]), (still.to_torque, found[:, n:])):
             np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
 
+    @pytest.mark.slow
     def test_hinge_against_a_robot_with_the_joint(self):
         """Gravity off: its part of the hinge's stiffness is left out."""
         robot = eqx.tree_at(lambda r: r.chain.gravity, small_robot(), jnp.zeros(3))
@@ -267,6 +268,7 @@ class TestSignatures:
         other = with_parameters(carrier, {name: factor * parameters(carrier, [name.split(".")[1]])[name] + more})
         self.compare(lambda scene: scene.by_robot(other), other, quiet)
 
+    @pytest.mark.slow
     def test_lines_above_125_hz(self, carrier):
         """Springs and links are sampled as their highest line needs."""
         data = record(carrier, Q[:2], 0.0, slow=5.0, highest=840)

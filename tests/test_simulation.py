@@ -93,6 +93,7 @@ def test_step_halving():
     assert np.all(fine < coarse / 6)
 
 
+@pytest.mark.slow
 def test_log_estimate_is_the_linearised_robot(smooth):
     """Small motion: the LOG estimate of a simulated experiment against G with hold and sampling, 4-80 Hz."""
     q = jf.random_positions(1, KEY)
