@@ -62,7 +62,8 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
             value, spread = (G, std) if sign > 0 else (1 / G, std / magnitude**2)
             fitted = _around(np.asarray(frf.frequency, float), value, spread, shared, _lines(sign * level, i), i)
             if fitted is not None:
-                found.append(Feature(kind, fitted[0], float(level[i]), float(prominence), *fitted[1:]))
+                at, *intervals = map(float, fitted)
+                found.append(Feature(kind, at, float(level[i]), float(prominence), *intervals))
     return sorted(found, key=lambda x: -x.prominence_db)
 
 
