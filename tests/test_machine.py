@@ -73,7 +73,7 @@ def test_a_cubic_spring_is_found_and_fitted(record):
     """From starts that are 20 % off; the one candidate that is true is first, and its number is right."""
     start = machine(m=2.3, d=4.0, k=2400.0)
     candidates = [Backlash("spring", 1e-3), CoulombFriction("spring", 0.5), CubicSpring("spring", 1e5)]
-    plain, ranked = rank_effects(start, record, candidates)
+    plain, ranked = rank_effects(start, record, candidates, settle=6)  # it rings for four seconds, two periods
     best = ranked[0]
     assert best.effect.name == "cubic_spring" and best.gain > 5 * ranked[1].gain
     assert plain.residual > 0.02 and best.fit.residual < 0.2 * plain.residual

@@ -64,7 +64,8 @@ def fit_machine(
     - `data`: a periodic record; its output in any quantity.
     - `band`: Hz; by default from the first line, or 0 where the machine's quantity is a derivative of the measured one
       (of which a period's mean is then known to be 0), to 1.5 times the highest excited one.
-    - `settle`: periods before the one that is compared. `steps`: see `simulate_machine`.
+    - `settle`: periods before the one that is compared; a machine that rings for longer needs more (what is left of its
+      start counts as misfit). `steps`: see `simulate_machine`.
     - `floor`: standard deviation of the model itself, over the rms of the output.
 
     **Raises:** `jaxfrf.InputError` for records without a period, and where the simulation diverges at the start.
