@@ -289,6 +289,7 @@ def test_what_cannot_be_calibrated():
 HAND = jf.effects.Payload(3.0, [0.3, 0.02, 0.0])
 
 
+@pytest.mark.slow
 def test_records_with_payloads_and_other_numbers_of_experiments():
     """A machine that is as the model says leaves nothing, whatever it carries where."""
     robot, options = small_robot(), dict(key=jr.key(0), run_in=3.0, noise=0.0)

@@ -99,6 +99,7 @@ class TestInTheSimulation:
         assert np.ptp(deflection) > 5e-4  # all elements slip
         close(y, angle[:, :1], 2e-5)
 
+    @pytest.mark.slow
     def test_coupled_axes(self):
         """Two axes that turn about one line, the second gear turned by the first; bare, the motions differ by far."""
         robot = robot_of(arm(), wrist()).with_effects(ef.WristCoupling("joint2", 0.08))

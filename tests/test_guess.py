@@ -102,6 +102,7 @@ def two_axes(noise=0.0):
 
 
 @pytest.mark.parametrize("noise", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
+@pytest.mark.slow
 def test_two_axes_one_of_which_shows_no_antiresonance(noise):
     found = initial_guess(planar([20.0, 12.0], 1e9, 1e9), two_axes(noise))
     assert any(note.startswith("j1: no antiresonance") for note in found.notes)

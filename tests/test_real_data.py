@@ -271,6 +271,7 @@ def test_kuka_with_a_transient_term(measured, tmp_path, capsys, method):
     assert np.median(relative) > 0.05  # an FRF to be looked at, not one to be used blindly
 
 
+@pytest.mark.slow
 def test_kuka_reference_power(measured, tmp_path, capsys):
     """What the warning says agrees with what is known: practically all power of the reference lies below .4 Hz."""
     arguments = ("--method", "lrm-jio-stacked", "--option", "transient=2", "--band", "0.05:20")

@@ -80,6 +80,7 @@ def slower(plan, factor):
     )
 
 
+@pytest.mark.slow
 def test_step_halving():
     """With friction and hardening springs: half the fine step, an error that falls with its fourth power."""
     q = jf.random_positions(1, KEY)
