@@ -95,7 +95,12 @@ def each(
         outcomes(_work, [jobs[name] for name in todo], workers=workers, cluster=cluster, client=client), 1
     ):
         name = todo[done.number]
-        made[name] = done.result or {"file": str(jobs[name].data[0]), "ok": False, "message": done.error, "again": True}
+        made[name] = done.result or {
+            "file": jobs[name].given.data[0],
+            "ok": False,
+            "message": done.error,
+            "again": True,
+        }
         _keep(folder, name, made[name] | {"made_from": jobs[name].made_from})
         if time.monotonic() - told > _EVERY or count == len(todo):
             told = time.monotonic()
@@ -174,7 +179,6 @@ class _Job(eqx.Module):
     """A command on one file: all that a worker needs."""
 
     given: argparse.Namespace
-    data: tuple[str, ...]
     made_from: str
 
 
@@ -183,7 +187,7 @@ def _job(given: argparse.Namespace, folder: pathlib.Path, name: str, file: pathl
     own = vars(given) | {"data": [str(file)], "output": output, "json": True, "each": False}
     for option, suffix in given.beside.items():
         own[option] = str(folder / f"{name}{suffix}")
-    return _Job(argparse.Namespace(**own), (str(file),), _made_from(given, file))
+    return _Job(argparse.Namespace(**own), _made_from(given, file))
 
 
 def _made_from(given: argparse.Namespace, file: pathlib.Path) -> str:
@@ -218,7 +222,7 @@ def _work(job: _Job) -> dict:
 
     _environment.prepare()
     job.given.resume = pathlib.Path(f"{job.given.output}.parts").exists()
-    outcome, began, said = {"file": job.data[0]}, time.monotonic(), io.StringIO()
+    outcome, began, said = {"file": job.given.data[0]}, time.monotonic(), io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
             found = {"ok": True, "summary": job.given.run(job.given)["json"]}

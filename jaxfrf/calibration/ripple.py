@@ -10,7 +10,7 @@ from ..trajectory.remainder import remainder
 from ..trajectory.ripple import Order, find_orders, order_columns
 from .least_squares import Posterior
 
-TRIED = {"torque": np.arange(1, 51), "resolver": np.arange(1, 13)}  # whole orders of the motor's turn
+_TRIED = {"torque": np.arange(1, 51), "resolver": np.arange(1, 13)}  # whole orders of the motor's turn
 _AT_ONCE = {"torque": 3, "resolver": 2}  # of every motor, in a round
 _CHANCE = 1e-3  # of an order that is kept without being there
 
@@ -26,7 +26,7 @@ def with_found_orders(
     left = remainder(evidence, weighed, change)
     new: list[Order] = []
     for axis in range(evidence.robot.n_axes):
-        for kind, tried in TRIED.items():
+        for kind, tried in _TRIED.items():
             had = [o.order for o in orders if (o.kind, o.axis) == (kind, axis)]
             new += find_orders(scenes, left, evidence.floor, kind, axis, np.setdiff1d(tried, had), most=_AT_ONCE[kind])
     return (*orders, *new), weigh(evidence, order_columns(new), weighed)
