@@ -5,8 +5,7 @@ from collections.abc import Callable
 
 import equinox as eqx
 import numpy as np
-import scipy.fft
-import scipy.signal
+import scipy  # its modules load when they are used: scipy.signal alone takes a second
 from jaxtyping import Complex, Float, Int
 from scipy.ndimage import uniform_filter1d
 

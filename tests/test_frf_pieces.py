@@ -8,9 +8,11 @@ import re
 import numpy as np
 import plants
 import pytest
+import scipy.signal
 
 import jaxfrf as jf
 from jaxfrf.frf.catalogue import METHODS, method
+from jaxfrf.frf.features import _peaks
 from jaxfrf.frf.from_record import spectra_of
 from jaxfrf.pipeline import summary
 
@@ -279,6 +281,16 @@ def test_no_antiresonance_where_no_zero_is():
         found = jf.features(response((one + sign * two)[:, None, None], f))
         assert {round(x.frequency) for x in found if x.kind == "resonance"} == resonances
         assert sum(x.kind == "antiresonance" and 20 < x.frequency < 40 for x in found) == zeros
+
+
+def test_peaks_are_scipys():
+    rng = np.random.default_rng(0)
+    for decimals in (0, 1, 3) * 20:  # with few decimals there are plateaus
+        level = np.round(rng.normal(size=rng.integers(3, 60)).cumsum(), decimals)
+        peaks, about = scipy.signal.find_peaks(level, prominence=0.5)
+        found = _peaks(level, 0.5)
+        assert [top for top, _ in found] == list(peaks)
+        np.testing.assert_allclose([level[top] - level[base] for top, base in found], about["prominences"], atol=1e-12)
 
 
 def test_features_that_noise_could_have_made_are_left_out():

@@ -1,8 +1,9 @@
 """What one reads off a response: resonances and antiresonances, with intervals."""
 
+import itertools
+
 import equinox as eqx
 import numpy as np
-from scipy.signal import find_peaks
 
 from .._arguments import expect
 from .poles import PoleFit, fit_poles
@@ -53,10 +54,8 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
     higher, lower = 20 * np.log10(1 + doubt), -20 * np.log10(np.maximum(1 - doubt, 1e-300))
     found = []
     for kind, sign, of_peak, of_base in (("resonance", 1.0, lower, higher), ("antiresonance", -1.0, higher, lower)):
-        peaks, about = find_peaks(sign * level, prominence=prominence_db)
-        bases = zip(about["left_bases"], about["right_bases"], strict=True)
-        for i, prominence, ends in zip(peaks, about["prominences"], bases, strict=True):
-            base = max(ends, key=lambda k: sign * level[k])
+        for i, base in _peaks(sign * level, prominence_db):
+            prominence = abs(level[i] - level[base])
             if prominence <= of_peak[i] + of_base[base] or _turn(G, sign * level, i) <= _TURN:
                 continue
             value, spread = (G, std) if sign > 0 else (1 / G, std / magnitude**2)
@@ -65,6 +64,24 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
                 at, *intervals = map(float, fitted)
                 found.append(Feature(kind, at, float(level[i]), float(prominence), *intervals))
     return sorted(found, key=lambda x: -x.prominence_db)
+
+
+def _peaks(level, prominence: float) -> list[tuple[int, int]]:
+    """Local maxima that stand out by at least `prominence`, and the higher one of the two valleys beside each. What
+    `scipy.signal.find_peaks` gives (tested), whose import takes as long as a small estimate."""
+    change = np.sign(np.diff(level))
+    steps = np.flatnonzero(change)
+    tops = [(a + 1 + b) // 2 for a, b in itertools.pairwise(steps) if change[a] > 0 > change[b]]
+    found = []
+    for top in tops:
+        higher = np.flatnonzero(level > level[top])
+        left, right = higher[higher < top], higher[higher > top]
+        first, last = (left[-1] + 1 if left.size else 0), (right[0] if right.size else len(level))
+        valleys = first + int(np.argmin(level[first : top + 1])), top + int(np.argmin(level[top:last]))
+        base = max(valleys, key=lambda k: level[k])
+        if level[top] - level[base] >= prominence:
+            found.append((top, base))
+    return found
 
 
 def _lines(level, at: int) -> slice:

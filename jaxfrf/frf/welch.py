@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-import scipy.signal
+import scipy  # not scipy.signal, which takes a second to import: it loads when a window is asked for
 
 from .._errors import input_error
 from ..spectra import Spectra
@@ -44,12 +44,8 @@ class Welch(AbstractMethod):
             raise input_error("segment", repr(self.segment), "a whole number of samples, 8 or more", "Give e.g. 4096.")
         if not 0 <= self.overlap < 1:
             raise input_error("overlap", repr(self.overlap), "a share from 0 up to 1", "Give e.g. 0.5.")
-        try:
-            scipy.signal.get_window(self.window, 8)
-        except ValueError:
-            raise input_error(
-                "window", repr(self.window), "a window of scipy.signal, e.g. hann", "Choose hann, hamming or boxcar."
-            ) from None
+        if self.window != "hann":
+            _check_window(self.window)
 
     @property
     def inner(self) -> AbstractMethod:
@@ -106,3 +102,12 @@ class Welch(AbstractMethod):
         """Noise bandwidth of the window, in lines."""
         taper = scipy.signal.get_window(self.window, 1024)
         return float(len(taper) * np.sum(taper**2) / np.sum(taper) ** 2)
+
+
+def _check_window(name: str) -> None:
+    try:
+        scipy.signal.get_window(name, 8)
+    except ValueError:
+        raise input_error(
+            "window", repr(name), "a window of scipy.signal, e.g. hann", "Choose hann, hamming or boxcar."
+        ) from None

@@ -12,8 +12,7 @@ import warnings
 from collections.abc import Mapping
 
 import numpy as np
-import scipy.io
-import scipy.sparse
+import scipy  # scipy.io and scipy.sparse load when a file needs them
 
 from .._files import check_room
 from .._memory import check_memory
