@@ -323,16 +323,24 @@ spectra = jf.Spectra(U=U, Y=U @ n(3, 3) + 0.1 * n(1, 1, 2000, 3), R=R, lines=lin
 """
 
 
-def test_thousands_of_windows_return():
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [1, 2, 4])
+def test_thousands_of_windows_return(devices):
     """Batched LAPACK calls share a thread pool and can wait for each other for ever; these are the methods with several
-    equations a window. With the environment as it is (no NPROC): the library alone must return, time limit above."""
+    equations a window. With the environment as it is (no NPROC, no OPENBLAS_NUM_THREADS) and on several virtual
+    devices: the library alone must return, time limit above."""
     says = run(
-        SPECTRA_2000
-        + "for method in (jf.JointInputOutput(jf.MisoLRM()), jf.JointInputOutput(jf.LRM()), jf.LRM(), jf.MisoLRM()):\n"
-        "    frf = jf.estimate(spectra, method)\n"
-        "    assert np.isfinite(frf.G).all() and frf.G.shape == (1, 2000, 3, 3)\n"
+        SPECTRA_2000 + "import jax\n"
+        f"assert len(jax.devices()) == {devices}\n"
+        "for method in (jf.JointInputOutput(jf.MisoLRM()), jf.JointInputOutput(jf.LRM()), jf.LRM(), jf.MisoLRM()):\n"
+        "    for device in jax.devices():\n"
+        "        with jax.default_device(device):\n"
+        "            frf = jf.estimate(spectra, method)\n"
+        "        assert np.isfinite(frf.G).all() and frf.G.shape == (1, 2000, 3, 3)\n"
         "    print(type(method).__name__)\n",
         JAX_ENABLE_X64="1",
+        OPENBLAS_NUM_THREADS=None,
+        XLA_FLAGS=f"--xla_force_host_platform_device_count={devices}",
     )
     assert says.split() == ["JointInputOutput", "JointInputOutput", "LRM", "MisoLRM"]
 
