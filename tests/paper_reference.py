@@ -269,6 +269,23 @@ def local_jio(kind, U, Y, R, order, width, variable="index", frequency=None, tra
     return through_jio(joint, Y.shape[-1])
 
 
+def response_lrm(X, Z, order, width):
+    """The response of LRM-MIMO alone, all experiments stacked: (freq, channel of Z, in)."""
+    n_freq, n_in = X.shape[1:]
+    G = np.empty((n_freq, Z.shape[2], n_in), complex)
+    for k in range(n_freq):
+        lines = window(k, width, n_freq)
+        K = regressor(X[:, lines], Z[:, lines], order, local_variable(k, lines, None, "index"))
+        G[k] = np.linalg.lstsq(K, _rows(Z[:, lines]), rcond=None)[0][:n_in].T
+    return G
+
+
+def response_jio(U, Y, R, order, width):
+    """The same of JIO-LRM."""
+    of_y, of_u = (response_lrm(R, Z, order, width) for Z in (Y, U))
+    return of_y @ np.linalg.inv(of_u)
+
+
 def _over_lines(fits_of, X, Z, width, variable, frequency):
     n_freq, n_in, n_out = X.shape[1], X.shape[2], Z.shape[2]
     G = np.empty((n_freq, n_out, n_in), complex)
