@@ -65,6 +65,7 @@ def close(y, angle, within):
 
 
 class TestInTheSimulation:
+    @pytest.mark.slow
     def test_inside_a_gear(self):
         """Error, loss and hysteresis of one transmission under a static load: as ten more states of an ODE."""
         error = [4e-5, 2e-5], 101.0, (1, 3), [0.4, -1.0]

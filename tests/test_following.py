@@ -50,7 +50,7 @@ def missed(robot, data):
     return np.sqrt(squares(evidence.U - record.U) / squares(record.U))
 
 
-_QUICK = ("springs", "an elbow that slides")
+_QUICK = ("springs",)
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in _QUICK else pytest.mark.slow) for n in ROBOTS])

@@ -298,10 +298,9 @@ class TestCost:
         ):
             np.testing.assert_allclose(sum(gram(model, coordinates, p, X) for p in parts), whole, rtol=1e-9, atol=1e-9)
 
-    @pytest.mark.parametrize("axes", [2, pytest.param(6, marks=pytest.mark.slow)])
-    @pytest.mark.parametrize(
-        "kind", [*(pytest.param(x, marks=pytest.mark.slow) for x in ("gains", "correlated")), "springs alone"]
-    )
+    @pytest.mark.slow
+    @pytest.mark.parametrize("axes", [2, 6])
+    @pytest.mark.parametrize("kind", ["gains", "correlated", "springs alone"])
     def test_robot(self, kind, axes):
         """A robot against its linearised FRF, differenced: stiffness, damping, friction, gain and delay.
 

@@ -112,6 +112,7 @@ def test_two_axes_one_of_which_shows_no_antiresonance(noise):
     assert max(off[name] for name in determined) < (0.1 if noise else 1e-3)
 
 
+@pytest.mark.slow
 def test_what_the_model_fixes_and_bounds_stays():
     model = jf.RobotModel(planar([20.0]), hold=None)
     changed = model.parameters | {
@@ -164,10 +165,11 @@ def test_fit_from_the_guess_finds_the_truth(noise, value):
     assert max(v for name, v in error.items() if name.endswith("stiffness")) < 0.005
 
 
-R3X = pytest.param(linear_r3x, {"joint6", "bearing2", "upper_arm_torsion"}, id="R3X", marks=pytest.mark.slow)
+R3X = pytest.param(linear_r3x, {"joint6", "bearing2", "upper_arm_torsion"}, id="R3X")
 SMALL = pytest.param(lambda noise: (planar([20.0, 12.0]), two_axes(noise)), {"j1"}, id="two axes")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("made", "assumed"), [SMALL, R3X])
 def test_the_robots_own_springs_are_not_looked_at(made, assumed):
     robot, frf = made(0.0)

@@ -176,6 +176,7 @@ class Balanced(html.parser.HTMLParser):
 
 
 class TestDirect:
+    @pytest.mark.slow
     def test_exact_frf(self, folder, tmp_path, capsys):
         """The model's own response: the truth comes back, and the summary says why nothing was simulated."""
         assert run(folder, folder / "frf.npz", "--starts", 2, "--json", out=tmp_path / "fit.json") == 0

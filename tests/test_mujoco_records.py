@@ -105,6 +105,7 @@ def test_friction():
     assert differences[1] < 0.4 * differences[0]
 
 
+@pytest.mark.slow
 def test_runs_do_not_depend_on_their_company(smooth):
     plan, q = design(500), jf.random_positions(2, KEY)
     play = lambda q, **options: mujoco_experiment(smooth, plan, q, seed=5, run_in=0.1, **options)

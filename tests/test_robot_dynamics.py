@@ -49,6 +49,7 @@ def moving_state(robot):
 
 
 class TestEnergy:
+    @pytest.mark.slow
     def test_kept_without_losses(self):
         """Nonlinear springs, gravity, coupled motion for .1 s: the drift is the integrator's and falls with
         its step."""

@@ -458,6 +458,7 @@ class TestJacobian:
             expected = (G[0] - G[1]) / (2 * h)
             assert relative(ours.jacobian[..., p], expected).max() < 1e-5, name
 
+    @pytest.mark.slow
     def test_parameter_sets(self, friction):
         """A batch of robots by vmap is each robot on its own: many starts of a fit at once."""
         robot, frequency = jr.robot_from_table(tomllib.loads(ROBOT)), LINES[::60]

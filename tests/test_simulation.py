@@ -136,6 +136,7 @@ class TestRecord:
         np.testing.assert_allclose(steps, 5e-5, rtol=0.15)
         assert np.abs(np.corrcoef(np.diff(noise, axis=1)[..., 0])[np.triu_indices(12, 1)]).max() < 0.12
 
+    @pytest.mark.slow
     def test_seeds_and_chunks(self, recorded):
         said = []
         again = jf.simulate(jf.robot.r3x(), design(), recorded.q, key=KEY, run_in=1.0, chunk=5, progress=said.append)

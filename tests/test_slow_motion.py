@@ -140,6 +140,7 @@ class TestResponse:
             mean = sum(g[f] @ w for g, w in zip(G, W, strict=True)) @ np.linalg.inv(sum(W))
             np.testing.assert_allclose(found[f], mean, rtol=2e-4)
 
+    @pytest.mark.slow
     def test_one_place_is_the_response_there(self, robot):
         model, q = jf.RobotModel(robot), np.array([[0.3, 0.9]])
         slow = SlowMotion(q[:, None], np.zeros((1, 1, 2)), np.zeros((1, 1, 2)))

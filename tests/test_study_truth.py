@@ -87,6 +87,7 @@ def test_the_equations_written_out_are_the_robots():
     np.testing.assert_allclose(s**2 * G, written_out(REST), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_truth_of_an_arm_in_slow_motion():
     """<G W> <W>^-1 over 400 moments of the motion, against the study's own places of it; the arm at rest is off by
     twenty times as much and more."""
