@@ -147,9 +147,11 @@ def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray
             return method.estimate(spectra if len(groups) == 1 else select_positions(spectra, group))
 
     program = describe_method(method), spectra.U.shape[1:], len(groups[0])
-    first = 0 if program in _compiled else 1
+    first = 0 if program in _compiled and len(groups) > 1 else 1
     yield from map(estimated, groups[:first])
     _compiled.add(program)
+    if len(groups) == first:
+        return
     with concurrent.futures.ThreadPoolExecutor(_threads()) as pool:
         yield from pool.map(estimated, groups[first:])
 
