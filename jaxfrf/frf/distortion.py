@@ -11,7 +11,7 @@ from .._errors import InputError, input_error
 from .._status import Status
 from .._types import Array
 from ..experiment import Experiment
-from ..spectra import Spectra, dft, unexcited_spectra
+from ..spectra import Spectra, changed_signals, dft, unexcited_spectra
 from .average import ArithmeticMean
 from .causes import by_output, noise_level, running_mean
 from .covariance import variances
@@ -121,8 +121,7 @@ def _same_lines(spectra: Spectra, frf: FRF) -> Spectra:
     fits = (at < len(spectra.frequency)).all() and np.allclose(spectra.frequency[at], frf.frequency, rtol=1e-9)
     if not fits or (spectra.n_pos, spectra.n_out, spectra.n_in) != (frf.n_pos, frf.n_out, frf.n_in):
         raise input_error("frf", "other lines, positions or channels", "those of the record", "Take both from one.")
-    names = [name for name in ("U", "Y", "R", "noise") if getattr(spectra, name) is not None]
-    signals = {name: np.asarray(getattr(spectra, name))[:, :, at] for name in names}
+    signals = changed_signals(spectra, lambda x: np.asarray(x)[:, :, at])
     return dataclasses.replace(spectra, **signals, lines=spectra.lines[at], frequency=spectra.frequency[at])
 
 
@@ -136,8 +135,7 @@ def _fast(frf: FRF, data: Experiment, spectra: Spectra) -> dict:
         nothing = dict(unexcited=np.zeros(0), is_even=np.zeros(0, bool), detected=none, detected_noise=none)
         return nothing | dict(even=np.full(shape, np.nan), odd=np.full(shape, np.nan))
     G = _interpolated(quiet.frequency, frf)
-    rest = np.abs(np.asarray(quiet.Y) - np.einsum("pfoi,pefi->pefo", G, np.asarray(quiet.U))) ** 2
-    power = rest.mean(axis=1)
+    power = _unexplained(quiet, G)
     noise = np.zeros_like(power) if quiet.noise is None else noise_level(G, quiet)
     is_even = np.asarray(quiet.lines) % 2 == 0
     brought = {
@@ -184,7 +182,7 @@ def _with_total(frf: FRF, spectra: Spectra, total, way: str) -> FRF:
     only_noise = (np.asarray(frf.status) & int(Status.NOISE_ONLY)) != 0
     if not only_noise.all():
         return dataclasses.replace(frf, cov_total=cov)
-    free = spectra.n_exp * min(_NEIGHBOURS, 8) if way == "fast" else (spectra.n_real - 1) * (_NEIGHBOURS // 2 * 2 + 1)
+    free = spectra.n_exp * _NEIGHBOURS if way == "fast" else (spectra.n_real - 1) * (_NEIGHBOURS // 2 * 2 + 1)
     return dataclasses.replace(
         frf,
         cov=cov,
@@ -247,8 +245,13 @@ def distortion(unexcited: Spectra, frf: FRF) -> Float[np.ndarray, "pos freq out"
             "Take both from the same record.",
         )
     G = _interpolated(unexcited.frequency, frf)
-    rest = np.asarray(unexcited.Y) - np.einsum("pfoi,pefi->pefo", G, np.asarray(unexcited.U))
-    return np.sqrt(np.mean(np.abs(rest) ** 2, axis=1))
+    return np.sqrt(_unexplained(unexcited, G))
+
+
+def _unexplained(spectra: Spectra, G) -> np.ndarray:
+    """Mean power of Y - G U over the experiments: (pos, freq, out)."""
+    rest = np.asarray(spectra.Y) - np.einsum("pfoi,pefi->pefo", G, np.asarray(spectra.U))
+    return np.mean(np.abs(rest) ** 2, axis=1)
 
 
 def _interpolated(frequency, frf: FRF) -> np.ndarray:
