@@ -1,12 +1,15 @@
 """Speed and memory of the public `jaxfrf.estimate`, against NumPy and SciPy as users write it.
 
-    python benchmarks/bench_local.py [--quick] [--cases lrm lpm ...] [--cores 1 2] [--json FILE]
+    python benchmarks/bench_local.py [--quick] [--cases lrm lpm ...] [--cores 1 2] [--json FILE] [--sdynpy PYTHON]
 
 Six inputs and outputs, 336 lines, 12 experiments; local methods with R = 2 and windows of 34 lines. From spectra in
 memory to an FRF with covariance; the baselines compute G alone. Every measurement runs in a process of its own that is
 pinned to its cores, with one BLAS thread. Contenders take turns, and ratios are taken turn by turn, so that
 other load on the machine hits all of them; the time of compilation is told apart. "Processor" is the same ratio in
 processor time, which other load hardly touches.
+
+SDynPy (GPL, no dependency of this project) is measured in an environment of its own, whose Python `--sdynpy` names:
+`python3 -m venv sdynpy && sdynpy/bin/pip install sdynpy psutil joblib 'numpy<2.3'`.
 """
 
 import argparse
@@ -47,6 +50,7 @@ CASES = {
 LOOP, SCIPY, QR, NORMAL = "NumPy loop", "SciPy loop, gelsy", "NumPy batched QR", "NumPy batched normal eq."
 BATCHED, STACKED = "NumPy, all lines at once", "jaxfrf.estimate, JIO-LRM"
 FULL = "jaxfrf.estimate with Cov"
+SDYNPY = "SDynPy"
 
 
 def main() -> None:
@@ -69,6 +73,9 @@ def main() -> None:
     print(_memory_table(result["memory"]), flush=True)
     result["rate"] = _run(1, measure="rate")
     print(_rate_line(result["rate"]), flush=True)
+    if arguments.sdynpy:
+        result["sdynpy"] = _run(1, measure="sdynpy", python=arguments.sdynpy, rounds=rounds)
+        print(_speed_table(result["sdynpy"]), flush=True)
     result["start"] = _run(max(arguments.cores), measure="start")
     print(_start_table(result["start"]), flush=True)
     for name, sizes in _growth_sizes(arguments.quick).items():
@@ -88,6 +95,9 @@ def _arguments():
     parser.add_argument("--cases", nargs="+", choices=CASES, help="default: all")
     parser.add_argument("--cores", nargs="+", type=int, help="default: 1 and 2, as far as there are so many")
     parser.add_argument("--json", type=pathlib.Path, help="also write the results to this file")
+    parser.add_argument(
+        "--sdynpy", metavar="PYTHON", help="interpreter of an environment with SDynPy, to be measured too"
+    )
     parser.add_argument("--worker", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     available = len(_available())
@@ -221,6 +231,33 @@ def _measure_rate() -> dict:
     return {"product_gflops": product, "estimate_gflops": n_windows * (moments + solved) / seconds / 1e9}
 
 
+def _measure_sdynpy(python: str, rounds: int) -> dict:
+    """SDynPy's LRM of one experiment after the other, beside the NumPy loop and the public call, in turns."""
+    import tempfile
+
+    import numpy as np
+
+    n_windows, contenders = _contenders("lrm")
+    contenders[FULL]()
+    with tempfile.TemporaryDirectory() as folder:
+        spectra = _spectra(1, N_EXP)
+        np.savez(f"{folder}/spectra.npz", U=spectra.U[0, :2], Y=spectra.Y[0, :2], width=WIDTH, order=ORDER)
+        command = [python, str(ROOT / "benchmarks/_sdynpy.py"), f"{folder}/spectra.npz"]
+
+        def theirs():
+            environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+            found = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+            return float(found.stdout.split()[-1]) * N_EXP / 2  # two of the experiments are measured
+
+        turns = []
+        for _ in range(rounds):
+            turn = {name: _time(contenders[name]) for name in (LOOP, FULL)}
+            wall = theirs()
+            turns.append(turn | {SDYNPY: (wall, wall)})
+    rows = [_summary(name, LOOP, turns, n_windows) | {"difference": float("nan")} for name in (LOOP, SDYNPY, FULL)]
+    return {"case": "lrm", "windows": n_windows, "baseline": LOOP, "compile_s": 0.0, "contenders": rows}
+
+
 def _measure_start() -> dict:
     """Seconds of whole processes: the best of three."""
     import tempfile
@@ -256,6 +293,7 @@ _WORKERS = {
     "memory": _measure_memory,
     "growth": _measure_growth,
     "rate": _measure_rate,
+    "sdynpy": _measure_sdynpy,
     "start": _measure_start,
 }
 
