@@ -118,9 +118,17 @@ def test_universal_file(tmp_path, data):
     np.testing.assert_allclose(responses[0]["x"], LINES * FS / PERIOD, rtol=1e-6)
 
 
+_COMPILES = "auto robust-lrm-jio lrm-jio-stacked lrm-jio-common".split()
+
+
 @pytest.mark.parametrize(
-    "method", [name for name in METHODS if name not in ("welch", "robust")]
-)  # see test_robust, _aperiodic
+    "method",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in _COMPILES else ())
+        for name in METHODS
+        if name not in ("welch", "robust")  # see test_robust, _aperiodic
+    ],
+)
 def test_every_method_runs(tmp_path, data, method):
     target = tmp_path / "frf.npz"
     assert estimate(data, "-o", target, "--method", method) == 0
@@ -133,9 +141,9 @@ def test_every_method_runs(tmp_path, data, method):
 def test_options_reach_the_method(tmp_path, data):
     target = tmp_path / "frf.npz"
     options = ("--option", "order=1", "--option", "width=17", "--option", "variable=frequency")
-    assert estimate(data, "-o", target, "--method", "lrm-jio", *options) == 0
+    assert estimate(data, "-o", target, "--method", "lpm", *options) == 0
     frf = jf.io.read_frf(target)
-    assert "LRM(order=1, width=17, variable='frequency'" in frf.method
+    assert "LPM(order=1, width=17, variable='frequency'" in frf.method
     assert np.all(frf.window == 17)
 
 
@@ -192,6 +200,7 @@ def test_other_names_and_units(tmp_path):
     np.testing.assert_allclose(jf.io.read_frf(tmp_path / "frf.npz").G[0], G, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_six_axes_and_several_positions(tmp_path, capsys):
     """Larger: 3 positions, 6 experiments of 6 axes; the default method, with the FRF within a few per cent."""
     rng = np.random.default_rng(4)

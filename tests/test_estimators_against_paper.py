@@ -190,6 +190,10 @@ CASES = [
 ]
 
 
+def slow(*case):
+    return pytest.param(*case, marks=pytest.mark.slow)
+
+
 def check_local(kind, n, n_exp, order, width, grid, variable):
     data = closed_loop(n, max(2, -(-n_exp // n)), grid)
     given, U, Y, _ = first_experiments(data, n_exp)
@@ -244,6 +248,7 @@ def test_joint_input_output_on_log_spaced_lines(n, n_exp, width, variable):
     assert_same(jf.estimate(given, jf.JointInputOutput(method)), expected)
 
 
+@pytest.mark.slow
 def test_joint_input_output_lrm_of_six_axes():
     given, U, Y, R = first_experiments(closed_loop(6), 1)
     expected = [ref.local_jio("lrm-mimo", *X, 2, 36) for X in zip(U, Y, R, strict=True)]
@@ -251,7 +256,9 @@ def test_joint_input_output_lrm_of_six_axes():
     assert_same(jf.estimate(given, jf.JointInputOutput(method)), expected)
 
 
-@pytest.mark.parametrize("kind, n, n_exp, width", [("lpm", 1, 3, 8), ("lrm-miso", 2, 2, 11), ("lrm-mimo", 3, 3, 18)])
+@pytest.mark.parametrize(
+    "kind, n, n_exp, width", [slow("lpm", 1, 3, 8), slow("lrm-miso", 2, 2, 11), ("lrm-mimo", 3, 3, 18)]
+)
 def test_log_mean_over_single_experiments(kind, n, n_exp, width):
     data = closed_loop(n, n_exp if n == 1 else 1)
     given, U, Y, _ = first_experiments(data, n_exp)
@@ -278,7 +285,7 @@ def test_the_papers_recipe_log_mean_over_joint_input_output_lrm(n, n_exp, width)
     assert_same(jf.estimate(given, method), expected)
 
 
-@pytest.mark.parametrize("n, n_exp, width", [(1, 1, 8), (3, 1, 13), (2, 4, 8)])
+@pytest.mark.parametrize("n, n_exp, width", [slow(1, 1, 8), slow(3, 1, 13), (2, 4, 8)])
 def test_common_denominator(n, n_exp, width):
     """[y; u] on r with one scalar denominator: every channel counts in units of its rms over the window."""
     given, U, Y, R = first_experiments(closed_loop(n), n_exp)
