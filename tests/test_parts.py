@@ -58,7 +58,8 @@ class TestWhoseFolderItIs:
             stamp = json.loads((made.folder / STAMP).read_text())
             assert made.folder == tmp_path / "fit.json.parts"
         assert stamp["program"] == "jaxfrf" and "--resume" in stamp["what"]
-        assert stamp["about"] == {"command": "work", "version": jf.__version__, "method": "H1()", "seed": "3"}
+        version = {"version": jf.__version__, "program": parts.program()}
+        assert stamp["about"] == {"command": "work", **version, "method": "H1()", "seed": "3"}
         assert list(tmp_path.iterdir()) == []
 
     def test_only_its_own_files_are_deleted(self, tmp_path):
@@ -194,7 +195,10 @@ class TestWhenPartsGo:
     @pytest.mark.parametrize(
         ("now", "says"),
         [
-            ({}, r"found 2 finished parts of a run begun \d{4}-.*; expected none, or --resume\. .* delete that folder"),
+            (
+                {},
+                r"found 2 finished parts of a run begun \d{4}-.*; expected none, or --resume\. .* --restart to",
+            ),
             ({"about": {"method": "H2()"}}, r"\(method: H1\(\) then, H2\(\) now\)"),
             ({"about": {"method": "H2()"}, "resume": True}, r"\(method: H1\(\) then, H2\(\) now\)"),
             ({"about": {"seed": 4, "a": None}, "resume": True}, r"\(seed: none then, 4 now; a: none then, none now\)"),
@@ -214,6 +218,26 @@ class TestWhenPartsGo:
         monkeypatch.setattr(parts, "__version__", "99.0")
         with pytest.raises(jf.InputError, match=rf"version: {re.escape(jf.__version__)} then, 99\.0 now"):
             begun(tmp_path / "out", resume=True)
+
+    def test_the_program_is_known_by_its_files(self, tmp_path):
+        (tmp_path / "a.py").write_text("x = 1")
+        first = parts._digest(tmp_path)
+        (tmp_path / "notes.txt").write_text("nothing that is run")
+        assert parts._digest(tmp_path) == first
+        (tmp_path / "robot.toml").write_text("mass = 1.0")
+        assert parts._digest(tmp_path) != first
+
+    def test_restart_deletes_what_an_earlier_run_left_and_nothing_else(self, tmp_path):
+        folder, _ = interrupted(tmp_path / "out", 0, 1)
+        (folder / "notes.txt").write_text("mine")
+        said = []
+        with pytest.raises(KeyboardInterrupt), Parts(tmp_path / "out", "other", restart=True, say=said.append) as made:
+            made.begin({}, ("round-[0-9].json",))
+            assert names(folder) == [STAMP, "notes.txt"] and made.finished == []
+            made.path("round-0.json").write_text("{}")
+            raise KeyboardInterrupt
+        assert said == [f"2 finished parts of an earlier run deleted from {folder}, as --restart says"]
+        assert names(folder) == [STAMP, "notes.txt", "round-0.json"]
 
     def test_numbers_and_files_are_told_apart(self):
         x = np.arange(6.0)

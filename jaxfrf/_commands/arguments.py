@@ -51,9 +51,20 @@ def add_anyway_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_resume_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
         "--resume", action="store_true", help="go on with a run of the same options that was interrupted (OUTPUT.parts)"
     )
+    group.add_argument(
+        "--restart", action="store_true", help="delete what an interrupted run left in OUTPUT.parts and begin anew"
+    )
+
+
+def kept_parts(given: argparse.Namespace, about=None):
+    """Where a command keeps what it has finished, as --resume and --restart say."""
+    from ..parts import Parts
+
+    return Parts(given.output, given.command, resume=given.resume, restart=given.restart, about=about, say=say)
 
 
 class _ListMethods(argparse.Action):

@@ -13,6 +13,7 @@ from .arguments import (
     check_target,
     check_x64,
     command,
+    kept_parts,
     naming,
     read_each,
     say,
@@ -52,13 +53,12 @@ def add(commands) -> None:
 def run(given) -> dict:
     from ..io.gaps import gap_contents, write_gap
     from ..io.robots import read_robot
-    from ..parts import Parts
 
     check_x64("jaxfrf diagnose")
     _check_outputs(given)
     own = own_effects.own_effects(given.effects) if given.effects else ()
     robot = with_tolerances(read_robot(given.robot, own), given.tolerance)
-    with Parts(given.output, "diagnose", resume=given.resume, about=own_effects.about(given), say=say) as parts:
+    with kept_parts(given, own_effects.about(given)) as parts:
         data = read_each(given)
         for text in dict.fromkeys(w for x in data for w in x.warnings):
             print(f"warning: {text}", file=sys.stderr)

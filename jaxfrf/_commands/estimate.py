@@ -13,6 +13,7 @@ from .arguments import (
     check_target,
     check_x64,
     command,
+    kept_parts,
     naming,
     options_of,
     range_of,
@@ -38,7 +39,6 @@ def run(given) -> dict:
     from ..frf.catalogue import method
     from ..frf.distortion import with_distortion
     from ..frf.from_record import spectra_of
-    from ..parts import Parts
     from ..pipeline import estimate_in_parts, summary
 
     check_x64("jaxfrf estimate")
@@ -47,7 +47,7 @@ def run(given) -> dict:
         check_picture(given.plot)
     chosen = method(given.method, options_of(given.option))
     periods, band = range_of("--periods", given.periods, int), range_of("--band", given.band, float)
-    with Parts(given.output, "estimate", resume=given.resume, say=say) as parts:
+    with kept_parts(given) as parts:
         data = read_records(given, given.data)
         with naming(given.data):
             spectra = spectra_of(data, chosen, periods=periods, band=band, robust=given.robust)

@@ -15,6 +15,7 @@ from .arguments import (
     check_target,
     check_x64,
     command,
+    kept_parts,
     naming,
     options_of,
     range_of,
@@ -86,12 +87,11 @@ def add(commands) -> None:
 def run(given) -> dict:
     from ..experiment import concatenate
     from ..io.fits import write_fit
-    from ..parts import Parts
 
     check_x64("jaxfrf identify")
     _check_outputs(given)
     about = own_effects.about(given)
-    with Parts(given.output, "identify", resume=given.resume, about=about, say=say) as parts:
+    with kept_parts(given, about) as parts:
         robot, data, method = _read(given)
         with naming(given.data):
             whole = _is_whole(given, data)

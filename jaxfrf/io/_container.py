@@ -3,11 +3,13 @@
 A format is a module with `load(path)` and `save(path, variables, attributes)`; `_FORMATS` lists them.
 """
 
+import contextlib
 import dataclasses
 import importlib
+import math
 import os
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -31,12 +33,27 @@ class Unreadable:
 
 
 @dataclasses.dataclass(frozen=True)
+class Later:
+    """Shape and type of an array whose numbers come block by block."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype = np.dtype(float)
+
+    @property
+    def nbytes(self) -> int:
+        return math.prod(self.shape) * self.dtype.itemsize
+
+
+@dataclasses.dataclass(frozen=True)
 class Variable:
     """An array to be saved, with the name of every axis and its unit."""
 
     dims: tuple[str, ...]
-    value: np.ndarray
+    value: np.ndarray | Later
     unit: str = ""
+
+
+Put = Callable[[str, int, np.ndarray], None]  # name, first position, numbers of some positions
 
 
 Leaf = np.ndarray | str | Unreadable
@@ -110,6 +127,29 @@ def save(path: str | os.PathLike, variables: Mapping[str, Variable], attributes:
     writer = _format(path, _SAVED, "written")
     with replacing(path) as temporary:
         writer.save(temporary, variables, attributes)
+
+
+@contextlib.contextmanager
+def save_blocks(path: str | os.PathLike, variables: Mapping[str, Variable], attributes: Attributes) -> Iterator[Put]:
+    """As `save`, with arrays that come position by position (`Later`): `put(name, first, numbers)` in the block.
+
+    NetCDF and Zarr go to the disk as they come, other formats at the end.
+    """
+    path = pathlib.Path(path)
+    writer = _format(path, _SAVED, "written")
+    with replacing(path) as temporary:
+        if hasattr(writer, "blocks"):
+            with writer.blocks(temporary, variables, attributes) as put:
+                yield put
+            return
+        whole = {
+            name: dataclasses.replace(v, value=np.empty(v.value.shape, v.value.dtype))
+            if isinstance(v.value, Later)
+            else v
+            for name, v in variables.items()
+        }
+        yield lambda name, first, value: whole[name].value.__setitem__(slice(first, first + len(value)), value)
+        writer.save(temporary, whole, attributes)
 
 
 def text(value) -> str:

@@ -1,14 +1,15 @@
 """NetCDF-4 through xarray and h5netcdf: axes are told by their names, whatever their order in the file."""
 
+import contextlib
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from .._files import check_room
 from .._memory import check_memory
-from ._container import Attributes, Leaf, Variable, Variables, text
-from ._hdf5 import check_walkable
+from ._container import Attributes, Later, Leaf, Put, Variable, Variables, text
+from ._hdf5 import check_walkable, surviving
 from ._optional import require
 
 KIND = "a NetCDF-4 file"
@@ -18,13 +19,19 @@ _CHUNK = 2**26  # bytes that are read and checked at once
 _LEADING = ("position", "experiment", "time")  # the order of axes in memory; what is left is the channel
 
 
-def load(path: pathlib.Path) -> dict[str, Leaf]:
-    """Variables and attributes; arrays that name `position`, `experiment`, `time` get them in this order."""
+def load(path: pathlib.Path, part: slice | None = None) -> dict[str, Leaf]:
+    """Variables and attributes; arrays that name `position`, `experiment`, `time` get them in this order.
+
+    `part`: these positions only, of what has such an axis.
+    """
     require("h5netcdf", "io")
-    check_walkable(path)
+    if part is None:
+        check_walkable(path)
     # Times stay numbers: decoding would turn seconds into timedelta64.
     options = {"engine": "h5netcdf", "decode_times": False, "decode_timedelta": False}
     with require("xarray", "io").open_dataset(path, **options) as dataset:
+        if part is not None:
+            dataset = dataset.isel(position=part)
         check_memory(str(path), dataset.nbytes, "Split the record into several files.")
         attributes = {str(name): _value(np.asarray(value)) for name, value in dataset.attrs.items()}
         arrays = {str(name): _ordered(variable) for name, variable in dataset.variables.items()}
@@ -50,19 +57,62 @@ def write_dataset(path: pathlib.Path, dataset) -> None:
     """
     check_room(path, dataset.nbytes + _OVERHEAD)
     # No fill value: it would make every reader copy the array to mask it.
-    encoding = {name: _encoding(variable) for name, variable in dataset.variables.items()}
-    dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+    encoding = {name: {"_FillValue": None, **_stored(x.shape, x.dtype)} for name, x in dataset.variables.items()}
+    with _created(path) as file:
+        dataset.dump_to_store(require("xarray", "io").backends.H5NetCDFStore(file), encoding=encoding)
 
 
-def _encoding(variable) -> dict:
-    plain: dict = {"_FillValue": None}
-    if not variable.ndim or not variable.size:
-        return plain
-    leading = max(variable.ndim - 2, 0)  # one experiment, or one position, a chunk, as long as the library takes it
-    chunks = [1] * leading + list(variable.shape[leading:])
-    row = max(variable.dtype.itemsize * int(np.prod(chunks[leading + 1 :])), 1)
+@contextlib.contextmanager
+def _created(path: pathlib.Path):
+    """A new file, open for h5netcdf; a full disk is an `OSError` at the end of the block."""
+    h5netcdf = require("h5netcdf", "io")
+    with surviving(path) as disk, h5netcdf.File(disk, "w") as file:
+        yield file
+
+
+@contextlib.contextmanager
+def blocks(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> Iterator[Put]:
+    """A file whose arrays come position by position: `put(name, first, value)`; `variables` hold what is known already,
+    or, as `Later`, only shape and type.
+
+    **Raises:** as `write_dataset`.
+    """
+    check_room(path, sum(v.value.nbytes for v in variables.values()) + _OVERHEAD)
+    with _created(path) as file:
+        sizes = {dim: n for v in variables.values() for dim, n in zip(v.dims, v.value.shape, strict=True)}
+        file.dimensions = sizes
+        file.attrs.update(attributes)
+        for name, v in variables.items():
+            options = _stored(v.value.shape, v.value.dtype)
+            options["chunks"] = options.pop("chunksizes", None)
+            made = file.create_variable(name, v.dims, v.value.dtype, **options)
+            if v.unit:
+                made.attrs["units"] = v.unit
+            if not isinstance(v.value, Later):
+                made[...] = v.value
+
+        def put(name: str, first: int, value: np.ndarray) -> None:
+            file[name][first : first + len(value)] = value
+
+        yield put
+
+
+def positions(path: pathlib.Path) -> int | None:
+    """How many positions a file holds that can be read one by one; `None` where it has no such axis."""
+    require("h5netcdf", "io")
+    check_walkable(path)
+    with require("h5py", "io").File(path, "r") as file:
+        return len(file["position"]) if "position" in file else None
+
+
+def _stored(shape: tuple[int, ...], dtype: np.dtype) -> dict:
+    if not shape or not np.prod(shape):
+        return {}
+    leading = max(len(shape) - 2, 0)  # one experiment, or one position, a chunk, as long as the library takes it
+    chunks = [1] * leading + list(shape[leading:])
+    row = max(dtype.itemsize * int(np.prod(chunks[leading + 1 :])), 1)
     chunks[leading] = max(min(chunks[leading], _CHUNK // row), 1)
-    return {**plain, "fletcher32": True, "chunksizes": tuple(chunks)}
+    return {"fletcher32": True, "chunksizes": tuple(chunks)}
 
 
 def _ordered(variable) -> Leaf:
