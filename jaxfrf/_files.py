@@ -86,6 +86,25 @@ def check_room(path: pathlib.Path, n_bytes: int) -> None:
         path.unlink(missing_ok=True)
 
 
+def check_space(path: str | os.PathLike, n_bytes: float) -> None:
+    """Refuse what the disk has no room for beside `path`, before it is made.
+
+    **Raises:** `jaxfrf.InputError` with what is needed and what is free.
+    """
+    folder = pathlib.Path(path).absolute().parent
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError:
+        return  # writing will say
+    if n_bytes > free:
+        raise output_error(
+            str(folder),
+            f"{free / 1e9:.3g} GB free",
+            f"{n_bytes / 1e9:.3g} GB for the result and its parts",
+            "Make room.",
+        )
+
+
 def draft_name(name: str) -> str:
     """A name for the temporary file beside a file of this name."""
     path = pathlib.PurePath(name)

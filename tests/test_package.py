@@ -189,7 +189,7 @@ MAY_IMPORT = {
     "identification": WHOLE | {"identification"},
     "report": WHOLE | {"plot", "identification", "report"},
     "study": WHOLE | {"plot", "identification", "report", "gap", "study"},
-    "batch": IO | {"report", "batch"},
+    "batch": WHOLE | {"report", "batch"},
     "commands": WHOLE | {"examples", "plot", "identification", "report", "study", "gap", "batch", "commands"},
 }
 """Which rooms a room may import from. Data flow from excitation over experiment and spectra to the FRF, which know no

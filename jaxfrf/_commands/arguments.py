@@ -4,12 +4,15 @@ import argparse
 import contextlib
 import os
 import pathlib
+import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 
 from .._errors import InputError, OutputError, input_error
 from .._files import check_readable, check_writable
+from .progress import wipe_progress
 
+_SMALLEST = 1e9  # bytes, that Python, JAX and a block take
 _QUICK = 5e6  # bytes that are read twice without being noticed
 RECORD_FILES = (".nc", ".mat", ".npz")  # that are written
 
@@ -58,6 +61,26 @@ def add_resume_option(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--restart", action="store_true", help="delete what an interrupted run left in OUTPUT.parts and begin anew"
     )
+
+
+def add_memory_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--memory", type=_bytes, metavar="SIZE", help="that the command may take, e.g. 2GB (default: by what is free)"
+    )
+
+
+_UNITS = {"": 1.0, "B": 1.0, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "MIB": 2.0**20, "GIB": 2.0**30}
+
+
+def _bytes(text: str) -> float:
+    found = re.fullmatch(r"\s*([0-9.]+)\s*([A-Za-z]*)\s*", text)
+    try:
+        size = float(found[1]) * _UNITS[found[2].upper()]
+    except (TypeError, KeyError, ValueError):
+        raise argparse.ArgumentTypeError(f"found {text!r}; expected a size. Write e.g. 2GB or 500MB.") from None
+    if size < _SMALLEST:
+        raise argparse.ArgumentTypeError(f"found {text!r}; expected {_SMALLEST / 1e9:g}GB or more.")
+    return size
 
 
 def kept_parts(given: argparse.Namespace, about=None):
@@ -243,17 +266,6 @@ def with_tolerances(robot, text: str | None):
     return robot.with_tolerances(tolerances_from(table, robot.joint_names, "--tolerance"))
 
 
-class Percent:
-    """Prints the part that is done, in steps of ten per cent."""
-
-    def __init__(self, what: str):
-        self.what, self.said = what, 0
-
-    def __call__(self, done: float) -> None:
-        if int(10 * done) > self.said:
-            self.said = int(10 * done)
-            say(f"{self.what} {10 * self.said} %")
-
-
 def say(text: str) -> None:
+    wipe_progress()
     print(text, file=sys.stderr, flush=True)

@@ -5,7 +5,6 @@ import sys
 from .._errors import InputError, OutputError, input_error
 from . import own_effects
 from .arguments import (
-    Percent,
     add_anyway_option,
     add_resume_option,
     add_tolerance_option,
@@ -16,10 +15,10 @@ from .arguments import (
     kept_parts,
     naming,
     read_each,
-    say,
     with_tolerances,
 )
 from .each import add_each_options
+from .progress import Progress
 
 
 def add(commands) -> None:
@@ -76,10 +75,9 @@ def _diagnosed(given, robot, data, own, parts):
 
     parts.begin(_about(given, data), PART_FILES)
     sealed = {} if given.positions_sealed is None else {"sealed": given.positions_sealed}
-    quiet = {"say": None, "progress": None} if given.json else {"say": say, "progress": Percent("diagnosed")}
     try:
-        with naming(given.data):
-            return diagnose(robot, data, own=own, parts=parts, **quiet, **sealed)
+        with naming(given.data), Progress("diagnose", given.json) as progress:
+            return diagnose(robot, data, own=own, parts=parts, say=progress.say, progress=progress, **sealed)
     except OutputError:
         raise
     except InputError:

@@ -15,7 +15,7 @@ from .._errors import InputError, input_error
 from ..experiment import QUANTITIES, UNITS, Experiment, Source, concatenate
 from ..screening import ACROSS, CHECKS, screened
 from ..units import DEFAULT_INPUT, input_unit, known_unit, output_unit, quantity_of
-from ._container import Leaf, Variable, Variables, load, save
+from ._container import Later, Leaf, Put, Variable, Variables, load, save, save_blocks
 from ._joined import expanded, joined, part_of
 from ._matlab import NAMELESS
 from ._select import column, missing, select, time_like
@@ -102,6 +102,28 @@ def write(path: str | os.PathLike, data: Experiment) -> None:
         "y_quantity": data.y_quantity,
     }
     save(path, variables, attributes)
+
+
+@contextlib.contextmanager
+def writing(
+    path: str | os.PathLike, shapes: Mapping[str, tuple[int, ...]], q, lines, attributes: Mapping
+) -> Iterator[Put]:
+    """An experiment file whose signals come position by position: `put(name, first position, numbers)`.
+
+    **Arguments:** `shapes` of r, u, y, (position, experiment, time, channel). `q`, `lines`: as of an experiment, or
+    `None`. `attributes`: `fs`, `period`, `transient_periods`, `r_quantity`, `y_quantity`.
+    """
+    units = {"u": "N m", "r": UNITS[attributes["r_quantity"]], "y": UNITS[attributes["y_quantity"]]}
+    variables = {
+        name: Variable(("position", "experiment", "time", _CHANNEL[name]), Later(shape), units[name])
+        for name, shape in shapes.items()
+    }
+    if q is not None:
+        variables["q"] = Variable(("position", "joint"), np.asarray(q), "rad")
+    if lines is not None:
+        variables["lines"] = Variable(("line",), np.asarray(lines))
+    with save_blocks(path, variables, attributes) as put:
+        yield put
 
 
 @dataclasses.dataclass(frozen=True)
