@@ -62,6 +62,7 @@ class Parts:
         self._command, self._resume, self._restart, self._about = command, resume, restart, dict(about or {})
         self._say = say or (lambda text: None)
         self._files: tuple[str, ...] = ()  # none before `begin`: then nothing is ours to delete
+        self._beside: tuple[str, ...] = ()
         self._begun: dict[str, str] | None = None
 
     def __enter__(self) -> "Parts":
@@ -78,11 +79,12 @@ class Parts:
             kept = f"{_count(finished)} kept in {self.folder}"
             error.add_note(f"{kept}: the same command with --resume goes on from there.")
 
-    def begin(self, about: Mapping[str, Any], files: Sequence[str]) -> None:
+    def begin(self, about: Mapping[str, Any], files: Sequence[str], beside: Sequence[str] = ()) -> None:
         """Make the folder, or take over what an interrupted run left; once, before the work.
 
         **Arguments:** `about`: all that the parts depend on, by names that tell a user what to look at; numbers, texts,
-        lists. `files`: patterns of the names that parts have, e.g. `round-[0-9].json`.
+        lists. `files`: patterns of the names that parts have, e.g. `round-[0-9].json`. `beside`: of files that belong
+        to parts and are none.
 
         **Raises:** `jaxfrf.InputError` if the folder holds parts of another run, or any without `resume`; they are left
         as they are.
@@ -97,12 +99,12 @@ class Parts:
         elif self._resume:
             self._say(f"nothing to resume in {self.folder}: starting from the beginning")
         try:
-            self._make(about, files, new=stamp is None, stamped=bool(left))
+            self._make(about, (*files, *beside), new=stamp is None, stamped=bool(left))
         except OSError as error:
             raise output_error(
                 str(self.folder), f"no way to write there ({error.strerror})", "a folder for parts", "Write elsewhere."
             ) from error
-        self._files, self._begun = tuple(files), about
+        self._files, self._beside, self._begun = tuple(files), tuple(beside), about
         if self.finished:
             self._say(f"{_count(len(self.finished))} taken over from {self.folder}")
 
@@ -118,7 +120,7 @@ class Parts:
 
         **Raises:** `jaxfrf.InputError` if another run has taken the folder meanwhile: parts of two must not mix.
         """
-        if not _matches(name, self._files):
+        if not _matches(name, (*self._files, *self._beside)):
             raise ValueError(f"{name} is none of {', '.join(self._files) or 'the parts: begin comes first'}.")
         if not self._is_mine():
             raise output_error(
@@ -147,8 +149,9 @@ class Parts:
         try:
             if not self._is_mine():
                 return
+            ours = (*self._files, *self._beside)
             for path in self.folder.iterdir():
-                if (_matches(path.name, self._files) or _draft_of(path.name, self._files)) and _plain(path):
+                if (_matches(path.name, ours) or _draft_of(path.name, ours)) and _plain(path):
                     path.unlink()
             if {p.name for p in self.folder.iterdir()} == {_STAMP}:
                 (self.folder / _STAMP).unlink()

@@ -135,8 +135,9 @@ def test_the_command(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("options", [["--workers", "2"], ["--cluster", "tcp://nowhere:1"]])
-def test_workers_are_for_many_files(tmp_path, capsys, options):
-    assert main(["estimate", "none.nc", "-o", str(tmp_path / "x.nc"), *options]) == 2
+def test_workers_are_for_many_files_where_positions_belong_together(tmp_path, capsys, options):
+    arguments = ["identify", "none.nc", "--robot", "none.toml", "-o", str(tmp_path / "x.json")]
+    assert main([*arguments, *options]) == 2
     assert "Add --each" in capsys.readouterr().err
 
 

@@ -111,6 +111,20 @@ def read_records(given: argparse.Namespace, files: Sequence[str]):
     )
 
 
+def data_set(given: argparse.Namespace):
+    """The same, to be read some positions at a time."""
+    from .. import io
+    from ..io.blocks import data_set, in_memory
+
+    how = {
+        "names": io.parse_map(given.map) if given.map else None,
+        "values": io.parse_values(given.set) if given.set else None,
+        "scale": io.parse_scale(given.scale) if given.scale else None,
+        "anyway": given.anyway,
+    }
+    return data_set(*given.data, **how) or in_memory(io.read(*given.data, **how))
+
+
 def read_each(given: argparse.Namespace) -> list:
     """One record a file; one of all files where `--map` says which file a signal is in."""
     from ..io._joined import part_of

@@ -17,8 +17,8 @@ def add_each_options(parser: argparse.ArgumentParser) -> None:
         help="every file by itself ('logs/*.mat' too), OUTPUT a folder: a result, a picture or a page for each, "
         "table.csv and index.html; run again, it makes what is new",
     )
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes that share the files of --each")
-    parser.add_argument("--cluster", metavar="ADDRESS", help="a running Dask scheduler for --each, tcp://host:8786")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes that share the work")
+    parser.add_argument("--cluster", metavar="ADDRESS", help="a running Dask scheduler instead, tcp://host:8786")
 
 
 def run_each(given) -> dict:
@@ -35,7 +35,9 @@ def run_each(given) -> dict:
 
 
 def check_alone(given) -> None:
-    """Refuse what belongs to `--each` without it."""
+    """Refuse what belongs to `--each` without it; the positions of one data set are shared by `estimate` alone."""
+    if given.command == "estimate":
+        return
     for option, default in (("workers", 1), ("cluster", None)):
         if getattr(given, option, default) != default:
             raise input_error(f"--{option}", "no --each", "--each beside it", "Add --each, or leave it out.")

@@ -46,11 +46,12 @@ class Later:
 
 @dataclasses.dataclass(frozen=True)
 class Variable:
-    """An array to be saved, with the name of every axis and its unit."""
+    """An array to be saved, with the name of every axis, its unit, and what else NetCDF keeps of it."""
 
     dims: tuple[str, ...]
     value: np.ndarray | Later
     unit: str = ""
+    attributes: Mapping[str, object] = dataclasses.field(default_factory=dict)
 
 
 Put = Callable[[str, int, np.ndarray], None]  # name, first position, numbers of some positions
@@ -84,18 +85,28 @@ class Variables(dict[str, Leaf]):
 Attributes = Mapping[str, float | int | str]
 
 
-def load(path: str | os.PathLike) -> dict[str, Leaf]:
+def positions_in(path: str | os.PathLike) -> int | None:
+    """How many positions a file holds that can be read one by one; `None` where it cannot be."""
+    path = pathlib.Path(path)
+    reader = _format(path, tuple(_FORMATS), "read")
+    if not hasattr(reader, "positions"):
+        return None
+    check_file(path)
+    return reader.positions(path)
+
+
+def load(path: str | os.PathLike, part: slice | None = None, without: str | None = None) -> dict[str, Leaf]:
     """All variables of a file by name, fields of structs as `rec.vel`; see `_FORMATS` for its kinds.
+
+    `part`: at these positions alone, of files with `positions_in`; `without`: but for arrays that have this axis.
 
     **Raises:** `jaxfrf.InputError` naming the file if it is missing, empty, truncated or of no known kind.
     """
     path = pathlib.Path(path)
     reader = _format(path, tuple(_FORMATS), "read")
-    check_readable(path, "a measurement file")
-    if path.stat().st_size == 0:
-        raise input_error(str(path), "an empty file (0 bytes)", "a measurement file", "Export or copy it again.")
+    check_file(path)
     try:
-        found = reader.load(path)
+        found = reader.load(path) if part is None else reader.load(path, part, without)
     except (InputError, ImportError):
         raise
     except MemoryError as error:
@@ -115,6 +126,15 @@ def load(path: str | os.PathLike) -> dict[str, Leaf]:
     if not found:
         raise input_error(str(path), "no variables", "named arrays", "Export or copy it again.")
     return found
+
+
+def check_file(path: pathlib.Path) -> None:
+    """Refuse what is no file, or an empty one."""
+    if path.suffix.lower() == ".zarr" and path.is_dir():
+        return
+    check_readable(path, "a measurement file")
+    if path.stat().st_size == 0:
+        raise input_error(str(path), "an empty file (0 bytes)", "a measurement file", "Export or copy it again.")
 
 
 def save(path: str | os.PathLike, variables: Mapping[str, Variable], attributes: Attributes) -> None:

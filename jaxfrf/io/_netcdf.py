@@ -19,10 +19,10 @@ _CHUNK = 2**26  # bytes that are read and checked at once
 _LEADING = ("position", "experiment", "time")  # the order of axes in memory; what is left is the channel
 
 
-def load(path: pathlib.Path, part: slice | None = None) -> dict[str, Leaf]:
+def load(path: pathlib.Path, part: slice | None = None, without: str | None = None) -> dict[str, Leaf]:
     """Variables and attributes; arrays that name `position`, `experiment`, `time` get them in this order.
 
-    `part`: these positions only, of what has such an axis.
+    `part`: these positions only, of what has such an axis. `without`: only what has no such axis.
     """
     require("h5netcdf", "io")
     if part is None:
@@ -32,6 +32,8 @@ def load(path: pathlib.Path, part: slice | None = None) -> dict[str, Leaf]:
     with require("xarray", "io").open_dataset(path, **options) as dataset:
         if part is not None:
             dataset = dataset.isel(position=part)
+        if without is not None:
+            dataset = dataset.drop_dims(without, errors="ignore")
         check_memory(str(path), dataset.nbytes, "Split the record into several files.")
         attributes = {str(name): _value(np.asarray(value)) for name, value in dataset.attrs.items()}
         arrays = {str(name): _ordered(variable) for name, variable in dataset.variables.items()}
@@ -86,8 +88,7 @@ def blocks(path: pathlib.Path, variables: Mapping[str, Variable], attributes: At
             options = _stored(v.value.shape, v.value.dtype)
             options["chunks"] = options.pop("chunksizes", None)
             made = file.create_variable(name, v.dims, v.value.dtype, **options)
-            if v.unit:
-                made.attrs["units"] = v.unit
+            made.attrs.update(({"units": v.unit} if v.unit else {}) | dict(v.attributes))
             if not isinstance(v.value, Later):
                 made[...] = v.value
 
@@ -101,8 +102,8 @@ def positions(path: pathlib.Path) -> int | None:
     """How many positions a file holds that can be read one by one; `None` where it has no such axis."""
     require("h5netcdf", "io")
     check_walkable(path)
-    with require("h5py", "io").File(path, "r") as file:
-        return len(file["position"]) if "position" in file else None
+    with require("h5netcdf", "io").File(path, "r") as file:
+        return file.dimensions["position"].size if "position" in file.dimensions else None
 
 
 def _stored(shape: tuple[int, ...], dtype: np.dtype) -> dict:
