@@ -244,7 +244,18 @@ def test_every_room_of_the_table_exists():
     assert set(MAY_IMPORT) == {room(path) for path in MODULES} - {"__init__", "__main__"}
 
 
-OPTIONAL = {"matplotlib", "xarray", "h5py", "h5netcdf", "pymatreader", "pyuff", "control", "mujoco", "distributed"}
+OPTIONAL = {
+    "matplotlib",
+    "xarray",
+    "h5py",
+    "h5netcdf",
+    "pymatreader",
+    "pyuff",
+    "control",
+    "mujoco",
+    "distributed",
+    "zarr",
+}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from .._errors import input_error
 from .arguments import check_inputs, check_x64, say
+from .progress import Progress
 
 _BESIDE = {"plot": ".png", "report": ".html", "robot_out": ".toml"}  # what a command can write beside its result
 
@@ -30,7 +31,8 @@ def run_each(given) -> dict:
     given.beside = _beside(given)
     from ..batch import each
 
-    batch = each(given, workers=given.workers, cluster=given.cluster, say=None if given.json else say)
+    with Progress(f"{given.command} --each", given.json) as progress:
+        batch = each(given, workers=given.workers, cluster=given.cluster, say=say, progress=progress)
     return {"text": batch.lines(), "json": batch.as_dict(), "code": 1 if batch.failed else 0}
 
 

@@ -18,6 +18,7 @@ from .arguments import (
     naming,
     options_of,
     range_of,
+    say,
 )
 from .each import add_each_options
 from .progress import Progress
@@ -63,6 +64,7 @@ def run(given) -> dict:
                 workers=given.workers,
                 cluster=given.cluster,
                 progress=progress,
+                say=say,
             )
         written = [given.output, *_write_picture(given, made.frf)]
     about = summary(made.spectra, made.frf)

@@ -1,6 +1,7 @@
 """`jaxfrf study`."""
 
-from .arguments import add_resume_option, command, kept_parts, say
+from .arguments import add_resume_option, command, kept_parts
+from .progress import Progress
 
 _SCALES = ("demo", "medium", "paper")
 
@@ -29,6 +30,6 @@ def run(given) -> dict:
     from ..study import SCALES, run_study
     from ..study.summary import summary_lines
 
-    with kept_parts(given) as parts:
-        results = run_study(SCALES[given.scale], given.output, say=None if given.json else say, parts=parts)
+    with kept_parts(given) as parts, Progress("study", given.json) as progress:
+        results = run_study(SCALES[given.scale], given.output, say=progress.say, parts=parts)
     return {"text": [*summary_lines(results), f"wrote {given.output}/index.html and study.json"], "json": results}

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 import equinox as eqx
 
 from .._errors import InputError, input_error
+from .._files import is_folder_format
 from ..io.responses import source
 from ..parts import Results, files_text, made_by
 from .engine import outcomes
@@ -22,7 +23,6 @@ _NEITHER = (  # changes a result
     "data", "output", "json", "resume", "restart", "each", "workers", "cluster", "memory", "run"
 )  # fmt: skip
 _FILES = ("robot", "effects")  # options that name files, whose contents count
-_EVERY = 5.0  # seconds between two lines of progress
 
 Say = Callable[[str], None]
 
@@ -66,6 +66,7 @@ def each(
     cluster: str | None = None,
     client=None,
     say: Say | None = None,
+    progress: Callable[[float, str], None] | None = None,
 ) -> Batch:
     """A command's run for each of its files by itself.
 
@@ -76,7 +77,7 @@ def each(
 
     **Arguments:** `given`: a command's options as the command line parses them, `data` its files or patterns
     (`logs/*.mat`), `output` the folder. `workers`, `cluster`, `client`: as of `jaxfrf.batch.outcomes`; on other
-    machines paths must mean the same files.
+    machines paths must mean the same files. `progress`: called with the part that is done, and a few words.
 
     **Raises:** `jaxfrf.InputError` where there is no file, or the folder is someone else's.
     """
@@ -88,10 +89,9 @@ def each(
     jobs = {name: _job(given, folder, name, file) for name, file in zip(names, files, strict=True)}
     made = results.standing({name: (pathlib.Path(job.given.output), job.made_from) for name, job in jobs.items()})
     todo = [name for name in names if name not in made]
-    began = told = time.monotonic()
-    for count, done in enumerate(
-        outcomes(_work, [jobs[name] for name in todo], workers=workers, cluster=cluster, client=client), 1
-    ):
+    pieces = [jobs[name] for name in todo]
+    shared = {"workers": workers, "cluster": cluster, "client": client, "say": say}
+    for count, done in enumerate(outcomes(_work, pieces, **shared), 1):
         name = todo[done.number]
         made[name] = done.result or {
             "file": jobs[name].given.data[0],
@@ -100,20 +100,13 @@ def each(
             "again": True,
         }
         results.keep(name, made[name], jobs[name].made_from)
-        if time.monotonic() - told > _EVERY or count == len(todo):
-            told = time.monotonic()
-            say(_progress(count, len(todo), [o for o in made.values() if not o["ok"]], told - began))
+        if progress is not None:
+            failed = sum(not outcome["ok"] for outcome in made.values())
+            progress(count / len(todo), f"{count} of {len(todo)} files" + (f", {failed} failed" if failed else ""))
     batch = Batch(folder, {name: made[name] for name in names})
     write_table(folder / "table.csv", batch.outcomes)
     write_page(folder / "index.html", f"jaxfrf {given.command}", batch.outcomes)
     return batch
-
-
-def _progress(count: int, total: int, failed: list, spent: float) -> str:
-    left = spent / count * (total - count)
-    bad = f", {len(failed)} failed" if failed else ""
-    rest = "" if count == total else f", {left:.0f} s left" if left < 90 else f", {left / 60:.0f} min left"
-    return f"{count} of {total} files{bad}{rest}"
 
 
 def _files(patterns: Sequence[str]) -> list[pathlib.Path]:
@@ -122,7 +115,7 @@ def _files(patterns: Sequence[str]) -> list[pathlib.Path]:
     for pattern in patterns:
         path = pathlib.Path(pattern)
         matching = [path] if path.exists() else sorted(map(pathlib.Path, glob.glob(str(pattern), recursive=True)))
-        files = [p for p in matching if p.is_file()]
+        files = [p for p in matching if p.is_file() or is_folder_format(p)]
         if not files:
             raise input_error(str(pattern), "no such file", "a file, or a pattern that fits some", "Check the folder.")
         found.update(dict.fromkeys(files))

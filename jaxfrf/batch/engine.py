@@ -28,7 +28,13 @@ class Done(eqx.Module):
 
 
 def outcomes(
-    work: Callable[[Any], Any], pieces: Sequence[Any], *, workers: int = 1, cluster: str | None = None, client=None
+    work: Callable[[Any], Any],
+    pieces: Sequence[Any],
+    *,
+    workers: int = 1,
+    cluster: str | None = None,
+    client=None,
+    say: Callable[[str], None] | None = None,
 ) -> Iterator[Done]:
     """`work(piece)` of every piece, in the order in which they end.
 
@@ -40,6 +46,7 @@ def outcomes(
     - `workers`: processes on this machine; 1: this one.
     - `cluster`: address of a Dask scheduler that runs, e.g. `tcp://host:8786`. `client`: a `dask.distributed.Client`
       of one's own, before both.
+    - `say`: told where the work can be watched.
 
     **Raises:** `jaxfrf.InputError` for a number of workers below 1, or a cluster that does not answer; `ImportError`
     where Dask is needed and not installed.
@@ -53,7 +60,9 @@ def outcomes(
         return
     with contextlib.ExitStack() as stack:
         if client is None:
-            client = stack.enter_context(_client(workers, cluster))
+            client = stack.enter_context(_client(min(workers, len(pieces)), cluster))
+            if say is not None:
+                say(f"watch the work at {client.dashboard_link}")
         yield from _there(client, work, pieces)
 
 

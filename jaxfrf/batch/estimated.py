@@ -82,6 +82,7 @@ def estimate_to(
     workers: int = 1,
     cluster: str | None = None,
     progress: Progress | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> Estimated:
     """`jaxfrf.estimate` of a data set, with `jaxfrf.with_distortion`, to a file: `.nc`, `.mat`, `.npz`.
 
@@ -116,7 +117,7 @@ def estimate_to(
 
     here = workers == 1 and cluster is None
     work = functools.partial(_work, job, **({"first": first, "advanced": advanced} if here else {}))
-    for outcome in outcomes(work, waiting, workers=workers, cluster=cluster):
+    for outcome in outcomes(work, waiting, workers=workers, cluster=cluster, say=say):
         piece = waiting[outcome.number]
         told[piece.start] = _checked(outcome, piece, parts)
         if not here:

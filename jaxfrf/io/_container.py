@@ -18,11 +18,11 @@ from .._files import check_readable, replacing
 
 _TABLES = (".csv", ".txt", ".tsv", ".lvm")
 _FORMATS = {
-    **{".nc": "_netcdf", ".mat": "_matlab", ".npz": "_npz"},
+    **{".nc": "_netcdf", ".zarr": "_zarr", ".mat": "_matlab", ".npz": "_npz"},
     **dict.fromkeys(_TABLES, "_csv"),
     **{".mf4": "_mdf", ".mdf": "_mdf", ".dat": "_mdf", ".parquet": "_parquet"},
 }
-_SAVED = (".nc", ".mat", ".npz")
+_SAVED = (".nc", ".mat", ".npz", ".zarr")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,10 +130,8 @@ def load(path: str | os.PathLike, part: slice | None = None, without: str | None
 
 def check_file(path: pathlib.Path) -> None:
     """Refuse what is no file, or an empty one."""
-    if path.suffix.lower() == ".zarr" and path.is_dir():
-        return
     check_readable(path, "a measurement file")
-    if path.stat().st_size == 0:
+    if path.is_file() and path.stat().st_size == 0:
         raise input_error(str(path), "an empty file (0 bytes)", "a measurement file", "Export or copy it again.")
 
 

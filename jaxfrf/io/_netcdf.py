@@ -35,8 +35,8 @@ def load(path: pathlib.Path, part: slice | None = None, without: str | None = No
         if without is not None:
             dataset = dataset.drop_dims(without, errors="ignore")
         check_memory(str(path), dataset.nbytes, "Split the record into several files.")
-        attributes = {str(name): _value(np.asarray(value)) for name, value in dataset.attrs.items()}
-        arrays = {str(name): _ordered(variable) for name, variable in dataset.variables.items()}
+        attributes = {str(name): plain_value(np.asarray(value)) for name, value in dataset.attrs.items()}
+        arrays = {str(name): ordered(variable) for name, variable in dataset.variables.items()}
         units = {str(name): str(x.attrs.get("units", "")) for name, x in dataset.variables.items()}
         return Variables(attributes | arrays, units)
 
@@ -107,20 +107,27 @@ def positions(path: pathlib.Path) -> int | None:
 
 
 def _stored(shape: tuple[int, ...], dtype: np.dtype) -> dict:
+    found = chunks(shape, dtype)
+    return {"fletcher32": True, "chunksizes": found} if found else {}
+
+
+def chunks(shape: tuple[int, ...], dtype: np.dtype) -> tuple[int, ...]:
+    """One experiment, or one position, a chunk, as long as the library takes it; none of a scalar."""
     if not shape or not np.prod(shape):
-        return {}
-    leading = max(len(shape) - 2, 0)  # one experiment, or one position, a chunk, as long as the library takes it
-    chunks = [1] * leading + list(shape[leading:])
-    row = max(dtype.itemsize * int(np.prod(chunks[leading + 1 :])), 1)
-    chunks[leading] = max(min(chunks[leading], _CHUNK // row), 1)
-    return {"fletcher32": True, "chunksizes": tuple(chunks)}
+        return ()
+    leading = max(len(shape) - 2, 0)
+    found = [1] * leading + list(shape[leading:])
+    row = max(dtype.itemsize * int(np.prod(found[leading + 1 :])), 1)
+    found[leading] = max(min(found[leading], _CHUNK // row), 1)
+    return tuple(found)
 
 
-def _ordered(variable) -> Leaf:
+def ordered(variable) -> Leaf:
+    """An array of xarray with its leading axes in order, those that are missing among them of length one."""
     dims = variable.dims
     known = [d for d in _LEADING if d in dims]
     others = [d for d in dims if d not in _LEADING]
-    value = _value(variable.transpose(*known, *others).values)
+    value = plain_value(variable.transpose(*known, *others).values)
     if "time" not in dims or len(dims) == 1 or len(others) > 1:
         return value
     channel = value if others else value[..., None]
@@ -128,5 +135,6 @@ def _ordered(variable) -> Leaf:
     return np.expand_dims(channel, missing)
 
 
-def _value(value: np.ndarray) -> Leaf:
+def plain_value(value: np.ndarray) -> Leaf:
+    """An array, or the text that it is."""
     return text(value) if value.dtype.kind in "USO" and value.size == 1 else value

@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import hashlib
 import os
 import pathlib
 import re
@@ -12,6 +11,7 @@ import numpy as np
 
 from .._arguments import expect
 from .._errors import InputError, input_error
+from .._files import digest
 from ..experiment import QUANTITIES, UNITS, Experiment, Source, concatenate
 from ..screening import ACROSS, CHECKS, screened
 from ..units import DEFAULT_INPUT, input_unit, known_unit, output_unit, quantity_of
@@ -182,7 +182,7 @@ def as_given(names, values, scale, anyway: bool) -> _Given:
 def source_of(path: pathlib.Path) -> Source:
     """Name and digest of a file, or of all files of a folder (Zarr)."""
     check_file(path)
-    return Source(path.name, _sha256(path))
+    return Source(path.name, digest(path))
 
 
 def record_of(
@@ -497,12 +497,3 @@ def _cut_advice(file: _File) -> str:
     start, stop, _ = kept.indices(n_time)
     whole = (stop - start) // period * period
     return f" This keeps them: --set samples={start}:{start + whole}." if whole else ""
-
-
-def _sha256(path: pathlib.Path) -> str:
-    if path.is_dir():
-        inside = sorted(x for x in path.rglob("*") if x.is_file())
-        text = "".join(f"{x.relative_to(path).as_posix()} {_sha256(x)}\n" for x in inside)
-        return hashlib.sha256(text.encode()).hexdigest()
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -21,7 +21,6 @@ length one when it saves; they are put back on reading. **NumPy**: no pickle.
 
 import contextlib
 import dataclasses
-import hashlib
 import json
 import pathlib
 import re
@@ -31,14 +30,15 @@ import numpy as np
 
 from .._arguments import expect
 from .._errors import input_error
-from .._files import replacing
+from .._files import digest, replacing
 from .._memory import check_memory
 from .._status import Status
 from ..experiment import QUANTITIES, Source
 from ..frf import FRF
 from ..units import response_unit
+from . import _netcdf, _zarr
 from ._container import Later, Unreadable, Variable, load
-from ._netcdf import blocks, write_dataset
+from ._netcdf import write_dataset
 from ._optional import require
 
 _AXES = {
@@ -74,8 +74,8 @@ def write_frf(path, frf: FRF) -> None:
 def writing_frf(path, like: FRF, n_pos: int) -> Iterator[Callable[[int, FRF], None]]:
     """`write_frf` of `n_pos` positions that come one after the other: `put(first, frf)` in the block.
 
-    NetCDF goes to the disk as it comes, other formats at the end. `like`: the FRF of some of them, with what is said of
-    all (method, sources, warnings).
+    NetCDF and Zarr go to the disk as they come, other formats at the end. `like`: the FRF of some of them, with what is
+    said of all (method, sources, warnings).
 
     **Raises:** as `write_frf`.
     """
@@ -93,11 +93,11 @@ def writing_frf(path, like: FRF, n_pos: int) -> Iterator[Callable[[int, FRF], No
                 store(name, first, x)
 
     with replacing(path) as draft:
-        if suffix == ".nc":
+        if suffix in (".nc", ".zarr"):
             texts = {name: x for name, x in names.items() if name not in _AXES}
             notes = _notes(names)
             variables = {name: Variable(_AXES[name], x, "", notes.get(name, {})) for name, x in arrays.items()}
-            with blocks(draft, variables, texts) as store:
+            with (_netcdf if suffix == ".nc" else _zarr).blocks(draft, variables, texts) as store:
                 yield put
             return
         check_memory(str(path), 3 * sum(x.nbytes for x in arrays.values()), "Write .nc, which needs one position.")
@@ -153,8 +153,7 @@ def frf_from_arrays(
 def source(path) -> Source:
     """The name of a file and the sha256 of its bytes."""
     path = pathlib.Path(path)
-    with path.open("rb") as file:
-        return Source(path.name, hashlib.file_digest(file, "sha256").hexdigest())
+    return Source(path.name, digest(path))
 
 
 # --- between an FRF and the names of the file ---
@@ -334,7 +333,15 @@ def _write_npz(path: pathlib.Path, names: Mapping) -> None:
         np.savez(file, allow_pickle=False, **names)
 
 
-_WRITERS: dict[str, Callable] = {".nc": _write_nc, ".mat": _write_mat, ".npz": _write_npz}
+def _write_zarr(path: pathlib.Path, names: Mapping) -> None:
+    notes = _notes(names)
+    arrays = {
+        name: Variable(axes, names[name], "", notes.get(name, {})) for name, axes in _AXES.items() if name in names
+    }
+    _zarr.save(path, arrays, {name: x for name, x in names.items() if name not in _AXES})
+
+
+_WRITERS: dict[str, Callable] = {".nc": _write_nc, ".mat": _write_mat, ".npz": _write_npz, ".zarr": _write_zarr}
 
 
 def _suffix(path: pathlib.Path) -> str:
