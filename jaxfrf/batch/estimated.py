@@ -116,7 +116,8 @@ def estimate_to(
             progress(done / data.n_pos)
 
     here = workers == 1 and cluster is None
-    work = functools.partial(_work, job, **({"first": first, "advanced": advanced} if here else {}))
+    work = functools.partial(_work, job, **({"read": [first], "advanced": advanced} if here else {}))
+    del first  # nobody else holds its memory
     for outcome in outcomes(work, waiting, workers=workers, cluster=cluster, say=say):
         piece = waiting[outcome.number]
         told[piece.start] = _checked(outcome, piece, parts)
@@ -126,7 +127,7 @@ def estimate_to(
 
 
 def _pieces(data: DataSet, chosen: Chosen, memory: float | None) -> list[range]:
-    if isinstance(chosen.method, Welch) or not data.head.period:
+    if isinstance(chosen.method, Welch) or not data.period:
         return [range(data.n_pos)]
     most = int(block_memory(memory) / (_COPIES * data.bytes_each))
     return data.blocks(max(1, min(int(_BLOCK / data.bytes_each), most)))
@@ -198,11 +199,15 @@ def _finished(parts: Parts, piece: range) -> Block | None:
     return parts.read(_name(piece.start, ".json"), _read_told) if all(whole) else None
 
 
-def _work(job: _Job, piece: range, first: Block | None = None, advanced=None) -> Block | InputError:
-    """Estimate some positions, in whatever process; what was told of their record, or what is wrong with it."""
+def _work(job: _Job, piece: range, read: list[Block] | None = None, advanced=None) -> Block | InputError:
+    """Estimate some positions, in whatever process; what was told of their record, or what is wrong with it. `read`:
+    the first block, if it was read already."""
     try:
+        first = read.pop() if read else None
         block = first if first is not None and piece.start == 0 else job.data.read(piece)
         data = job.chosen.steady(_with_lines(block.data, job.lines))
+        told = dataclasses.replace(block, data=None)
+        del first, block
         chosen = dataclasses.replace(job.chosen, periods=None)
         spectra = chosen.spectra(data, silent=len(piece) < job.data.n_pos)
         method = adapted(chosen.method, spectra)
@@ -215,7 +220,6 @@ def _work(job: _Job, piece: range, first: Block | None = None, advanced=None) ->
                 advanced(1)
     except InputError as error:
         return error
-    told = dataclasses.replace(block, data=None)
     with replacing(job.folder / _name(piece.start, ".json")) as draft:
         draft.write_text(json.dumps(_told(told), default=lambda x: x.item()), encoding="utf-8")
     return told
@@ -273,7 +277,7 @@ def _assembled(path, data: DataSet, parts: Parts, told: Sequence[Block]) -> FRF:
     frf = concatenate_positions(light)
     warnings = [
         *file_warnings(data.files, told),
-        *(across_all([block.looked for block in told]) if len(data.files) * data.n_pos * data.head.n_exp > 1 else ()),
+        *(across_all([block.looked for block in told]) if len(data.files) * data.n_pos * data.n_exp > 1 else ()),
         *(text for text in frf.warnings if text.partition(" estimates: ")[2] not in ADVICE.values()),
         *describe(frf.status & int(SERIOUS)),
     ]

@@ -18,7 +18,13 @@ def load(path: pathlib.Path, part: slice | None = None, without: str | None = No
     """As `_netcdf.load`."""
     require("zarr", "zarr")
     # Times stay numbers: decoding would turn seconds into timedelta64.
-    options = {"engine": "zarr", "decode_times": False, "decode_timedelta": False, "chunks": None}
+    options = {
+        "engine": "zarr",
+        "decode_times": False,
+        "decode_timedelta": False,
+        "consolidated": False,
+        "chunks": None,
+    }
     with require("xarray", "io").open_dataset(path, **options) as dataset:
         if part is not None:
             dataset = dataset.isel(position=part)

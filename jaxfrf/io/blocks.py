@@ -44,12 +44,14 @@ class _File:
 class DataSet:
     """Files that `jaxfrf.io.read` would read as one record, and how (see `data_set`).
 
-    `n_pos`, and `head`: the record at the first position, not screened.
+    **Fields:** `n_exp`, `period`; `bytes_each`: of the signals at one position.
     """
 
     files: tuple[_File, ...]
     beside: bool  # further experiments at the same positions; else further positions
-    head: Experiment
+    n_exp: int
+    period: int
+    bytes_each: float
     given: object
     kept: dict = dataclasses.field(default_factory=dict, compare=False)  # small files that were read as a whole
 
@@ -63,13 +65,6 @@ class DataSet:
     @property
     def sources(self) -> tuple[Source, ...]:
         return tuple(f.source for f in self.files)
-
-    @property
-    def bytes_each(self) -> float:
-        """Of the signals at one position."""
-        head = self.head
-        width = head.n_in + head.n_out + (0 if head.r is None else head.r.shape[-1])
-        return 8.0 * head.n_exp * head.n_time * width
 
     def blocks(self, size: int) -> list[range]:
         """All positions in blocks of `size` or fewer that lie in one file each (in all, where they hold experiments of
@@ -157,32 +152,35 @@ def data_set(
             kept[path] = head, remarks
         q = _places(path, given, n_pos, head)
         found.append(_File(path, source, n_pos or head.n_pos, n_pos is not None))
-        heads.append(_first(head))
+        heads.append(_short(head))
         places.append(q)
     for other in heads[1:]:
         check_compatible(heads[0], other)
     beside = len(files) == 1 or all(same_numbers(places[0], q) for q in places[1:])
     if (beside and len({f.n_pos for f in found}) > 1) or (not beside and len({h.n_exp for h in heads}) > 1):
         return None  # reading it whole says what is wrong
-    head = concatenate(heads) if beside else heads[0]
-    return DataSet(tuple(found), beside, head, given, kept)
+    n_exp = sum(h.n_exp for h in heads) if beside else heads[0].n_exp
+    bytes_each = n_exp * heads[0].u[0, 0].nbytes * _width(heads[0]) / heads[0].n_in
+    return DataSet(tuple(found), beside, n_exp, heads[0].period, bytes_each, given, kept)
+
+
+def _width(data: Experiment) -> int:
+    """Channels of all signals."""
+    return data.n_in + data.n_out + (0 if data.r is None else data.r.shape[-1])
 
 
 class Held:
     """A record in memory as a data set of one block, read and screened already."""
 
     def __init__(self, data: Experiment):
-        self.head, self.files, self.sources, self.n_pos = data, (), data.sources, data.n_pos
-
-    @property
-    def bytes_each(self) -> float:
-        return float(self.head.u.nbytes)
+        self.data, self.files, self.sources, self.n_pos = data, (), data.sources, data.n_pos
+        self.n_exp, self.period, self.bytes_each = data.n_exp, data.period, data.u[0].nbytes * _width(data) / data.n_in
 
     def blocks(self, size: int) -> list[range]:
         return [range(self.n_pos)]
 
     def read(self, positions: range) -> Block:
-        return Block(self.head, 0, Looked((), (), []), (), ())
+        return Block(self.data, 0, Looked((), (), []), (), ())
 
 
 in_memory = Held
@@ -197,11 +195,10 @@ def _places(path: pathlib.Path, given, n_pos: int | None, head: Experiment) -> n
     return head.q if q is None else np.asarray(q, float)
 
 
-def _first(data: Experiment) -> Experiment:
-    """The first position alone, not a view of the others."""
-    if data.n_pos == 1:
-        return data
-    cut = {name: None if getattr(data, name) is None else np.array(getattr(data, name)[:1]) for name in "uyrq"}
+def _short(data: Experiment) -> Experiment:
+    """What is compared and counted of a record, without its memory."""
+    still = lambda x: None if x is None else np.broadcast_to(0.0, (1, *x.shape[1:]))
+    cut = {name: still(getattr(data, name)) for name in "uyr"} | {"q": None if data.q is None else data.q[:1].copy()}
     return Experiment(**{f.name: getattr(data, f.name) for f in dataclasses.fields(data)} | cut)
 
 
