@@ -81,6 +81,7 @@ def estimate_to(
     memory: float | None = None,
     workers: int = 1,
     cluster: str | None = None,
+    client=None,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Estimated:
@@ -93,7 +94,7 @@ def estimate_to(
 
     - `data`: of `jaxfrf.io.data_set`. `about`: what the caller read it by, for `parts`, which keep what is finished.
     - `memory`: bytes that every process may take, `None`: by what is free.
-    - `workers`, `cluster`: as of `jaxfrf.batch.outcomes`; on other machines paths must mean the same files.
+    - `workers`, `cluster`, `client`: as of `jaxfrf.batch.outcomes`; on other machines paths must mean the same files.
 
     **Raises:** `jaxfrf.InputError` as `jaxfrf.io.read` and `jaxfrf.estimate` do; nothing is kept then.
     """
@@ -115,10 +116,10 @@ def estimate_to(
         if progress is not None:
             progress(done / data.n_pos)
 
-    here = workers == 1 and cluster is None
+    here = workers == 1 and cluster is None and client is None
     work = functools.partial(_work, job, **({"read": [first], "advanced": advanced} if here else {}))
     del first  # nobody else holds its memory
-    for outcome in outcomes(work, waiting, workers=workers, cluster=cluster, say=say):
+    for outcome in outcomes(work, waiting, workers=workers, cluster=cluster, client=client, say=say):
         piece = waiting[outcome.number]
         told[piece.start] = _checked(outcome, piece, parts)
         if not here:
