@@ -1,9 +1,12 @@
 """The command line: `jaxfrf COMMAND ...`; every command is a few lines around public functions."""
 
 import argparse
+import contextlib
 import json
 import os
+import signal
 import sys
+import threading
 
 from . import __version__, _environment
 from ._commands import COMMANDS
@@ -22,21 +25,48 @@ def main(arguments=None) -> int:
         return 0
     _environment.prepare()
     try:
-        if getattr(given, "each", False):
-            summary = run_each(given)
-        else:
-            check_alone(given)
-            check_inputs(given)
-            summary = given.run(given)
+        with _told_to_end():
+            return _run(given)
     except (InputError, ImportError, OSError) as error:
         return _stopped(given.command, _plain(error), error, 2)
     except (MemoryError, RecursionError) as error:
         return _stopped(given.command, _too_large(error), error, 2)
+    except _ToldToEnd as error:
+        return _stopped(given.command, "told to end.", error, 143)
     except KeyboardInterrupt as error:
         return _stopped(given.command, "interrupted.", error, 130)
+
+
+def _run(given) -> int:
+    if getattr(given, "each", False):
+        summary = run_each(given)
+    else:
+        check_alone(given)
+        check_inputs(given)
+        summary = given.run(given)
     code = summary.pop("code", 0)
     _print(json.dumps(summary.pop("json", summary), indent=1) if given.json else "\n".join(summary["text"]))
     return code
+
+
+class _ToldToEnd(KeyboardInterrupt):
+    """SIGTERM: what schedulers and containers send before they kill. What was finished is kept as after Ctrl-C."""
+
+
+@contextlib.contextmanager
+def _told_to_end():
+    def end(number, frame):
+        raise _ToldToEnd
+
+    here = threading.current_thread() is threading.main_thread()
+    if not here or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:  # someone else's program
+        yield
+        return
+    signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _print(text: str) -> None:
@@ -49,8 +79,19 @@ def _print(text: str) -> None:
 def _stopped(command: str, text: str, error: BaseException, code: int) -> int:
     """Say why, with what was noted on the way (what is kept, what was not written)."""
     notes = getattr(error, "__notes__", ())
-    print(f"jaxfrf {command}:", f"{text.rstrip('.')}." if notes else text, *notes, file=sys.stderr)
+    print(f"jaxfrf {command}:", f"{text.rstrip('.')}." if notes else text, *notes, file=sys.stderr, flush=True)
+    if code > 128:
+        _leave_threads(code)
     return code
+
+
+def _leave_threads(code: int) -> None:
+    """End at once where threads go on with steps that nobody waits for: Python would abort in the middle of their
+    compiled code, and files are whole at any time."""
+    from .parts import BESIDE
+
+    if any(thread.name == BESIDE for thread in threading.enumerate()):
+        os._exit(code)
 
 
 def _too_large(error: Exception) -> str:

@@ -29,3 +29,19 @@ def prepare() -> None:
         os.environ["XLA_FLAGS"] = f"{flags} {_LOOPS}=false".strip()
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+
+def take_cores(number: int, count: int) -> None:
+    """Bind this process to its share of the cores, as number `number` of `count` alike; nothing where there are fewer
+    cores than processes, or the system has no such calls."""
+    if not hasattr(os, "sched_setaffinity"):
+        return
+    cores = sorted(os.sched_getaffinity(0))
+    if count > len(cores):
+        return
+    mine = cores[number % count :: count]
+    for thread in os.listdir("/proc/self/task") if os.path.isdir("/proc/self/task") else ["0"]:
+        try:
+            os.sched_setaffinity(int(thread), mine)
+        except OSError:  # it has ended
+            continue

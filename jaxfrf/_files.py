@@ -3,6 +3,7 @@
 import contextlib
 import difflib
 import errno
+import hashlib
 import itertools
 import os
 import pathlib
@@ -32,11 +33,31 @@ def replacing(path: pathlib.Path) -> Iterator[pathlib.Path]:
         error.add_note(f"{path} was not written.")
         raise
     finally:
-        temporary.unlink(missing_ok=True)
+        if temporary.is_dir():  # a format that is a folder
+            shutil.rmtree(temporary, ignore_errors=True)
+        else:
+            temporary.unlink(missing_ok=True)
+
+
+def digest(path: pathlib.Path) -> str:
+    """The sha256 of a file, or of names and digests of all files in a folder."""
+    if path.is_dir():
+        inside = sorted(x for x in path.rglob("*") if x.is_file())
+        text = "".join(f"{x.relative_to(path).as_posix()} {digest(x)}\n" for x in inside)
+        return hashlib.sha256(text.encode()).hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def is_folder_format(path: pathlib.Path) -> bool:
+    """Whether this is a Zarr folder, by its name and by what is in it."""
+    return path.suffix.lower() == ".zarr" and any((path / name).is_file() for name in ("zarr.json", ".zgroup"))
 
 
 def check_readable(path: pathlib.Path, what: str) -> None:
-    """**Raises:** `jaxfrf.InputError` unless `path` is a plain file."""
+    """**Raises:** `jaxfrf.InputError` unless `path` is a plain file, or a Zarr folder."""
+    if is_folder_format(path):
+        return
     try:
         found = path.stat()
     except FileNotFoundError:
@@ -84,6 +105,25 @@ def check_room(path: pathlib.Path, n_bytes: int) -> None:
         ) from None
     finally:
         path.unlink(missing_ok=True)
+
+
+def check_space(path: str | os.PathLike, n_bytes: float) -> None:
+    """Refuse what the disk has no room for beside `path`, before it is made.
+
+    **Raises:** `jaxfrf.InputError` with what is needed and what is free.
+    """
+    folder = pathlib.Path(path).absolute().parent
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError:
+        return  # writing will say
+    if n_bytes > free:
+        raise output_error(
+            str(folder),
+            f"{free / 1e9:.3g} GB free",
+            f"{n_bytes / 1e9:.3g} GB for the result and its parts",
+            "Make room.",
+        )
 
 
 def draft_name(name: str) -> str:

@@ -7,12 +7,20 @@ from ._errors import input_error
 
 _MEMORY = pathlib.Path("/proc/meminfo")
 _GROUP = pathlib.Path("/sys/fs/cgroup")
+_PROGRAM = 9e8  # bytes that Python, JAX and what it compiles take
+_LEAST = 1e8
 _UNKNOWN = 2**37  # bytes, where the system does not say
 
 
 def available_memory() -> int:
     """Bytes that this process can still take: of the machine, its group and its own limit, the least."""
     return max(min(_of_machine(), _of_group(), _of_process()), 0)
+
+
+def block_memory(limit: float | None) -> float:
+    """Bytes that the blocks in work may take: what a limit for the whole process leaves beside the program itself, or,
+    without one, half of what is free."""
+    return available_memory() / 2 if limit is None else max(limit - _PROGRAM, _LEAST)
 
 
 def check_memory(what: str, n_bytes: float, do: str) -> None:

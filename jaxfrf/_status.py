@@ -22,6 +22,9 @@ class Status(enum.IntFlag):
     NOISE_ONLY = 128  # `cov` is the noise between periods: nothing is left over to show nonlinear distortion
 
 
+SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
+"""What is told of an estimate, and left out of pictures."""
+
 ADVICE: dict[Status, str] = {
     Status.EDGE_WINDOW: "window not centred (an end of the band): more bias than inside",
     Status.REFINED: "solved again by an orthogonal factorisation (nearly collinear window): nothing to do",

@@ -222,10 +222,10 @@ def concatenate(records: Sequence[Experiment]) -> Experiment:
         raise input_error("records", "none", "at least one record", "Name a file.")
     first = records[0]
     for other in records[1:]:
-        _check_compatible(first, other)
+        check_compatible(first, other)
     if len(records) == 1:
         return first
-    same_place = all(_same(first.q, other.q) for other in records[1:])
+    same_place = all(same_numbers(first.q, other.q) for other in records[1:])
     axis = 1 if same_place else 0
     if axis == 1 and len({x.n_pos for x in records}) > 1:
         raise input_error(
@@ -257,7 +257,8 @@ def concatenate(records: Sequence[Experiment]) -> Experiment:
     )
 
 
-def _check_compatible(first: Experiment, other: Experiment) -> None:
+def check_compatible(first: Experiment, other: Experiment) -> None:
+    """Refuse records that cannot be one data set."""
     where = other.sources[0].name if other.sources else "a record"
     pairs = {
         "fs": (first.fs, other.fs),
@@ -284,7 +285,7 @@ def _check_compatible(first: Experiment, other: Experiment) -> None:
                 f"{a} as in the file before it",
                 "Estimate files that differ one by one.",
             )
-    if not _same(first.lines, other.lines):
+    if not same_numbers(first.lines, other.lines):
         raise input_error(
             f"{where}: lines",
             f"{'no list' if other.lines is None else f'{len(other.lines)} lines'}",
@@ -297,7 +298,8 @@ def _width(x) -> int:
     return 0 if x is None else x.shape[-1]
 
 
-def _same(a, b) -> bool:
+def same_numbers(a, b) -> bool:
+    """Whether two arrays are the same but for rounding, or both `None`."""
     if a is None or b is None:
         return a is b
     return a.shape == b.shape and bool(np.allclose(a, b, rtol=0, atol=1e-9))

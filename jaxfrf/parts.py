@@ -2,6 +2,7 @@
 
 import datetime
 import fnmatch
+import functools
 import hashlib
 import json
 import pathlib
@@ -16,8 +17,11 @@ from ._errors import OutputError, output_error
 from ._files import replacing
 
 _STAMP = "jaxfrf-parts.json"
+_PACKAGE = pathlib.Path(__file__).parent
 _PROGRAM = "jaxfrf"
+_OUTCOMES = "outcomes"
 _DRAFT = re.compile(r"\.(.+)-[0-9a-f]{8}(\.\w+)")  # what a killed process leaves of `replacing`
+BESIDE = "jaxfrf, a part beside"  # name of threads that make parts beside the main one
 
 Say = Callable[[str], None]
 
@@ -36,7 +40,8 @@ class Parts:
     **Arguments:**
 
     - `output`: of the run. `command`: what is done; parts of another command are not taken.
-    - `resume`: take over what an interrupted run of the same `about` (here and in `begin`) has finished.
+    - `resume`: take over what an interrupted run of the same `about` (here and in `begin`) has finished. `restart`:
+      delete what an interrupted run left, whatever it was about, and begin anew.
     - `about`: what the run depends on beside what `begin` is told.
     - `say`: called with a line of text about parts that were taken over, or could not be.
 
@@ -49,13 +54,15 @@ class Parts:
         command: str,
         *,
         resume: bool = False,
+        restart: bool = False,
         about: Mapping[str, Any] | None = None,
         say: Say | None = None,
     ):
         self.folder = pathlib.Path(f"{output}.parts")
-        self._command, self._resume, self._about = command, resume, dict(about or {})
+        self._command, self._resume, self._restart, self._about = command, resume, restart, dict(about or {})
         self._say = say or (lambda text: None)
         self._files: tuple[str, ...] = ()  # none before `begin`: then nothing is ours to delete
+        self._beside: tuple[str, ...] = ()
         self._begun: dict[str, str] | None = None
 
     def __enter__(self) -> "Parts":
@@ -72,30 +79,32 @@ class Parts:
             kept = f"{_count(finished)} kept in {self.folder}"
             error.add_note(f"{kept}: the same command with --resume goes on from there.")
 
-    def begin(self, about: Mapping[str, Any], files: Sequence[str]) -> None:
+    def begin(self, about: Mapping[str, Any], files: Sequence[str], beside: Sequence[str] = ()) -> None:
         """Make the folder, or take over what an interrupted run left; once, before the work.
 
         **Arguments:** `about`: all that the parts depend on, by names that tell a user what to look at; numbers, texts,
-        lists. `files`: patterns of the names that parts have, e.g. `round-[0-9].json`.
+        lists. `files`: patterns of the names that parts have, e.g. `round-[0-9].json`. `beside`: of files that belong
+        to parts and are none.
 
         **Raises:** `jaxfrf.InputError` if the folder holds parts of another run, or any without `resume`; they are left
         as they are.
         """
-        about = {"command": self._command, "version": __version__, **self._about, **about}
-        about = {name: _text(x) for name, x in about.items()}
+        about = made_by(self._command) | {name: _text(x) for name, x in {**self._about, **about}.items()}
         stamp = self._stamp()
+        if stamp is not None and self._restart:
+            self._delete_left(stamp, files)
         left = [] if stamp is None else self._left_by(stamp, files)
         if left:
             self._check_same(stamp, about, len(left))
         elif self._resume:
             self._say(f"nothing to resume in {self.folder}: starting from the beginning")
         try:
-            self._make(about, new=stamp is None, stamped=bool(left))
+            self._make(about, (*files, *beside), new=stamp is None, stamped=bool(left))
         except OSError as error:
             raise output_error(
                 str(self.folder), f"no way to write there ({error.strerror})", "a folder for parts", "Write elsewhere."
             ) from error
-        self._files, self._begun = tuple(files), about
+        self._files, self._beside, self._begun = tuple(files), tuple(beside), about
         if self.finished:
             self._say(f"{_count(len(self.finished))} taken over from {self.folder}")
 
@@ -111,7 +120,7 @@ class Parts:
 
         **Raises:** `jaxfrf.InputError` if another run has taken the folder meanwhile: parts of two must not mix.
         """
-        if not _matches(name, self._files):
+        if not _matches(name, (*self._files, *self._beside)):
             raise ValueError(f"{name} is none of {', '.join(self._files) or 'the parts: begin comes first'}.")
         if not self._is_mine():
             raise output_error(
@@ -140,8 +149,9 @@ class Parts:
         try:
             if not self._is_mine():
                 return
+            ours = (*self._files, *self._beside)
             for path in self.folder.iterdir():
-                if (_matches(path.name, self._files) or _draft_of(path.name, self._files)) and _plain(path):
+                if (_matches(path.name, ours) or _draft_of(path.name, ours)) and _plain(path):
                     path.unlink()
             if {p.name for p in self.folder.iterdir()} == {_STAMP}:
                 (self.folder / _STAMP).unlink()
@@ -180,51 +190,152 @@ class Parts:
         )
 
     def _left_by(self, stamp, files: Sequence[str]) -> list[pathlib.Path]:
-        """Finished parts of an earlier run; of another command, whatever may be one."""
-        found = [p for p in self.folder.iterdir() if p.name != _STAMP and not _draft_of(p.name, files)]
-        mine = stamp["about"].get("command") == self._command
-        return [p for p in found if _matches(p.name, files) and _plain(p)] if mine else found
+        """Finished parts of an earlier run, by its own patterns and by these."""
+        patterns = _patterns(stamp, files)
+        return [p for p in self.folder.iterdir() if _matches(p.name, patterns) and _plain(p)]
 
-    def _make(self, about: Mapping[str, str], new: bool, stamped: bool) -> None:
+    def _delete_left(self, stamp, files: Sequence[str]) -> None:
+        """Parts of whatever run made the folder."""
+        try:
+            gone = self._left_by(stamp, files)
+            for path in gone:
+                path.unlink()
+        except OSError as error:
+            raise output_error(
+                str(self.folder), f"parts that cannot be deleted ({error.strerror})", "rights to do so", "Grant them."
+            ) from error
+        if gone:
+            self._say(f"{_count(len(gone))} of an earlier run deleted from {self.folder}, as --restart says")
+
+    def _make(self, about: Mapping[str, str], files: Sequence[str], new: bool, stamped: bool) -> None:
         if new:
             self.folder.mkdir()
         try:
             if not stamped:
-                self._write_stamp(about)
+                self._write_stamp(about, files)
         except OSError:
             if new:
                 self.folder.rmdir()
             raise
 
-    def _write_stamp(self, about: Mapping[str, str]) -> None:
+    def _write_stamp(self, about: Mapping[str, str], files: Sequence[str]) -> None:
         stamp = {
             "program": _PROGRAM,
             "what": "Finished parts of a run. The same command with --resume goes on from them.",
             "begun": f"{datetime.datetime.now():%Y-%m-%d %H:%M}",
             "about": about,
+            "files": list(files),
         }
-        with replacing(self.folder / _STAMP) as draft:
-            draft.write_text(json.dumps(stamp, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        _write_json(self.folder / _STAMP, stamp)
 
     def _check_same(self, stamp, about: Mapping[str, str], count: int) -> None:
         """Refuse parts that another run made, and those of this run if it is not to go on."""
-        other = _differences(stamp["about"], about)
+        other = differences(stamp["about"], about)
         found = f"{_count(count)} of a run begun {stamp.get('begun', 'earlier')}"
         if other:
             raise output_error(
                 str(self.folder),
                 f"{found} with other options or data ({'; '.join(other)})",
                 "those of this run, or none",
-                "They are kept: give --resume and what was given then, or choose another output, or delete that folder "
-                "to start anew.",
+                "They are kept: give --resume and what was given then, or choose another output, or give --restart to "
+                "delete them and begin anew.",
             )
         if not self._resume:
             raise output_error(
                 str(self.folder),
                 found,
                 "none, or --resume",
-                "They are kept: give --resume to go on from them, or delete that folder to start anew.",
+                "They are kept: give --resume to go on from them, or --restart to delete them and begin anew.",
             )
+
+
+class Results:
+    """Results that stay in a folder, one a name, each with what it was made from: those of `--each`.
+
+    What became of `NAME` stands in `outcomes/NAME.json`, written last: a result without it is none.
+
+    **Arguments:** `folder`: a new one, an empty one, or one that this has made for the same `command`. `say` as of
+    `Parts`.
+
+    **Raises:** `jaxfrf.InputError` where it is someone else's, or cannot be written to.
+    """
+
+    def __init__(self, folder: pathlib.Path, command: str, *, restart: bool = False, say: Say | None = None):
+        self.folder, self._restart = folder, restart
+        self._say = say or (lambda text: None)
+        own = {"program": _PROGRAM, "what": "Results of many files.", "about": {"command": command}}
+        try:
+            folder.mkdir(exist_ok=True)
+            self._check_ours(command)
+            _write_json(folder / _STAMP, own)
+            (folder / _OUTCOMES).mkdir(exist_ok=True)
+        except FileExistsError:
+            raise output_error(
+                str(folder), "a file", "a folder, or nothing of that name", "Choose another -o."
+            ) from None
+        except OSError as error:
+            raise output_error(
+                str(folder), error.strerror or str(error), "a folder to write to", "Write elsewhere."
+            ) from None
+
+    def standing(self, jobs: Mapping[str, tuple[pathlib.Path, Mapping[str, str]]]) -> dict[str, dict]:
+        """Outcomes that stand, by name, of those asked for: `jobs` says where each result is and what it would be made
+        from now. Says which were made otherwise."""
+        found, reasons = {}, []
+        for name, (path, about) in jobs.items():
+            outcome = None if self._restart else self._read(name)
+            if outcome is None:
+                continue
+            other = differences(outcome.pop("made_from"), about)
+            if other:
+                reasons.append("; ".join(other))
+            elif not outcome.get("again") and (not outcome["ok"] or path.is_file()):
+                found[name] = outcome
+        if found:
+            self._say(f"{len(found)} of {len(jobs)} files stand in {self.folder} already")
+        if reasons:
+            self._say(f"{len(reasons)} of {len(jobs)} were made otherwise and are made again ({reasons[0]})")
+        return found
+
+    def keep(self, name: str, outcome: Mapping[str, Any], about: Mapping[str, str]) -> None:
+        _write_json(self.folder / _OUTCOMES / f"{name}.json", {**outcome, "made_from": dict(about)})
+
+    def _read(self, name: str) -> dict | None:
+        try:
+            outcome = json.loads((self.folder / _OUTCOMES / f"{name}.json").read_text(encoding="utf-8"))
+            return outcome if isinstance(outcome["made_from"], dict) and isinstance(outcome["ok"], bool) else None
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def _check_ours(self, command: str) -> None:
+        if not any(self.folder.iterdir()):
+            return
+        try:
+            stamp = json.loads((self.folder / _STAMP).read_text(encoding="utf-8"))
+            made = stamp["about"]["command"] if stamp["program"] == _PROGRAM else None
+        except (OSError, ValueError, KeyError, TypeError):
+            made = None
+        if made != command:
+            found = "files in it" if made is None else f"results of `jaxfrf {made}` in it"
+            raise output_error(str(self.folder), found, f"results of `jaxfrf {command}`, or none", "Choose another -o.")
+
+
+@functools.cache
+def program() -> str:
+    """A digest of the package's own files: another program may find other numbers, whatever its version says."""
+    return _digest(_PACKAGE)
+
+
+def _digest(package: pathlib.Path) -> str:
+    digest = hashlib.sha256()
+    for path in sorted(p for kind in ("*.py", "*.toml") for p in package.rglob(kind)):
+        digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def made_by(command: str) -> dict[str, str]:
+    """What everything depends on that a command finishes."""
+    return {"command": command, "version": __version__, "program": program()}
 
 
 def numbers_text(*arrays) -> str:
@@ -244,15 +355,29 @@ def files_text(sources) -> str:
     return ", ".join(f"{s.name} (sha256 {s.sha256[:16]})" for s in sources)
 
 
+def _write_json(path: pathlib.Path, contents: Mapping[str, Any]) -> None:
+    with replacing(path) as draft:
+        draft.write_text(json.dumps(contents, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
 def _text(value) -> str:
     if value is None:
         return "none"
     return value if isinstance(value, str) else json.dumps(value, sort_keys=True, ensure_ascii=False)
 
 
-def _differences(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+def differences(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """What is told of two runs that differ, one text for every name in `about`."""
     names = [n for n in dict.fromkeys((*then, *now)) if then.get(n) != now.get(n)]
-    return [f"{n}: {then.get(n, 'none')} then, {now.get(n, 'none')} now" for n in names]
+    told = [f"{n}: {then.get(n, 'none')} then, {now.get(n, 'none')} now" for n in names if n != "program"]
+    return told + (["the program's files have changed since"] if "program" in names else [])
+
+
+def _patterns(stamp, files: Sequence[str]) -> tuple[str, ...]:
+    """Of the names that the run wrote down and that this one would, none of which is the stamp's."""
+    known = stamp.get("files")
+    told = [x for x in known if isinstance(x, str)] if isinstance(known, list) else []
+    return tuple(x for x in (*told, *files) if not fnmatch.fnmatchcase(_STAMP, x))
 
 
 def _count(number: int) -> str:

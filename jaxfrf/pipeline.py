@@ -1,72 +1,15 @@
-"""From spectra to an FRF as the command line does it: keep what is finished, summarise."""
+"""What is told of an estimate."""
 
 import dataclasses
 import itertools
-import time
 
 import equinox as eqx
 import numpy as np
 
-from ._errors import InputError
 from ._status import describe
-from .frf import FRF, AbstractMethod, Distortion, adapted, concatenate_positions, describe_method, estimate
+from .frf import FRF, Distortion
 from .frf.features import features
-from .parts import Parts, files_text, numbers_text
-from .spectra import Spectra, select_positions
-
-_PART_FILES = ("[0-9]" * 5 + ".npz",)
-
-
-def estimate_in_parts(spectra: Spectra, method: AbstractMethod, parts: Parts, *, say=None) -> FRF:
-    """`jaxfrf.estimate`, operating point by operating point, each kept in `parts`.
-
-    Operating points that an interrupted run left there are not estimated again. `say` is called with a line of text now
-    and then.
-
-    **Raises:** `jaxfrf.InputError` as `jaxfrf.estimate` does; nothing is kept then: it would again.
-    """
-    from .io import read_frf, write_frf
-
-    method = adapted(method, spectra)
-    method.check(spectra)
-    parts.begin(_about(spectra, method), _PART_FILES)
-    if spectra.n_pos == 1:
-        return estimate(spectra, method)
-    start, last, found = time.monotonic(), 0.0, []
-    for pos in range(spectra.n_pos):
-        name = f"{pos:05d}.npz"
-        frf = parts.read(name, read_frf)
-        if frf is None:
-            frf = _estimated(select_positions(spectra, [pos]), method, parts)
-            write_frf(parts.path(name), frf)
-        found.append(frf)
-        spent = time.monotonic() - start
-        if say is not None and spent - last > 5:
-            last = spent
-            say(f"{pos + 1} of {spectra.n_pos} operating points, {spent * (spectra.n_pos / (pos + 1) - 1):.0f} s left")
-    return concatenate_positions(found)
-
-
-def _estimated(spectra: Spectra, method: AbstractMethod, parts: Parts) -> FRF:
-    try:
-        return estimate(spectra, method)
-    except InputError:
-        parts.discard()
-        raise
-
-
-def _about(spectra: Spectra, method: AbstractMethod) -> dict:
-    """What the estimate and everything that is stored with it depend on."""
-    f = spectra.frequency
-    return {
-        "method": describe_method(method),
-        "data": files_text(spectra.sources),
-        "output": spectra.y_quantity,
-        "periods": spectra.n_periods,
-        "lines": f"{len(f)} from {f[0]:.6g} to {f[-1]:.6g} Hz",
-        "positions": spectra.n_pos,
-        "numbers of the data": numbers_text(spectra.U, spectra.Y, spectra.R, f, spectra.q),
-    }
+from .spectra import Spectra
 
 
 class Summary(eqx.Module):

@@ -87,7 +87,7 @@ class Spectra(eqx.Module):
         return self.n_exp // self.n_in
 
 
-def dft(data: Experiment, *, robust: bool = False) -> Spectra:
+def dft(data: Experiment, *, robust: bool = False, silent: bool = False) -> Spectra:
     """Spectra of the mean steady period at the excited lines (`data.lines`, or found by `excited_lines`).
 
     Periodic data only: the DFT of whole steady periods has no leakage. The noise covariance of the mean is
@@ -98,7 +98,8 @@ def dft(data: Experiment, *, robust: bool = False) -> Spectra:
     the mean is sum_p w_p X_p / sum_p w_p with the weights of Tukey's biweight (Beaton & Tukey 1974), from the distance
     of the period from the others over all channels and some neighbouring lines, the same for r, u and y, so that
     y = G u still holds; its covariance is sum_p w_p^2 (X_p - X)(X_p - X)^H / ((sum_p w_p)^2 (1 - 1/sum_p w_p)). It
-    costs a few per cent of the information of clean periods.
+    costs a few per cent of the information of clean periods. `silent`: lines that carry no power in any experiment are
+    taken, too (of some positions of a larger record, say).
 
     **Raises:** `jaxfrf.InputError` if the record is not periodic, an excited line carries no power, or `robust` has
     fewer than three periods.
@@ -121,7 +122,8 @@ def dft(data: Experiment, *, robust: bool = False) -> Spectra:
         )
     lines = known_lines(data)
     spectra = _at_lines(data, lines, robust)
-    _check_power(data, spectra)
+    if not silent:
+        check_power(data, spectra, silent_lines(data, spectra))
     return spectra
 
 
@@ -290,6 +292,11 @@ def found_lines(data: Experiment) -> FoundLines:
     """`excited_lines` with the design they fit, in words, and a confidence from 0 to 1."""
     k = np.arange(1, (data.period - 1) // 2 + 1)
     power, noise = _power(data, k)
+    return lines_in(k, power, noise, data)
+
+
+def lines_in(k, power, noise, data: Experiment) -> FoundLines:
+    """The lines that stand out of power and noise at lines k, as of `added_power`; `data` is named where none do."""
     found = find_lines(k, power, noise)
     if found is None:
         raise input_error(
@@ -304,15 +311,25 @@ def found_lines(data: Experiment) -> FoundLines:
 def _power(data: Experiment, k) -> tuple[np.ndarray, np.ndarray | None]:
     """Power per line and channel of the reference (or input) over all experiments, and what of it is noise as far as
     the scatter between periods shows: (freq, channel). A position counts by its speed."""
+    return weighed_power(data, k, *added_power(data, k))
+
+
+def added_power(data: Experiment, k, power=None, noise=None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Power of the experiments, added to that of others, and noise (`None` of single periods): (freq, channel)."""
     x = data.u if data.r is None else data.r
-    power = np.zeros((len(k), x.shape[-1]))
-    noise = np.zeros_like(power) if data.n_periods > 1 else None
+    power = np.zeros((len(k), x.shape[-1])) if power is None else power
+    noise = (np.zeros_like(power) if noise is None else noise) if data.n_periods > 1 else None
     for pos in range(data.n_pos):
         for exp in range(data.n_exp):
             mean, variance = _mean_and_variance(x[pos, exp], data.period, data.transient_periods, k)
             power += np.abs(mean) ** 2
             if noise is not None:
                 noise += variance
+    return power, noise
+
+
+def weighed_power(data: Experiment, k, power, noise) -> tuple[np.ndarray, np.ndarray | None]:
+    """The same of speeds, where the reference is a position."""
     weight = np.ones(len(k))
     if data.r is not None and data.r_quantity == "position":
         weight = k.astype(float) ** 2
@@ -422,14 +439,21 @@ def _weighted(x, period: int, transient: int, lines, weight) -> tuple[np.ndarray
     return mean, scatter / (total**2 * np.maximum(1 - 1 / total, 0.1))[:, None, None]
 
 
-def _check_power(data: Experiment, spectra: Spectra) -> None:
-    """An excited line without any power in the reference (or input) would make the estimate there rounding noise."""
+def silent_lines(data: Experiment, spectra: Spectra) -> np.ndarray:
+    """Excited lines without any power in the reference (or input), (freq, channel): an estimate there is rounding
+    noise."""
     name, X = ("u", spectra.U) if spectra.R is None else ("r", spectra.R)
     power = np.mean(np.abs(X) ** 2, axis=(0, 1))
     silent = power <= _SILENT * np.median(power, axis=0)
     if data.lines is not None:  # lines that were found have power; those that were given may all be wrong
         steady = getattr(data, name)[:, :, data.transient_periods * data.period :]
         silent |= power <= _SILENT_SHARE * np.mean([np.var(x, axis=0) for at in steady for x in at], axis=0)
+    return silent
+
+
+def check_power(data: Experiment, spectra: Spectra, silent: np.ndarray) -> None:
+    """Refuse `silent_lines`."""
+    name = "u" if spectra.R is None else "r"
     if silent.any():
         line, channel = (int(i) for i in np.argwhere(silent)[0])
         raise input_error(

@@ -73,7 +73,13 @@ def test_again_makes_what_is_new_or_different(logs, tmp_path):
     assert again["b.json"] == first["b.json"] and batch.failed == ["b"]  # bad input stays bad
     assert all(again[name] > first.get(name, 0) for name in ("a.json", "c.json", "d.json"))
     assert json.loads((folder / "c.json").read_text())["twice"] == 10
-    assert each(asked(folder, f"{logs}/*.txt", times=2)).outcomes["a"]["summary"]["times"] == 2
+    said = []
+    assert each(asked(folder, f"{logs}/*.txt", times=2), say=said.append).outcomes["a"]["summary"]["times"] == 2
+    assert said[0] == "4 of 4 were made otherwise and are made again (--times: 1 then, 2 now)"
+    first = made_at(folder)
+    options = vars(asked(folder, f"{logs}/*.txt", times=2)) | {"restart": True}
+    each(argparse.Namespace(**options))
+    assert all(x > first[name] for name, x in made_at(folder).items())
 
 
 def test_what_may_pass_is_tried_again(logs, tmp_path):
@@ -97,7 +103,7 @@ def test_names_that_would_be_the_same(logs, tmp_path):
     ("there", "message"),
     [
         ({"holiday.jpg": ""}, "files in it"),
-        ({"jaxfrf-batch.json": '{"command": "other"}'}, "results of `jaxfrf other`"),
+        ({"jaxfrf-parts.json": '{"program": "jaxfrf", "about": {"command": "other --each"}}'}, "`jaxfrf other --each`"),
     ],
 )
 def test_someone_elses_folder_is_left(logs, tmp_path, there, message):
@@ -129,8 +135,9 @@ def test_the_command(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("options", [["--workers", "2"], ["--cluster", "tcp://nowhere:1"]])
-def test_workers_are_for_many_files(tmp_path, capsys, options):
-    assert main(["estimate", "none.nc", "-o", str(tmp_path / "x.nc"), *options]) == 2
+def test_workers_are_for_many_files_where_positions_belong_together(tmp_path, capsys, options):
+    arguments = ["identify", "none.nc", "--robot", "none.toml", "-o", str(tmp_path / "x.json")]
+    assert main([*arguments, *options]) == 2
     assert "Add --each" in capsys.readouterr().err
 
 

@@ -460,7 +460,7 @@ def test_files_that_do_not_fit_together(tmp_path, capsys, output, data):
 @pytest.mark.parametrize(
     ("target", "says"),
     [
-        ("frf.h5", r"found the suffix '\.h5'; expected one of \.nc, \.mat, \.npz, \.uff"),
+        ("frf.h5", r"found the suffix '\.h5'; expected one of \.nc, \.mat, \.npz, \.zarr, \.uff"),
         ("no/frf.nc", r"found no folder"),
     ],
 )
@@ -496,13 +496,13 @@ def positions(tmp_path, n_pos=4, name="run.npz", **options):
 
 
 class Interrupt:
-    """Stands in for `estimate` in the pipeline: counts the calls, and is interrupted at call number `at`."""
+    """Stands in for `estimate` of one position: counts the calls, and is interrupted at call number `at`."""
 
     def __init__(self, monkeypatch, at=None):
-        from jaxfrf import pipeline
+        from jaxfrf.batch import estimated
 
         self.real, self.at, self.calls = jf.estimate, at, 0
-        monkeypatch.setattr(pipeline, "estimate", self)
+        monkeypatch.setattr(estimated, "estimate", self)
 
     def __call__(self, spectra, method):
         self.calls += 1

@@ -137,6 +137,18 @@ def test_no_room(tmp_path):
         check_room(pathlib.Path(tmp_path / "a"), 2**62)
 
 
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a disk that is full")
+def test_a_full_disk_is_an_error_and_no_signal():
+    """HDF5 would end the process, at the latest when that ends."""
+    import h5py
+
+    from jaxfrf.io._hdf5 import surviving
+
+    with pytest.raises(OSError, match="No space left"):
+        with surviving(pathlib.Path("/dev/full")) as disk, h5py.File(disk, "w") as file:
+            file["x"] = np.zeros(300_000)
+
+
 def test_a_damaged_sample_is_noticed(tmp_path):
     import h5py
 

@@ -189,7 +189,7 @@ MAY_IMPORT = {
     "identification": WHOLE | {"identification"},
     "report": WHOLE | {"plot", "identification", "report"},
     "study": WHOLE | {"plot", "identification", "report", "gap", "study"},
-    "batch": IO | {"report", "batch"},
+    "batch": WHOLE | {"report", "batch"},
     "commands": WHOLE | {"examples", "plot", "identification", "report", "study", "gap", "batch", "commands"},
 }
 """Which rooms a room may import from. Data flow from excitation over experiment and spectra to the FRF, which know no
@@ -244,7 +244,18 @@ def test_every_room_of_the_table_exists():
     assert set(MAY_IMPORT) == {room(path) for path in MODULES} - {"__init__", "__main__"}
 
 
-OPTIONAL = {"matplotlib", "xarray", "h5py", "h5netcdf", "pymatreader", "pyuff", "control", "mujoco", "distributed"}
+OPTIONAL = {
+    "matplotlib",
+    "xarray",
+    "h5py",
+    "h5netcdf",
+    "pymatreader",
+    "pyuff",
+    "control",
+    "mujoco",
+    "distributed",
+    "zarr",
+}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))

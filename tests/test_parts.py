@@ -17,8 +17,9 @@ from two_axes import ROBOT
 import jaxfrf as jf
 import jaxfrf.gap
 import jaxfrf.identification
-from jaxfrf import _files, parts, pipeline
+from jaxfrf import _files, parts
 from jaxfrf.__main__ import main
+from jaxfrf.batch import estimated
 from jaxfrf.gap.rounds import PART_FILES, Round, keep_round, read_round
 from jaxfrf.graybox import Correction
 from jaxfrf.identification.rounds import kept_rounds
@@ -58,7 +59,8 @@ class TestWhoseFolderItIs:
             stamp = json.loads((made.folder / STAMP).read_text())
             assert made.folder == tmp_path / "fit.json.parts"
         assert stamp["program"] == "jaxfrf" and "--resume" in stamp["what"]
-        assert stamp["about"] == {"command": "work", "version": jf.__version__, "method": "H1()", "seed": "3"}
+        version = {"version": jf.__version__, "program": parts.program()}
+        assert stamp["about"] == {"command": "work", **version, "method": "H1()", "seed": "3"}
         assert list(tmp_path.iterdir()) == []
 
     def test_only_its_own_files_are_deleted(self, tmp_path):
@@ -194,7 +196,10 @@ class TestWhenPartsGo:
     @pytest.mark.parametrize(
         ("now", "says"),
         [
-            ({}, r"found 2 finished parts of a run begun \d{4}-.*; expected none, or --resume\. .* delete that folder"),
+            (
+                {},
+                r"found 2 finished parts of a run begun \d{4}-.*; expected none, or --resume\. .* --restart to",
+            ),
             ({"about": {"method": "H2()"}}, r"\(method: H1\(\) then, H2\(\) now\)"),
             ({"about": {"method": "H2()"}, "resume": True}, r"\(method: H1\(\) then, H2\(\) now\)"),
             ({"about": {"seed": 4, "a": None}, "resume": True}, r"\(seed: none then, 4 now; a: none then, none now\)"),
@@ -214,6 +219,26 @@ class TestWhenPartsGo:
         monkeypatch.setattr(parts, "__version__", "99.0")
         with pytest.raises(jf.InputError, match=rf"version: {re.escape(jf.__version__)} then, 99\.0 now"):
             begun(tmp_path / "out", resume=True)
+
+    def test_the_program_is_known_by_its_files(self, tmp_path):
+        (tmp_path / "a.py").write_text("x = 1")
+        first = parts._digest(tmp_path)
+        (tmp_path / "notes.txt").write_text("nothing that is run")
+        assert parts._digest(tmp_path) == first
+        (tmp_path / "robot.toml").write_text("mass = 1.0")
+        assert parts._digest(tmp_path) != first
+
+    def test_restart_deletes_what_an_earlier_run_left_and_nothing_else(self, tmp_path):
+        folder, _ = interrupted(tmp_path / "out", 0, 1)
+        (folder / "notes.txt").write_text("mine")
+        said = []
+        with pytest.raises(KeyboardInterrupt), Parts(tmp_path / "out", "other", restart=True, say=said.append) as made:
+            made.begin({}, ("round-[0-9].json",))
+            assert names(folder) == [STAMP, "notes.txt"] and made.finished == []
+            made.path("round-0.json").write_text("{}")
+            raise KeyboardInterrupt
+        assert said == [f"2 finished parts of an earlier run deleted from {folder}, as --restart says"]
+        assert names(folder) == [STAMP, "notes.txt", "round-0.json"]
 
     def test_numbers_and_files_are_told_apart(self):
         x = np.arange(6.0)
@@ -299,11 +324,11 @@ def data(tmp_path):
 
 
 class Estimating:
-    """Stands in for `estimate` in the pipeline: counts the calls, and is interrupted at call number `at`."""
+    """Stands in for `estimate` of one position: counts the calls, and is interrupted at call number `at`."""
 
     def __init__(self, monkeypatch, at=None):
         self.real, self.at, self.calls = jf.estimate, at, 0
-        monkeypatch.setattr(pipeline, "estimate", self)
+        monkeypatch.setattr(estimated, "estimate", self)
 
     def __call__(self, spectra, method):
         self.calls += 1
@@ -344,7 +369,7 @@ class TestEstimate:
             (0, ["--method", "h2", "--resume"], r"\(method: H1\(\) then, H2\(.*\) now\)"),
             (0, ["--method", "h1", "--resume", "--band", "5:20"], r"lines: 4 from 4 to 14 Hz then, 3 from 6 to 14 Hz"),
             (0, ["--method", "h1", "--resume", "--set", "y_quantity=position"], r"output: velocity then, position now"),
-            (0, ["--method", "h1", "--resume", "--scale", "y=2"], r"\(numbers of the data: \w+ then, \w+ now\)"),
+            (0, ["--method", "h1", "--resume", "--scale", "y=2"], r"\(--scale: none then, y=2 now\)"),
             (1, ["--method", "h1", "--resume"], r"data: run\.npz \(sha256 \w+\) then, run\.npz \(sha256 \w+\) now"),
         ],
     )
@@ -460,7 +485,8 @@ class TestWriting:
         assert out == "" and "Traceback" not in error
         assert f"No space left on device. {target} was not written. {len(finished)} finished part" in error
         assert f"kept in {folder}: the same command with --resume goes on from there." in error
-        assert names(folder) == sorted([*finished, STAMP]) and not target.exists()
+        beside = [] if fake else ["00000.json"]
+        assert names(folder) == sorted([*finished, *beside, STAMP]) and not target.exists()
         counted = Estimating(monkeypatch)
         assert main([*arguments, "--resume"]) == 0
         assert target.exists() and not folder.exists()

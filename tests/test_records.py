@@ -159,7 +159,7 @@ def test_npz_without_pickle(tmp_path):
 def test_a_failed_write_leaves_what_was_there(tmp_path, extension, monkeypatch):
     path = tmp_path / f"a.{extension}"
     path.write_bytes(b"precious")
-    for module, name in ((xarray.Dataset, "to_netcdf"), (scipy.io, "savemat"), (np, "savez")):
+    for module, name in ((xarray.Dataset, "dump_to_store"), (scipy.io, "savemat"), (np, "savez")):
 
         def break_off(*_, **__):
             raise OSError("disk full")

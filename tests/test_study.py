@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import jaxfrf as jf
-from jaxfrf.__main__ import main
+from jaxfrf import parts as parts_module
+from jaxfrf.parts import Parts
 from jaxfrf.robot import parameters, r3x
-from jaxfrf.study import DEMO, MEDIUM, PAPER, claims as claims_module, folder as folder_module, run as run_module
+from jaxfrf.study import DEMO, MEDIUM, PAPER, claims as claims_module, run as run_module
 from jaxfrf.study.bias import amplitude_bias, level_error, weights
 from jaxfrf.study.claims import claims
 from jaxfrf.study.hidden import HIDDEN, OFF, machine, model
@@ -290,24 +291,28 @@ def test_an_interrupted_study_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(run_module, "draw_figures", lambda curves, folder: {})
     monkeypatch.setattr(run_module, "write_study_page", lambda path, *results: path.write_text("page"))
     said, place = [], tmp_path / "study"
-    with pytest.raises(KeyboardInterrupt):
-        run_module.run_study(MEDIUM, place, said.append)
-    assert done == [0, 1, "interrupted"]
-    with pytest.raises(jf.InputError, match=r"unfinished study.*add --resume"):
+
+    def run(settings, **more):
+        with Parts(place, "study", say=said.append, **more) as parts:
+            return run_module.run_study(settings, place, said.append, parts=parts)
+
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        run(MEDIUM)
+    assert done == [0, 1, "interrupted"] and "2 finished parts kept in" in stopped.value.__notes__[0]
+    with pytest.raises(jf.InputError, match=r"found 2 finished parts .*expected none, or --resume"):
         run_module.run_study(MEDIUM, place)
-    run_module.run_study(MEDIUM, place, said.append, resume=True)
-    assert done == [0, 1, "interrupted", 2, 3]
-    assert "2 of 4 steps are done already" in said and "step 3" in said[-1]
+    with pytest.raises(jf.InputError, match="name: medium then, paper now; positions: 6 then, 49 now"):
+        run(PAPER, resume=True)
+    with monkeypatch.context() as patch:
+        patch.setattr(parts_module, "program", lambda: "another")
+        with pytest.raises(jf.InputError, match="the program's files have changed since"):
+            run(MEDIUM, resume=True)
+    (tmp_path / "study.parts" / "step-0.json").write_text('{"sec')
+    run(MEDIUM, resume=True)
+    assert done == [0, 1, "interrupted", 0, 2, 3]
+    assert "1 of 4 steps are done already" in said and "step 3" in said[-1]
     assert json.loads((place / "study.json").read_text())["ok"] is None
-    kept = sorted(p.name for p in (place / "parts").iterdir())
-    with pytest.raises(jf.InputError, match=r"a finished study.*--resume"):
-        run_module.run_study(MEDIUM, place)
-    with pytest.raises(jf.InputError, match="name medium there, paper here; positions 6 there, 49 here"):
-        run_module.run_study(PAPER, place, resume=True)
-    monkeypatch.setattr(folder_module, "program", lambda: "another")
-    with pytest.raises(jf.InputError, match="the program's files have changed since"):
-        run_module.run_study(MEDIUM, place, resume=True)
-    assert sorted(p.name for p in (place / "parts").iterdir()) == kept
+    assert not (tmp_path / "study.parts").exists()
 
 
 @pytest.mark.parametrize("together", [1, 2])
@@ -324,21 +329,10 @@ def test_a_step_that_fails_ends_the_study(tmp_path, together):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["step-0.json", "step-1.json"]
 
 
-def test_the_program_is_known_by_its_files(tmp_path, monkeypatch):
-    (tmp_path / "a.py").write_text("x = 1")
-    monkeypatch.setattr(folder_module, "_PACKAGE", tmp_path)
-    first = folder_module.program()
-    (tmp_path / "notes.txt").write_text("nothing that is run")
-    assert folder_module.program() == first
-    (tmp_path / "robot.toml").write_text("mass = 1.0")
-    assert folder_module.program() != first
-
-
 def test_a_folder_of_someone_else_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
-    for resume in (False, True):
-        with pytest.raises(jf.InputError, match="other files"):
-            run_module.run_study(DEMO, tmp_path, resume=resume)
+    with pytest.raises(jf.InputError, match="other files"):
+        run_module.run_study(DEMO, tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
 
 
@@ -349,15 +343,6 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_work(tmp_path, monke
         run_module.run_study(DEMO, tmp_path / "file" / "study")
     with pytest.raises(jf.InputError, match=r"a file.*expected a folder"):
         run_module.run_study(DEMO, tmp_path / "file")
-
-
-def test_an_interrupted_command_says_how_to_go_on(tmp_path, monkeypatch, capsys):
-    def interrupted(tasks, together, say):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(run_module, "_work", interrupted)
-    assert main(["study", "--scale", "medium", "-o", str(tmp_path / "a study")]) == 130
-    assert f"jaxfrf study --scale medium -o '{tmp_path / 'a study'}' --resume" in capsys.readouterr().err
 
 
 def test_json_is_valid(tmp_path):

@@ -4,14 +4,17 @@ import argparse
 import contextlib
 import os
 import pathlib
+import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 
 from .._errors import InputError, OutputError, input_error
 from .._files import check_readable, check_writable
+from .progress import wipe_progress
 
+_SMALLEST = 1e9  # bytes, that Python, JAX and a block take
 _QUICK = 5e6  # bytes that are read twice without being noticed
-RECORD_FILES = (".nc", ".mat", ".npz")  # that are written
+RECORD_FILES = (".nc", ".mat", ".npz", ".zarr")  # that are written
 
 
 def command(commands, name: str, run, text: str) -> argparse.ArgumentParser:
@@ -51,9 +54,40 @@ def add_anyway_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_resume_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
         "--resume", action="store_true", help="go on with a run of the same options that was interrupted (OUTPUT.parts)"
     )
+    group.add_argument(
+        "--restart", action="store_true", help="delete what an interrupted run left in OUTPUT.parts and begin anew"
+    )
+
+
+def add_memory_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--memory", type=_bytes, metavar="SIZE", help="that the command may take, e.g. 2GB (default: by what is free)"
+    )
+
+
+_UNITS = {"": 1.0, "B": 1.0, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "MIB": 2.0**20, "GIB": 2.0**30}
+
+
+def _bytes(text: str) -> float:
+    found = re.fullmatch(r"\s*([0-9.]+)\s*([A-Za-z]*)\s*", text)
+    try:
+        size = float(found[1]) * _UNITS[found[2].upper()]
+    except (TypeError, KeyError, ValueError):
+        raise argparse.ArgumentTypeError(f"found {text!r}; expected a size. Write e.g. 2GB or 500MB.") from None
+    if size < _SMALLEST:
+        raise argparse.ArgumentTypeError(f"found {text!r}; expected {_SMALLEST / 1e9:g}GB or more.")
+    return size
+
+
+def kept_parts(given: argparse.Namespace, about=None):
+    """Where a command keeps what it has finished, as --resume and --restart say."""
+    from ..parts import Parts
+
+    return Parts(given.output, given.command, resume=given.resume, restart=given.restart, about=about, say=say)
 
 
 class _ListMethods(argparse.Action):
@@ -75,6 +109,20 @@ def read_records(given: argparse.Namespace, files: Sequence[str]):
         scale=io.parse_scale(given.scale) if given.scale else None,
         anyway=given.anyway,
     )
+
+
+def data_set(given: argparse.Namespace):
+    """The same, to be read some positions at a time."""
+    from .. import io
+    from ..io.blocks import data_set, in_memory
+
+    how = {
+        "names": io.parse_map(given.map) if given.map else None,
+        "values": io.parse_values(given.set) if given.set else None,
+        "scale": io.parse_scale(given.scale) if given.scale else None,
+        "anyway": given.anyway,
+    }
+    return data_set(*given.data, **how) or in_memory(io.read(*given.data, **how))
 
 
 def read_each(given: argparse.Namespace) -> list:
@@ -232,17 +280,6 @@ def with_tolerances(robot, text: str | None):
     return robot.with_tolerances(tolerances_from(table, robot.joint_names, "--tolerance"))
 
 
-class Percent:
-    """Prints the part that is done, in steps of ten per cent."""
-
-    def __init__(self, what: str):
-        self.what, self.said = what, 0
-
-    def __call__(self, done: float) -> None:
-        if int(10 * done) > self.said:
-            self.said = int(10 * done)
-            say(f"{self.what} {10 * self.said} %")
-
-
 def say(text: str) -> None:
+    wipe_progress()
     print(text, file=sys.stderr, flush=True)

@@ -5,7 +5,6 @@ import sys
 from .._errors import InputError, OutputError, input_error
 from . import own_effects
 from .arguments import (
-    Percent,
     add_anyway_option,
     add_resume_option,
     add_tolerance_option,
@@ -13,12 +12,13 @@ from .arguments import (
     check_target,
     check_x64,
     command,
+    kept_parts,
     naming,
     read_each,
-    say,
     with_tolerances,
 )
 from .each import add_each_options
+from .progress import Progress
 
 
 def add(commands) -> None:
@@ -52,13 +52,12 @@ def add(commands) -> None:
 def run(given) -> dict:
     from ..io.gaps import gap_contents, write_gap
     from ..io.robots import read_robot
-    from ..parts import Parts
 
     check_x64("jaxfrf diagnose")
     _check_outputs(given)
     own = own_effects.own_effects(given.effects) if given.effects else ()
     robot = with_tolerances(read_robot(given.robot, own), given.tolerance)
-    with Parts(given.output, "diagnose", resume=given.resume, about=own_effects.about(given), say=say) as parts:
+    with kept_parts(given, own_effects.about(given)) as parts:
         data = read_each(given)
         for text in dict.fromkeys(w for x in data for w in x.warnings):
             print(f"warning: {text}", file=sys.stderr)
@@ -76,10 +75,9 @@ def _diagnosed(given, robot, data, own, parts):
 
     parts.begin(_about(given, data), PART_FILES)
     sealed = {} if given.positions_sealed is None else {"sealed": given.positions_sealed}
-    quiet = {"say": None, "progress": None} if given.json else {"say": say, "progress": Percent("diagnosed")}
     try:
-        with naming(given.data):
-            return diagnose(robot, data, own=own, parts=parts, **quiet, **sealed)
+        with naming(given.data), Progress("diagnose", given.json) as progress:
+            return diagnose(robot, data, own=own, parts=parts, say=progress.say, progress=progress, **sealed)
     except OutputError:
         raise
     except InputError:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from .._errors import input_error
 from .arguments import check_inputs, check_x64, say
+from .progress import Progress
 
 _BESIDE = {"plot": ".png", "report": ".html", "robot_out": ".toml"}  # what a command can write beside its result
 
@@ -17,8 +18,8 @@ def add_each_options(parser: argparse.ArgumentParser) -> None:
         help="every file by itself ('logs/*.mat' too), OUTPUT a folder: a result, a picture or a page for each, "
         "table.csv and index.html; run again, it makes what is new",
     )
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes that share the files of --each")
-    parser.add_argument("--cluster", metavar="ADDRESS", help="a running Dask scheduler for --each, tcp://host:8786")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes that share the work")
+    parser.add_argument("--cluster", metavar="ADDRESS", help="a running Dask scheduler instead, tcp://host:8786")
 
 
 def run_each(given) -> dict:
@@ -30,12 +31,15 @@ def run_each(given) -> dict:
     given.beside = _beside(given)
     from ..batch import each
 
-    batch = each(given, workers=given.workers, cluster=given.cluster, say=None if given.json else say)
+    with Progress(f"{given.command} --each", given.json) as progress:
+        batch = each(given, workers=given.workers, cluster=given.cluster, say=say, progress=progress)
     return {"text": batch.lines(), "json": batch.as_dict(), "code": 1 if batch.failed else 0}
 
 
 def check_alone(given) -> None:
-    """Refuse what belongs to `--each` without it."""
+    """Refuse what belongs to `--each` without it; the positions of one data set are shared by `estimate` alone."""
+    if given.command == "estimate":
+        return
     for option, default in (("workers", 1), ("cluster", None)):
         if getattr(given, option, default) != default:
             raise input_error(f"--{option}", "no --each", "--each beside it", "Add --each, or leave it out.")

@@ -2,10 +2,10 @@
 
 import pathlib
 import sys
-from collections.abc import Sequence
 
 from .arguments import (
     RECORD_FILES,
+    add_memory_option,
     add_record_options,
     add_resume_option,
     check_picture,
@@ -13,13 +13,17 @@ from .arguments import (
     check_target,
     check_x64,
     command,
+    data_set,
+    kept_parts,
     naming,
     options_of,
     range_of,
-    read_records,
     say,
 )
 from .each import add_each_options
+from .progress import Progress
+
+_READ_BY = ("map", "set", "scale", "anyway", "periods", "band", "robust")  # options
 
 
 def add(commands) -> None:
@@ -29,34 +33,42 @@ def add(commands) -> None:
     add_record_options(parser, method="auto", default="auto")
     parser.add_argument("--plot", metavar="FILE", help="Bode picture to write: .png, .pdf, .svg")
     parser.add_argument("--robust", action="store_true", help="weigh periods: odd ones count less, or not at all")
+    add_memory_option(parser)
     add_resume_option(parser)
     add_each_options(parser)
 
 
 def run(given) -> dict:
-    from ..experiment import select_periods
+    from ..batch.estimated import Chosen, estimate_to
     from ..frf.catalogue import method
-    from ..frf.distortion import with_distortion
-    from ..frf.from_record import spectra_of
-    from ..parts import Parts
-    from ..pipeline import estimate_in_parts, summary
+    from ..pipeline import summary
 
     check_x64("jaxfrf estimate")
-    write = _frf_writer(given.output, given.data)
-    if given.plot:
-        check_picture(given.plot)
-    chosen = method(given.method, options_of(given.option))
-    periods, band = range_of("--periods", given.periods, int), range_of("--band", given.band, float)
-    with Parts(given.output, "estimate", resume=given.resume, say=say) as parts:
-        data = read_records(given, given.data)
+    _check_outputs(given)
+    chosen = Chosen(
+        method(given.method, options_of(given.option)),
+        range_of("--periods", given.periods, int),
+        range_of("--band", given.band, float),
+        given.robust,
+    )
+    with kept_parts(given) as parts, Progress("estimate", given.json) as progress:
+        data = data_set(given)
         with naming(given.data):
-            spectra = spectra_of(data, chosen, periods=periods, band=band, robust=given.robust)
-            frf = estimate_in_parts(spectra, chosen, parts, say=None if given.json else say)
-            frf = with_distortion(frf, data if periods is None else select_periods(data, periods[0] or 0, periods[1]))
-        write(given.output, frf)
-        written = [given.output, *_write_picture(given, frf)]
-    about = summary(spectra, frf)
-    for warning in frf.warnings:
+            made = estimate_to(
+                given.output,
+                data,
+                chosen,
+                parts=parts,
+                about={f"--{name}": getattr(given, name) for name in _READ_BY},
+                memory=given.memory,
+                workers=given.workers,
+                cluster=given.cluster,
+                progress=progress,
+                say=say,
+            )
+        written = [given.output, *_write_picture(given, made.frf)]
+    about = summary(made.spectra, made.frf)
+    for warning in made.frf.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return {
         "text": [*about.lines(), f"wrote {', '.join(written)}"],
@@ -74,11 +86,13 @@ def _write_picture(given, frf) -> list[str]:
     return [given.plot]
 
 
-def _frf_writer(path: str, data: Sequence[str]):
-    """How to write this file; said before the estimation, not after it."""
-    from .. import io
+def _check_outputs(given) -> None:
+    """Everything that could not be written, before anything is read."""
+    check_target(given.output, (*RECORD_FILES, ".uff", ".unv"))
+    check_result(given.output, given.data, "measurement")
+    if pathlib.Path(given.output).suffix.lower() == ".nc":
+        from ..io._optional import require
 
-    writers = dict.fromkeys(RECORD_FILES, io.write_frf) | dict.fromkeys((".uff", ".unv"), io.write_uff)
-    check_target(path, writers)
-    check_result(path, data, "measurement")
-    return writers[pathlib.Path(path).suffix.lower()]
+        require("h5netcdf", "io")
+    if given.plot:
+        check_picture(given.plot)

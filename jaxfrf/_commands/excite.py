@@ -14,13 +14,18 @@ def add(commands) -> None:
 
 def run(given) -> dict:
     from .. import plot
+    from .._files import check_writable
     from ..excitation import levels, reference
     from ..io import read_design, write_reference
+    from ..io.references import reference_files
 
     check_target(given.output, (".nc", ".mat", ".csv"))
     picture = pathlib.Path(given.plot) if given.plot else pathlib.Path(given.output).with_suffix(".png")
     check_picture(picture)
-    made = reference(read_design(given.design))
+    design = read_design(given.design)
+    for path in reference_files(given.output, design.n_exp):
+        check_writable(path)
+    made = reference(design)
     written = write_reference(given.output, made)
     plot.save(plot.multisine(made)[0].figure, picture)
     about = levels(made)

@@ -15,14 +15,15 @@ from .arguments import (
     check_target,
     check_x64,
     command,
+    kept_parts,
     naming,
     options_of,
     range_of,
     read_each,
-    say,
     with_tolerances,
 )
 from .each import add_each_options
+from .progress import Progress
 
 _RECORDS_ONLY = ("method", "option", "map", "set", "scale", "periods")
 _SPRINGS_ONLY = (
@@ -86,18 +87,21 @@ def add(commands) -> None:
 def run(given) -> dict:
     from ..experiment import concatenate
     from ..io.fits import write_fit
-    from ..parts import Parts
 
     check_x64("jaxfrf identify")
     _check_outputs(given)
     about = own_effects.about(given)
-    with Parts(given.output, "identify", resume=given.resume, about=about, say=say) as parts:
+    with kept_parts(given, about) as parts, Progress("identify", given.json) as progress:
         robot, data, method = _read(given)
         with naming(given.data):
             whole = _is_whole(given, data)
             if not whole and isinstance(data, list):
                 data = concatenate(data)
-            found = _calibrated(given, robot, data, parts) if whole else _springs(given, robot, data, method, parts)
+            found = (
+                _calibrated(given, robot, data, parts, progress)
+                if whole
+                else _springs(given, robot, data, method, parts, progress)
+            )
         contents = found.as_dict()
         write_fit(given.output, contents)
         written = [given.output, *_write_more(given, found, whole)]
@@ -127,7 +131,7 @@ def _is_whole(given, data) -> bool:
     return True
 
 
-def _calibrated(given, robot, data, parts):
+def _calibrated(given, robot, data, parts, progress):
     from ..calibration import calibrate
 
     records, payloads = _merged(robot, data, _payloads(given))
@@ -139,7 +143,7 @@ def _calibrated(given, robot, data, parts):
         rounds=given.rounds,
         cutoff=given.cutoff,
         parts=parts,
-        say=None if given.json else say,
+        say=progress.say,
     )
 
 
@@ -176,7 +180,7 @@ def _payloads(given):
     return [found.get(path) for path in given.data]
 
 
-def _springs(given, robot, data, method, parts):
+def _springs(given, robot, data, method, parts, progress):
     from ..identification import identify
 
     return identify(
@@ -195,7 +199,7 @@ def _springs(given, robot, data, method, parts):
         heldout=_numbers(given.heldout),
         band=range_of("--band", given.band, float),
         parts=parts,
-        say=None if given.json else say,
+        say=progress.say,
     )
 
 

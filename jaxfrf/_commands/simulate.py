@@ -4,7 +4,18 @@ import sys
 
 from .._errors import InputError
 from . import own_effects
-from .arguments import RECORD_FILES, Percent, check_seed, check_target, command
+from .arguments import (
+    RECORD_FILES,
+    add_memory_option,
+    add_resume_option,
+    check_seed,
+    check_target,
+    command,
+    kept_parts,
+)
+from .progress import Progress
+
+_MOST = 100_000  # positions
 
 
 def add(commands) -> None:
@@ -24,35 +35,40 @@ def add(commands) -> None:
     )
     parser.add_argument("--transient", action="store_true", help="record the transient periods of the design too")
     parser.add_argument("--noise", type=float, default=5e-5, help="rms of the position noise, rad (default 5e-5)")
+    add_memory_option(parser)
+    add_resume_option(parser)
 
 
 def run(given) -> dict:
     import jax.random as jr
 
-    from ..io import read_design, write
-    from ..simulation import simulate
+    from ..batch.simulated import simulate_to
+    from ..io import read_design
 
     check_target(given.output, RECORD_FILES)
     robot, design = own_effects.robot_of(given), read_design(given.design)
     check_seed(given.seed)
     places, noise = jr.split(jr.key(given.seed))
-    data = simulate(
-        robot,
-        design,
-        _positions(given, robot.n_axes, places, design),
-        key=noise,
-        run_in=None if given.transient else given.run_in,
-        noise=given.noise,
-        progress=None if given.json else Percent("simulated"),
-    )
-    write(given.output, data)
-    for text in data.warnings:
+    positions = _positions(given, robot.n_axes, places)
+    with kept_parts(given, own_effects.about(given)) as parts, Progress("simulate", given.json) as progress:
+        made = simulate_to(
+            given.output,
+            robot,
+            design,
+            positions,
+            key=noise,
+            parts=parts,
+            run_in=None if given.transient else given.run_in,
+            noise=given.noise,
+            memory=given.memory,
+            progress=progress,
+        )
+    for text in made.warnings:
         print(f"warning: {text}", file=sys.stderr)
-    runs = data.n_pos * data.n_exp
     text = [
-        f"{robot.name}: {runs} runs ({data.n_pos} positions, {data.n_exp} experiments) of "
-        f"{data.n_time / data.fs:g} s, {data.n_periods} steady period(s) of {data.period / data.fs:g} s, "
-        f"{len(data.lines)} excited lines, seed {given.seed}",
+        f"{robot.name}: {made.positions * made.experiments} runs ({made.positions} positions, {made.experiments} "
+        f"experiments) of {made.samples / design.fs:g} s, {made.periods} steady period(s) of "
+        f"{design.period / design.fs:g} s, {len(design.lines)} excited lines, seed {given.seed}",
         f"wrote {given.output}",
     ]
     return {
@@ -60,25 +76,25 @@ def run(given) -> dict:
         "json": {
             "output": given.output,
             "robot": robot.name,
-            "positions": data.n_pos,
-            "experiments": data.n_exp,
-            "samples": data.n_time,
-            "lines": len(data.lines),
+            "positions": made.positions,
+            "experiments": made.experiments,
+            "samples": made.samples,
+            "lines": len(design.lines),
             "seed": given.seed,
-            "y_quantity": data.y_quantity,
-            "warnings": list(data.warnings),
+            "y_quantity": "position",
+            "warnings": list(made.warnings),
         },
     }
 
 
-def _positions(given, axes: int, key, design):
+def _positions(given, axes: int, key):
     from ..simulation import random_positions, read_positions
-    from ..simulation.checks import check_runs
 
     if given.configurations:
         return read_positions(given.configurations, axes)
     count = 1 if given.positions is None else given.positions
     if count < 1:
         raise InputError(f"--positions: found {count}; expected 1 or more. Say how many.")
-    check_runs(design, count)
+    if count > _MOST:
+        raise InputError(f"--positions: found {count}; expected at most {_MOST}. Simulate them in several files.")
     return random_positions(count, key, axes)

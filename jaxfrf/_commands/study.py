@@ -1,10 +1,7 @@
 """`jaxfrf study`."""
 
-import os
-import shlex
-import threading
-
-from .arguments import command, say
+from .arguments import add_resume_option, command, kept_parts
+from .progress import Progress
 
 _SCALES = ("demo", "medium", "paper")
 
@@ -26,20 +23,13 @@ def add(commands) -> None:
         help="demo: the shortest run that shows every part, three minutes (default); medium: all of the paper's "
         "comparisons from fewer positions and experiments, half an hour; paper: everything, hours",
     )
-    parser.add_argument("--resume", action="store_true", help="go on with a study that was interrupted")
+    add_resume_option(parser)
 
 
 def run(given) -> dict:
     from ..study import SCALES, run_study
-    from ..study.run import BESIDE
     from ..study.summary import summary_lines
 
-    try:
-        results = run_study(SCALES[given.scale], given.output, say=None if given.json else say, resume=given.resume)
-    except KeyboardInterrupt:
-        again = f"jaxfrf study --scale {given.scale} -o {shlex.quote(given.output)} --resume"
-        say(f"interrupted; finished steps are kept in {given.output}/parts, go on with: {again}")
-        if any(thread.name == BESIDE for thread in threading.enumerate()):
-            os._exit(130)  # Python would abort in the middle of that thread's compiled code; files are whole anyway
-        raise
+    with kept_parts(given) as parts, Progress("study", given.json) as progress:
+        results = run_study(SCALES[given.scale], given.output, say=progress.say, parts=parts)
     return {"text": [*summary_lines(results), f"wrote {given.output}/index.html and study.json"], "json": results}

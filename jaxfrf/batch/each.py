@@ -3,27 +3,26 @@
 import argparse
 import contextlib
 import glob
-import hashlib
 import io
 import json
 import os
 import pathlib
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 
-from .. import __version__
-from .._errors import InputError, input_error, output_error
-from .._files import replacing
+from .._errors import InputError, input_error
+from .._files import is_folder_format
+from ..io.responses import source
+from ..parts import Results, files_text, made_by
 from .engine import outcomes
 from .overview import write_page, write_table
 
-_STAMP = "jaxfrf-batch.json"
-_OUTCOMES = "outcomes"
-_NEITHER = ("data", "output", "json", "resume", "each", "workers", "cluster", "run")  # changes a result
+_NEITHER = (  # changes a result
+    "data", "output", "json", "resume", "restart", "each", "workers", "cluster", "memory", "run"
+)  # fmt: skip
 _FILES = ("robot", "effects")  # options that name files, whose contents count
-_EVERY = 5.0  # seconds between two lines of progress
 
 Say = Callable[[str], None]
 
@@ -67,33 +66,32 @@ def each(
     cluster: str | None = None,
     client=None,
     say: Say | None = None,
+    progress: Callable[[float, str], None] | None = None,
 ) -> Batch:
     """A command's run for each of its files by itself.
 
     Results stand in the folder `given.output`: `NAME.nc` (or `.json`) with picture or page of every file, `table.csv`
     and `index.html` of all, and `outcomes/NAME.json`, written last, which says what a result was made from. Run again,
-    it makes what is new or was made otherwise (another file under that name, other options, another version), and
-    tries again what did not fail by bad input. Files that fail stop no others.
+    it makes what is new or was made otherwise (another file under that name, other options, another program), and
+    tries again what did not fail by bad input; with `given.restart`, everything. Files that fail stop no others.
 
     **Arguments:** `given`: a command's options as the command line parses them, `data` its files or patterns
     (`logs/*.mat`), `output` the folder. `workers`, `cluster`, `client`: as of `jaxfrf.batch.outcomes`; on other
-    machines paths must mean the same files.
+    machines paths must mean the same files. `progress`: called with the part that is done, and a few words.
 
     **Raises:** `jaxfrf.InputError` where there is no file, or the folder is someone else's.
     """
     say = say or (lambda text: None)
     files = _files(given.data)
-    folder = _folder(pathlib.Path(given.output), given.command)
+    folder, restart = pathlib.Path(given.output), getattr(given, "restart", False)
+    results = Results(folder, f"{given.command} --each", restart=restart, say=say)
     names = _names(files)
     jobs = {name: _job(given, folder, name, file) for name, file in zip(names, files, strict=True)}
-    made = {name: outcome for name in names if (outcome := _standing(folder, name, jobs[name])) is not None}
-    if made:
-        say(f"{len(made)} of {len(files)} files stand in {folder} already")
+    made = results.standing({name: (pathlib.Path(job.given.output), job.made_from) for name, job in jobs.items()})
     todo = [name for name in names if name not in made]
-    began = told = time.monotonic()
-    for count, done in enumerate(
-        outcomes(_work, [jobs[name] for name in todo], workers=workers, cluster=cluster, client=client), 1
-    ):
+    pieces = [jobs[name] for name in todo]
+    shared = {"workers": workers, "cluster": cluster, "client": client, "say": say}
+    for count, done in enumerate(outcomes(_work, pieces, **shared), 1):
         name = todo[done.number]
         made[name] = done.result or {
             "file": jobs[name].given.data[0],
@@ -101,21 +99,14 @@ def each(
             "message": done.error,
             "again": True,
         }
-        _keep(folder, name, made[name] | {"made_from": jobs[name].made_from})
-        if time.monotonic() - told > _EVERY or count == len(todo):
-            told = time.monotonic()
-            say(_progress(count, len(todo), [o for o in made.values() if not o["ok"]], told - began))
+        results.keep(name, made[name], jobs[name].made_from)
+        if progress is not None:
+            failed = sum(not outcome["ok"] for outcome in made.values())
+            progress(count / len(todo), f"{count} of {len(todo)} files" + (f", {failed} failed" if failed else ""))
     batch = Batch(folder, {name: made[name] for name in names})
     write_table(folder / "table.csv", batch.outcomes)
     write_page(folder / "index.html", f"jaxfrf {given.command}", batch.outcomes)
     return batch
-
-
-def _progress(count: int, total: int, failed: list, spent: float) -> str:
-    left = spent / count * (total - count)
-    bad = f", {len(failed)} failed" if failed else ""
-    rest = "" if count == total else f", {left:.0f} s left" if left < 90 else f", {left / 60:.0f} min left"
-    return f"{count} of {total} files{bad}{rest}"
 
 
 def _files(patterns: Sequence[str]) -> list[pathlib.Path]:
@@ -124,7 +115,7 @@ def _files(patterns: Sequence[str]) -> list[pathlib.Path]:
     for pattern in patterns:
         path = pathlib.Path(pattern)
         matching = [path] if path.exists() else sorted(map(pathlib.Path, glob.glob(str(pattern), recursive=True)))
-        files = [p for p in matching if p.is_file()]
+        files = [p for p in matching if p.is_file() or is_folder_format(p)]
         if not files:
             raise input_error(str(pattern), "no such file", "a file, or a pattern that fits some", "Check the folder.")
         found.update(dict.fromkeys(files))
@@ -143,43 +134,11 @@ def _names(files: Sequence[pathlib.Path]) -> list[str]:
     ]
 
 
-def _folder(path: pathlib.Path, command: str) -> pathlib.Path:
-    """The folder of the results: a new one, an empty one, or one of the same command."""
-    own = {"program": "jaxfrf", "command": command}
-    try:
-        path.mkdir(exist_ok=True)
-        _check_ours(path, own)
-        with replacing(path / _STAMP) as draft:
-            draft.write_text(json.dumps(own) + "\n", encoding="utf-8")
-        (path / _OUTCOMES).mkdir(exist_ok=True)
-    except FileExistsError:
-        raise output_error(str(path), "a file", "a folder, or nothing of that name", "Choose another -o.") from None
-    except OSError as error:
-        raise output_error(
-            str(path), error.strerror or str(error), "a folder to write to", "Write elsewhere."
-        ) from None
-    return path
-
-
-def _check_ours(path: pathlib.Path, own: Mapping[str, str]) -> None:
-    if not any(path.iterdir()):
-        return
-    try:
-        stamp = json.loads((path / _STAMP).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        stamp = None
-    if stamp != own:
-        found = f"results of `jaxfrf {stamp['command']}`" if isinstance(stamp, dict) and "command" in stamp else "files"
-        raise output_error(
-            str(path), f"{found} in it", f"results of `jaxfrf {own['command']} --each`, or none", "Choose another -o."
-        )
-
-
 class _Job(eqx.Module):
     """A command on one file: all that a worker needs."""
 
     given: argparse.Namespace
-    made_from: str
+    made_from: dict[str, str]
 
 
 def _job(given: argparse.Namespace, folder: pathlib.Path, name: str, file: pathlib.Path) -> _Job:
@@ -190,30 +149,19 @@ def _job(given: argparse.Namespace, folder: pathlib.Path, name: str, file: pathl
     return _Job(argparse.Namespace(**own), _made_from(given, file))
 
 
-def _made_from(given: argparse.Namespace, file: pathlib.Path) -> str:
-    """A digest of all that a result depends on."""
+def _made_from(given: argparse.Namespace, file: pathlib.Path) -> dict[str, str]:
+    """All that a result depends on."""
     options = {name: value for name, value in vars(given).items() if name not in _NEITHER and not callable(value)}
-    digest = hashlib.sha256(json.dumps([__version__, options], sort_keys=True, default=str).encode())
-    for path in (file, *(getattr(given, name, None) for name in _FILES)):
+    about = made_by(f"{given.command} --each") | {f"--{name}": _text(value) for name, value in options.items()}
+    for name in _FILES:
+        path = getattr(given, name, None)
         if path is not None and pathlib.Path(path).is_file():
-            with open(path, "rb") as opened:
-                digest.update(hashlib.file_digest(opened, "sha256").digest())
-    return digest.hexdigest()[:32]
+            about[f"--{name}"] = files_text([source(path)])
+    return about | {"file": files_text([source(file)])}
 
 
-def _standing(folder: pathlib.Path, name: str, job: _Job) -> dict | None:
-    """The outcome that stands, if it is of these files and options and would not end otherwise now."""
-    try:
-        outcome = json.loads((folder / _OUTCOMES / f"{name}.json").read_text(encoding="utf-8"))
-        fits = outcome.pop("made_from") == job.made_from and not outcome.get("again")
-        return outcome if fits and (not outcome["ok"] or pathlib.Path(job.given.output).is_file()) else None
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-
-
-def _keep(folder: pathlib.Path, name: str, outcome: dict) -> None:
-    with replacing(folder / _OUTCOMES / f"{name}.json") as draft:
-        draft.write_text(json.dumps(outcome, indent=1) + "\n", encoding="utf-8")
+def _text(value) -> str:
+    return json.dumps(value, sort_keys=True, default=str)
 
 
 def _work(job: _Job) -> dict:
@@ -221,7 +169,8 @@ def _work(job: _Job) -> dict:
     from .. import _environment
 
     _environment.prepare()
-    job.given.resume = pathlib.Path(f"{job.given.output}.parts").exists()
+    job.given.restart = getattr(job.given, "restart", False)
+    job.given.resume = not job.given.restart and pathlib.Path(f"{job.given.output}.parts").exists()
     outcome, began, said = {"file": job.given.data[0]}, time.monotonic(), io.StringIO()
     try:
         with contextlib.redirect_stderr(said):

@@ -18,16 +18,23 @@ class Done(eqx.Module):
     """How a piece of work ended.
 
     **Fields:** `number`: its place among all. `result`: what it gave; `None` where `error` says why there is none (its
-    worker died again and again, or the cluster was lost).
+    worker died again and again, or the cluster was lost). `exception`: that was raised.
     """
 
     number: int
     result: Any
     error: str | None = None
+    exception: Exception | None = None
 
 
 def outcomes(
-    work: Callable[[Any], Any], pieces: Sequence[Any], *, workers: int = 1, cluster: str | None = None, client=None
+    work: Callable[[Any], Any],
+    pieces: Sequence[Any],
+    *,
+    workers: int = 1,
+    cluster: str | None = None,
+    client=None,
+    say: Callable[[str], None] | None = None,
 ) -> Iterator[Done]:
     """`work(piece)` of every piece, in the order in which they end.
 
@@ -39,6 +46,7 @@ def outcomes(
     - `workers`: processes on this machine; 1: this one.
     - `cluster`: address of a Dask scheduler that runs, e.g. `tcp://host:8786`. `client`: a `dask.distributed.Client`
       of one's own, before both.
+    - `say`: told where the work can be watched.
 
     **Raises:** `jaxfrf.InputError` for a number of workers below 1, or a cluster that does not answer; `ImportError`
     where Dask is needed and not installed.
@@ -52,7 +60,9 @@ def outcomes(
         return
     with contextlib.ExitStack() as stack:
         if client is None:
-            client = stack.enter_context(_client(workers, cluster))
+            client = stack.enter_context(_client(min(workers, len(pieces)), cluster))
+            if say is not None:
+                say(f"watch the work at {client.dashboard_link}")
         yield from _there(client, work, pieces)
 
 
@@ -60,7 +70,11 @@ def _here(work, number: int, piece) -> Done:
     try:
         return Done(number, work(piece))
     except Exception as error:
-        return Done(number, None, f"{type(error).__name__}: {error}")
+        return _failed(number, error)
+
+
+def _failed(number: int, error: Exception) -> Done:
+    return Done(number, None, f"{type(error).__name__}: {error}", error)
 
 
 @contextlib.contextmanager
@@ -74,13 +88,32 @@ def _client(workers: int, address: str | None):
                 address, f"no Dask scheduler ({error})", "one that runs", "Start it with `dask scheduler`."
             ) from None
         with client:
+            client.register_plugin(_prepared(distributed, None))
             yield client
         return
     # A process each: threads of one process share XLA's thread pool, and its locks.
     options = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "dashboard_address": "127.0.0.1:0"}
     options["silence_logs"] = logging.ERROR
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+        client.register_plugin(_prepared(distributed, workers))
         yield client
+
+
+def _prepared(distributed, workers: int | None):
+    """What every worker does before its first piece, and again after it was replaced: JAX's settings, and, of so many
+    workers on one machine, each its own cores: the thread pools of all would share every core otherwise."""
+
+    class Prepared(distributed.WorkerPlugin):
+        name = "jaxfrf"
+
+        def setup(self, worker):
+            from jaxfrf import _environment
+
+            _environment.prepare()
+            if workers is not None and isinstance(worker.name, int):
+                _environment.take_cores(worker.name, workers)
+
+    return Prepared()
 
 
 def _there(client, work, pieces) -> Iterator[Done]:
@@ -100,7 +133,7 @@ def _there(client, work, pieces) -> Iterator[Done]:
     for future in under_way:
         error = future.exception()
         number = number_of.pop(future.key)
-        yield Done(number, None, f"{type(error).__name__}: {error}") if error else Done(number, future.result())
+        yield _failed(number, error) if error else Done(number, future.result())
         future.release()
         following = submitted()
         if following is not None:

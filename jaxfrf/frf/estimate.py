@@ -11,7 +11,7 @@ import numpy as np
 from .. import __version__
 from .._arguments import wrong_kind
 from .._errors import input_error
-from .._status import Status, describe
+from .._status import SERIOUS, Status, describe
 from .._types import require_x64
 from ..experiment import Experiment
 from ..spectra import Spectra, select_positions
@@ -26,7 +26,6 @@ _BLOCK_BYTES = 4e8  # operating points are estimated in groups that need about t
 _SHARED = 1000  # lines of all operating points, from which on more than one core takes part
 _CALLS = 8  # batched LAPACK calls of one program that may run at the same time: fewer do
 _compiled: set = set()  # programs that the first group has compiled for the others
-_SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
 _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
 
@@ -66,7 +65,7 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod = Auto(), *, pro
     whole = with_causes(whole, spectra, method)
     status = whole.status | _excitation_status(spectra)
     status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
-    serious = [text for text in describe(status & int(_SERIOUS))]
+    serious = [text for text in describe(status & int(SERIOUS))]
     return FRF(
         G=whole.G,
         frequency=np.asarray(spectra.frequency),

@@ -8,11 +8,13 @@ from .method import AbstractMethod
 from .welch import Welch
 
 
-def spectra_of(data: Experiment, method: AbstractMethod, *, periods=None, band=None, robust: bool = False) -> Spectra:
+def spectra_of(
+    data: Experiment, method: AbstractMethod, *, periods=None, band=None, robust: bool = False, silent: bool = False
+) -> Spectra:
     """The spectra that `method` needs: of steady periods; of the whole record if it is not periodic and the method can
     have a transient term; of segments for `jaxfrf.Welch`. `periods` (from, to) and `band` (low, high, Hz) choose a
-    part, `None` at an end: open. `robust`: weigh periods (`jaxfrf.dft`). A record that shows a period, but states none,
-    is taken whole only if the method was given a transient term.
+    part, `None` at an end: open. `robust`: weigh periods, `silent`: take lines without power, too (`jaxfrf.dft`). A
+    record that shows a period, but states none, is taken whole only if the method was given a transient term.
 
     A record that was made in memory is screened first (`jaxfrf.screen`); one that was read from files has been.
 
@@ -29,7 +31,7 @@ def spectra_of(data: Experiment, method: AbstractMethod, *, periods=None, band=N
         whole = None if band is None else (low or 0.0, high or data.fs / 2)
         return record_spectra(data, whole)
     else:
-        spectra = dft(data, robust=robust)
+        spectra = dft(data, robust=robust, silent=silent)
     return spectra if band is None else select_band(spectra, band[0] or 0.0, band[1] or data.fs / 2)
 
 

@@ -41,3 +41,20 @@ class Widened(AbstractFactors):
 
     def diagonal(self):
         return variances(self.of) + self.more
+
+
+class Variances(AbstractFactors):
+    """diag(v), of a covariance of which the variances alone were kept. `v`: (*batch, vec)."""
+
+    v: Float[Array, "*batch vec"]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (*self.v.shape, self.v.shape[-1])
+
+    def dense(self):
+        xp = np if isinstance(self.v, np.ndarray) else jnp
+        return self.v[..., None] * xp.eye(self.v.shape[-1])
+
+    def diagonal(self):
+        return self.v

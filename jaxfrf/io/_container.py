@@ -3,11 +3,13 @@
 A format is a module with `load(path)` and `save(path, variables, attributes)`; `_FORMATS` lists them.
 """
 
+import contextlib
 import dataclasses
 import importlib
+import math
 import os
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -16,11 +18,11 @@ from .._files import check_readable, replacing
 
 _TABLES = (".csv", ".txt", ".tsv", ".lvm")
 _FORMATS = {
-    **{".nc": "_netcdf", ".mat": "_matlab", ".npz": "_npz"},
+    **{".nc": "_netcdf", ".zarr": "_zarr", ".mat": "_matlab", ".npz": "_npz"},
     **dict.fromkeys(_TABLES, "_csv"),
     **{".mf4": "_mdf", ".mdf": "_mdf", ".dat": "_mdf", ".parquet": "_parquet"},
 }
-_SAVED = (".nc", ".mat", ".npz")
+_SAVED = (".nc", ".mat", ".npz", ".zarr")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,12 +33,28 @@ class Unreadable:
 
 
 @dataclasses.dataclass(frozen=True)
+class Later:
+    """Shape and type of an array whose numbers come block by block."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype = np.dtype(float)
+
+    @property
+    def nbytes(self) -> int:
+        return math.prod(self.shape) * self.dtype.itemsize
+
+
+@dataclasses.dataclass(frozen=True)
 class Variable:
-    """An array to be saved, with the name of every axis and its unit."""
+    """An array to be saved, with the name of every axis, its unit, and what else NetCDF keeps of it."""
 
     dims: tuple[str, ...]
-    value: np.ndarray
+    value: np.ndarray | Later
     unit: str = ""
+    attributes: Mapping[str, object] = dataclasses.field(default_factory=dict)
+
+
+Put = Callable[[str, int, np.ndarray], None]  # name, first position, numbers of some positions
 
 
 Leaf = np.ndarray | str | Unreadable
@@ -67,18 +85,28 @@ class Variables(dict[str, Leaf]):
 Attributes = Mapping[str, float | int | str]
 
 
-def load(path: str | os.PathLike) -> dict[str, Leaf]:
+def positions_in(path: str | os.PathLike) -> int | None:
+    """How many positions a file holds that can be read one by one; `None` where it cannot be."""
+    path = pathlib.Path(path)
+    reader = _format(path, tuple(_FORMATS), "read")
+    if not hasattr(reader, "positions"):
+        return None
+    check_file(path)
+    return reader.positions(path)
+
+
+def load(path: str | os.PathLike, part: slice | None = None, without: str | None = None) -> dict[str, Leaf]:
     """All variables of a file by name, fields of structs as `rec.vel`; see `_FORMATS` for its kinds.
+
+    `part`: at these positions alone, of files with `positions_in`; `without`: but for arrays that have this axis.
 
     **Raises:** `jaxfrf.InputError` naming the file if it is missing, empty, truncated or of no known kind.
     """
     path = pathlib.Path(path)
     reader = _format(path, tuple(_FORMATS), "read")
-    check_readable(path, "a measurement file")
-    if path.stat().st_size == 0:
-        raise input_error(str(path), "an empty file (0 bytes)", "a measurement file", "Export or copy it again.")
+    check_file(path)
     try:
-        found = reader.load(path)
+        found = reader.load(path) if part is None else reader.load(path, part, without)
     except (InputError, ImportError):
         raise
     except MemoryError as error:
@@ -100,6 +128,13 @@ def load(path: str | os.PathLike) -> dict[str, Leaf]:
     return found
 
 
+def check_file(path: pathlib.Path) -> None:
+    """Refuse what is no file, or an empty one."""
+    check_readable(path, "a measurement file")
+    if path.is_file() and path.stat().st_size == 0:
+        raise input_error(str(path), "an empty file (0 bytes)", "a measurement file", "Export or copy it again.")
+
+
 def save(path: str | os.PathLike, variables: Mapping[str, Variable], attributes: Attributes) -> None:
     """Write arrays and scalars (numbers or text) to a `.nc`, `.mat` or `.npz` file, whole or not at all.
 
@@ -110,6 +145,29 @@ def save(path: str | os.PathLike, variables: Mapping[str, Variable], attributes:
     writer = _format(path, _SAVED, "written")
     with replacing(path) as temporary:
         writer.save(temporary, variables, attributes)
+
+
+@contextlib.contextmanager
+def save_blocks(path: str | os.PathLike, variables: Mapping[str, Variable], attributes: Attributes) -> Iterator[Put]:
+    """As `save`, with arrays that come position by position (`Later`): `put(name, first, numbers)` in the block.
+
+    NetCDF and Zarr go to the disk as they come, other formats at the end.
+    """
+    path = pathlib.Path(path)
+    writer = _format(path, _SAVED, "written")
+    with replacing(path) as temporary:
+        if hasattr(writer, "blocks"):
+            with writer.blocks(temporary, variables, attributes) as put:
+                yield put
+            return
+        whole = {
+            name: dataclasses.replace(v, value=np.empty(v.value.shape, v.value.dtype))
+            if isinstance(v.value, Later)
+            else v
+            for name, v in variables.items()
+        }
+        yield lambda name, first, value: whole[name].value.__setitem__(slice(first, first + len(value)), value)
+        writer.save(temporary, whole, attributes)
 
 
 def text(value) -> str:

@@ -1,15 +1,93 @@
-"""Whether an HDF5 file can be walked through: its library trusts what a damaged file states of itself, and has then run
-for ever or brought the process down. Another process tries it first, one for all files of this one."""
+"""What HDF5's library does not survive: damaged files, and a full disk.
+
+It trusts what a damaged file states of itself, and has then run for ever or brought the process down: another process
+walks through it first, one for all files of this one. Where a write fails it leaves objects open and ends the process
+when that ends: it writes to `Disk`, where no write fails.
+"""
 
 import atexit
+import contextlib
+import io
 import os
 import pathlib
 import queue
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 
 from .._errors import InputError, input_error
+
+
+class Disk(io.RawIOBase):
+    """A file for `h5py.File(disk, "w")`; after a write that fails (`check`) all goes nowhere."""
+
+    def __init__(self, path: pathlib.Path):
+        self._file = open(path, "w+b", buffering=0)
+        self._path, self._error = path, None
+
+    def check(self) -> None:
+        """**Raises:** the `OSError` of the first write that failed."""
+        if self._error is not None:
+            raise OSError(self._error.errno, self._error.strerror, str(self._path)) from self._error
+
+    def readable(self) -> bool:
+        return True
+
+    def writable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def readinto(self, buffer) -> int | None:
+        return self._file.readinto(buffer)
+
+    def write(self, data) -> int:
+        left = memoryview(data).cast("B")
+        size = len(left)
+        while len(left) and self._error is None:
+            self._try(lambda left=left: self._file.write(left))
+            left = left[self._done :]
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        self._try(lambda: self._file.truncate(size))
+        return self.tell() if size is None else size
+
+    def close(self) -> None:
+        if not self.closed:
+            self._try(self._file.close)
+        super().close()
+
+    def _try(self, work) -> None:
+        self._done = 0
+        try:
+            self._done = work() or 0
+        except OSError as error:
+            self._error = self._error or error
+
+
+@contextlib.contextmanager
+def surviving(path: pathlib.Path) -> Iterator[Disk]:
+    """A new file for HDF5 to write to.
+
+    **Raises:** `OSError` at the end, where not all of it could be written.
+    """
+    with Disk(path) as disk:
+        try:
+            yield disk
+        except Exception:  # what HDF5 finds missing then is no news
+            disk.check()
+            raise
+    disk.check()
+
 
 _START = 30.0  # s to import h5py on a busy machine
 _RATE = 20e6  # bytes/s that every disk reads

@@ -17,7 +17,7 @@ import scipy  # scipy.io and scipy.sparse load when a file needs them
 from .._files import check_room
 from .._memory import check_memory
 from ._container import Attributes, Leaf, Unreadable, Variable, text
-from ._hdf5 import check_walkable
+from ._hdf5 import check_walkable, surviving
 from ._mat5 import check_whole
 from ._optional import require
 
@@ -98,7 +98,7 @@ def save_v5(path: pathlib.Path, variables: Mapping[str, Variable], attributes: A
 def save_v73(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
     """HDF5 behind MATLAB's 512-byte header; position by position, without a second copy of an array."""
     check_room(path, sum(8 * np.size(v.value) for v in variables.values()) + 2**20)
-    with require("h5py", "io").File(path, "w", userblock_size=512) as file:
+    with surviving(path) as disk, require("h5py", "io").File(disk, "w", userblock_size=512) as file:
         for name, variable in variables.items():
             _store_array(file, name, np.atleast_2d(variable.value))
         for name, x in attributes.items():

@@ -17,12 +17,14 @@ def holds_frf(path: str | os.PathLike) -> bool:
     """Whether a file holds `G` and `frequency`, as `write_frf` writes them. What cannot be read holds none: reading it
     as a record says why."""
     path = pathlib.Path(path)
-    if path.suffix.lower() not in (".nc", ".mat", ".npz"):
+    if path.suffix.lower() not in (".nc", ".mat", ".npz", ".zarr"):
         return False
     try:
         if path.suffix.lower() == ".npz":
             with zipfile.ZipFile(path) as archive:
                 names = {name.removesuffix(".npy") for name in archive.namelist()}
+        elif path.suffix.lower() == ".zarr":
+            names = {x.name for x in path.iterdir()}
         else:
             names = set(load(path))
     except (InputError, ImportError, OSError, zipfile.BadZipFile):

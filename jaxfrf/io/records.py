@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import hashlib
 import os
 import pathlib
 import re
@@ -12,10 +11,11 @@ import numpy as np
 
 from .._arguments import expect
 from .._errors import InputError, input_error
+from .._files import digest
 from ..experiment import QUANTITIES, UNITS, Experiment, Source, concatenate
 from ..screening import ACROSS, CHECKS, screened
 from ..units import DEFAULT_INPUT, input_unit, known_unit, output_unit, quantity_of
-from ._container import Leaf, Variable, Variables, load, save
+from ._container import Later, Leaf, Put, Variable, Variables, check_file, load, save, save_blocks
 from ._joined import expanded, joined, part_of
 from ._matlab import NAMELESS
 from ._select import column, missing, select, time_like
@@ -104,6 +104,28 @@ def write(path: str | os.PathLike, data: Experiment) -> None:
     save(path, variables, attributes)
 
 
+@contextlib.contextmanager
+def writing(
+    path: str | os.PathLike, shapes: Mapping[str, tuple[int, ...]], q, lines, attributes: Mapping
+) -> Iterator[Put]:
+    """An experiment file whose signals come position by position: `put(name, first position, numbers)`.
+
+    **Arguments:** `shapes` of r, u, y, (position, experiment, time, channel). `q`, `lines`: as of an experiment, or
+    `None`. `attributes`: `fs`, `period`, `transient_periods`, `r_quantity`, `y_quantity`.
+    """
+    units = {"u": "N m", "r": UNITS[attributes["r_quantity"]], "y": UNITS[attributes["y_quantity"]]}
+    variables = {
+        name: Variable(("position", "experiment", "time", _CHANNEL[name]), Later(shape), units[name])
+        for name, shape in shapes.items()
+    }
+    if q is not None:
+        variables["q"] = Variable(("position", "joint"), np.asarray(q), "rad")
+    if lines is not None:
+        variables["lines"] = Variable(("line",), np.asarray(lines))
+    with save_blocks(path, variables, attributes) as put:
+        yield put
+
+
 @dataclasses.dataclass(frozen=True)
 class _Given:
     """What the caller says about the files."""
@@ -140,11 +162,42 @@ class _File:
 
 
 def _read_one(paths: Sequence[pathlib.Path], given: _Given) -> Experiment:
-    """The record in one file, or the one whose channels several files hold."""
+    """The record in one file, or the one whose channels several files hold, screened."""
     path = paths[0] if len(paths) == 1 else pathlib.Path(" + ".join(x.name for x in paths))
     variables = load(path) if len(paths) == 1 else joined({x: load(x) for x in paths})
-    file = _File(path, _with_units(variables), given)
-    sources = tuple(Source(x.name, _sha256(x)) for x in paths)
+    sources = tuple(source_of(x) for x in paths)
+    data, remarks = _record(_File(path, _with_units(variables), given), sources)
+    del variables  # the arrays live on in `data` alone
+    with _naming(_File(path, Variables({}), given)):
+        data = screened(data, checks=CHECKS, anyway=given.anyway)
+    warnings = tuple(f"{path}: {text}" for text in (*remarks, *data.warnings))
+    return dataclasses.replace(data, warnings=warnings) if warnings else data
+
+
+def as_given(names, values, scale, anyway: bool) -> _Given:
+    """What the caller says about the files, checked."""
+    return _Given(names, values, scale, anyway)
+
+
+def source_of(path: pathlib.Path) -> Source:
+    """Name and digest of a file, or of all files of a folder (Zarr)."""
+    check_file(path)
+    return Source(path.name, digest(path))
+
+
+def record_of(
+    path: pathlib.Path, given: _Given, source: Source, part: slice | None = None
+) -> tuple[Experiment, list[str]]:
+    """The record in a file, or at some of its positions, not screened; and what is to be said of reading it."""
+    variables = load(path, part=part)
+    values = dict(given.values)
+    if part is not None and np.ndim(values.get("q")) == 2 and len(values["q"]) >= part.stop:
+        values["q"] = values["q"][part]
+    return _record(_File(path, _with_units(variables), dataclasses.replace(given, values=values)), (source,))
+
+
+def _record(file: _File, sources: tuple[Source, ...]) -> tuple[Experiment, list[str]]:
+    """The record as the file has it, and what is to be said of that."""
     signals = {key: _signal(file, key) for key in SIGNALS}
     fs, late = _sampling_frequency(file, signals["u"].shape[-2])
     y_quantity, asked = _output_quantity(file)
@@ -165,11 +218,7 @@ def _read_one(paths: Sequence[pathlib.Path], given: _Given) -> Experiment:
             y_unit=_kept_unit(file, "y", UNITS.get(y_quantity, "")),
             sources=sources,
         )
-    del signals, file  # the arrays live on in `data` alone
-    with _naming(_File(path, Variables({}), given)):
-        data = screened(data, checks=CHECKS, anyway=given.anyway)
-    warnings = tuple(f"{path}: {text}" for text in (*remarks, *data.warnings))
-    return dataclasses.replace(data, warnings=warnings) if warnings else data
+    return data, remarks
 
 
 def _signal(file: _File, key: str) -> np.ndarray | None:
@@ -448,8 +497,3 @@ def _cut_advice(file: _File) -> str:
     start, stop, _ = kept.indices(n_time)
     whole = (stop - start) // period * period
     return f" This keeps them: --set samples={start}:{start + whole}." if whole else ""
-
-
-def _sha256(path: pathlib.Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

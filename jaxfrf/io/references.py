@@ -72,6 +72,16 @@ def write_reference(path: str | os.PathLike, reference: Reference) -> tuple[path
     return (path,)
 
 
+def reference_files(path: str | os.PathLike, n_exp: int) -> tuple[pathlib.Path, ...]:
+    """The files that `write_reference` writes under this name."""
+    path = pathlib.Path(path)
+    if path.suffix.lower() != ".csv":
+        return (path,)
+    digits = max(2, len(str(n_exp)))
+    names = [path.with_stem(f"{path.stem}_{e:0{digits}d}") for e in range(1, n_exp + 1)] if n_exp > 1 else [path]
+    return (*names, path.with_name(f"{path.stem}_design.json"))
+
+
 def read_reference(path: str | os.PathLike) -> Reference:
     """Read a reference that `write_reference` wrote as `.nc` or `.mat`.
 
@@ -156,11 +166,7 @@ def _design(found) -> Multisine:
 
 def _write_csv(path: pathlib.Path, reference: Reference) -> tuple[pathlib.Path, ...]:
     """All files are written before the first is renamed, so that a failure leaves none."""
-    digits = max(2, len(str(reference.n_exp)))
-    names = [path.with_stem(f"{path.stem}_{e:0{digits}d}") for e in range(1, reference.n_exp + 1)]
-    if reference.n_exp == 1:
-        names = [path]
-    description = path.with_name(f"{path.stem}_design.json")
+    *names, description = reference_files(path, reference.n_exp)
     with contextlib.ExitStack() as stack:
         for exp, name in enumerate(names):
             _write_table(stack.enter_context(replacing(name)), reference, exp)

@@ -19,23 +19,25 @@ input, frequency): `idfrd(permute(G(1,:,:,:), [3 4 2 1]), 2*pi*frequency, 0)`. M
 length one when it saves; they are put back on reading. **NumPy**: no pickle.
 """
 
+import contextlib
 import dataclasses
-import hashlib
 import json
 import pathlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from .._arguments import expect
 from .._errors import input_error
-from .._files import replacing
+from .._files import digest, replacing
+from .._memory import check_memory
 from .._status import Status
 from ..experiment import QUANTITIES, Source
 from ..frf import FRF
 from ..units import response_unit
-from ._container import Unreadable, load
+from . import _netcdf, _zarr
+from ._container import Later, Unreadable, Variable, load
 from ._netcdf import write_dataset
 from ._optional import require
 
@@ -66,6 +68,43 @@ def write_frf(path, frf: FRF) -> None:
     write = _WRITERS[_suffix(path)]
     with replacing(path) as draft:
         write(draft, _contents(frf))
+
+
+@contextlib.contextmanager
+def writing_frf(path, like: FRF, n_pos: int) -> Iterator[Callable[[int, FRF], None]]:
+    """`write_frf` of `n_pos` positions that come one after the other: `put(first, frf)` in the block.
+
+    NetCDF and Zarr go to the disk as they come, other formats at the end. `like`: the FRF of some of them, with what is
+    said of all (method, sources, warnings).
+
+    **Raises:** as `write_frf`.
+    """
+    path = pathlib.Path(path)
+    suffix, names = _suffix(path), _contents(like)
+    arrays = {
+        name: Later((n_pos, *x.shape[1:]), x.dtype) if axes[0] == "position" else x
+        for name, axes in _AXES.items()
+        if (x := names.get(name)) is not None
+    }
+
+    def put(first: int, frf: FRF) -> None:
+        for name, x in _contents(frf).items():
+            if isinstance(arrays.get(name), Later):
+                store(name, first, x)
+
+    with replacing(path) as draft:
+        if suffix in (".nc", ".zarr"):
+            texts = {name: x for name, x in names.items() if name not in _AXES}
+            notes = _notes(names)
+            variables = {name: Variable(_AXES[name], x, "", notes.get(name, {})) for name, x in arrays.items()}
+            with (_netcdf if suffix == ".nc" else _zarr).blocks(draft, variables, texts) as store:
+                yield put
+            return
+        check_memory(str(path), 3 * sum(x.nbytes for x in arrays.values()), "Write .nc, which needs one position.")
+        whole = names | {name: np.empty(x.shape, x.dtype) for name, x in arrays.items() if isinstance(x, Later)}
+        store = lambda name, first, x: whole[name].__setitem__(slice(first, first + len(x)), x)
+        yield put
+        _WRITERS[suffix](draft, whole)
 
 
 def read_frf(path) -> FRF:
@@ -114,8 +153,7 @@ def frf_from_arrays(
 def source(path) -> Source:
     """The name of a file and the sha256 of its bytes."""
     path = pathlib.Path(path)
-    with path.open("rb") as file:
-        return Source(path.name, hashlib.file_digest(file, "sha256").hexdigest())
+    return Source(path.name, digest(path))
 
 
 # --- between an FRF and the names of the file ---
@@ -259,7 +297,15 @@ def _json(names: Mapping, name: str, where: str) -> list:
 def _write_nc(path: pathlib.Path, names: Mapping) -> None:
     xarray = require("xarray", "io")
     require("h5netcdf", "io")
-    notes = {
+    notes = _notes(names)
+    arrays = {name: (axes, names[name], notes.get(name, {})) for name, axes in _AXES.items() if name in names}
+    texts = {name: value for name, value in names.items() if name not in _AXES}
+    write_dataset(path, xarray.Dataset(arrays, attrs=texts))
+
+
+def _notes(names: Mapping) -> dict[str, dict]:
+    """Attributes of the variables."""
+    return {
         "G": {"units": names["unit"], "long_name": "frequency response function"},
         "frequency": {"units": "Hz"},
         "cov": {"long_name": "covariance of vec(G), columns stacked"},
@@ -270,9 +316,6 @@ def _write_nc(path: pathlib.Path, names: Mapping) -> None:
             "flag_meanings": " ".join(flag.name.lower() for flag in Status),
         },
     }
-    arrays = {name: (axes, names[name], notes.get(name, {})) for name, axes in _AXES.items() if name in names}
-    texts = {name: value for name, value in names.items() if name not in _AXES}
-    write_dataset(path, xarray.Dataset(arrays, attrs=texts))
 
 
 def _write_mat(path: pathlib.Path, names: Mapping) -> None:
@@ -290,7 +333,15 @@ def _write_npz(path: pathlib.Path, names: Mapping) -> None:
         np.savez(file, allow_pickle=False, **names)
 
 
-_WRITERS: dict[str, Callable] = {".nc": _write_nc, ".mat": _write_mat, ".npz": _write_npz}
+def _write_zarr(path: pathlib.Path, names: Mapping) -> None:
+    notes = _notes(names)
+    arrays = {
+        name: Variable(axes, names[name], "", notes.get(name, {})) for name, axes in _AXES.items() if name in names
+    }
+    _zarr.save(path, arrays, {name: x for name, x in names.items() if name not in _AXES})
+
+
+_WRITERS: dict[str, Callable] = {".nc": _write_nc, ".mat": _write_mat, ".npz": _write_npz, ".zarr": _write_zarr}
 
 
 def _suffix(path: pathlib.Path) -> str:

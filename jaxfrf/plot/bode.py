@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from .._arguments import expect
 from .._errors import input_error
-from .._status import Status
+from .._status import SERIOUS
 from .._types import Array
 from ..frf import FRF
 from ..frf.covariance import variances
@@ -18,7 +18,6 @@ from ..io._optional import require
 from ..units import response_unit
 from . import _style
 
-_SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
 _WIDTHS = {1: 5.6, 2: 3.1, 3: 2.3, 4: 2.0}  # inches of a cell, by the number of cells side by side
 _HEIGHTS = {1: 3.3, 2: 2.5, 3: 2.1}
 _SMALLEST = 1.6
@@ -145,7 +144,7 @@ def _curve(frf: FRF, radius, position: int, cell: tuple[int, int]) -> _Curve:
         magnitude=_style.decibel(size),
         phase=np.where(np.isfinite(size), np.degrees(np.angle(g)), np.nan),
         relative=np.full(len(g), np.nan) if radius is None else radius[order, out, ref] / size,
-        sound=np.isfinite(size) & ((status & int(_SERIOUS)) == 0),
+        sound=np.isfinite(size) & ((status & int(SERIOUS)) == 0),
     )
 
 
@@ -344,7 +343,7 @@ def _legend(frfs, labels, radii, confidence, position: int) -> list:
         if name in told:
             look = {"color": _style.DOUBTFUL, "lw": 0.8, "ls": style}
             handles.append(lines.Line2D([], [], label=f"{label} (std)", **look))
-    if any((np.asarray(f.status[position]) & int(_SERIOUS)).any() for f in frfs):
+    if any((np.asarray(f.status[position]) & int(SERIOUS)).any() for f in frfs):
         style = {"ls": "none", "marker": "o", "ms": 3.4, "mfc": "white", "mec": _style.DOUBTFUL}
         handles.append(lines.Line2D([], [], **style, label="doubtful (status)"))
     return handles

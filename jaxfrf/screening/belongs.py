@@ -1,11 +1,13 @@
 """Experiments beside each other: one that the same machine cannot have answered, and the same one given twice."""
 
 import dataclasses
+import hashlib
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from ..experiment import Experiment
 from .finding import Finding, Severity
 from .record import Record
 
@@ -239,25 +241,49 @@ def twice(record: Record) -> Iterator[Finding]:
                 pairs.append((first, (pos, exp)))
         else:
             seen[key] = (pos, exp)
+    yield from _twice_told(pairs, data.n_pos * data.n_exp, lambda exp: _file(record, exp))
+    yield from halves(record)
+
+
+def marks(data: Experiment) -> list[list[str]]:
+    """A digest of the samples of every experiment, (pos, exp): the same for the same samples."""
+    signals = (np.asarray(data.y), np.asarray(data.u))
+    mark = lambda at: hashlib.blake2b(b"".join(np.ascontiguousarray(x[at]) for x in signals), digest_size=16)
+    return [[mark((pos, exp)).hexdigest() for exp in range(data.n_exp)] for pos in range(data.n_pos)]
+
+
+def marked_twice(marked: Sequence[Sequence[str]]) -> Iterator[Finding]:
+    """As `twice`, from the `marks` of all positions of a record that was looked at part by part."""
+    seen: dict[str, tuple[int, int]] = {}
+    pairs = []
+    for place in ((pos, exp) for pos, row in enumerate(marked) for exp in range(len(row))):
+        mark = marked[place[0]][place[1]]
+        if mark in seen:
+            pairs.append((seen[mark], place))
+        seen.setdefault(mark, place)
+    yield from _twice_told(pairs, sum(map(len, marked)), lambda exp: "")
+
+
+def _twice_told(pairs, count: int, file: Callable[[int], str]) -> Iterator[Finding]:
     if pairs:
         (p, e), (q, f) = pairs[0]
         yield Finding(
             "twice",
             Severity.WARNED,
             len(pairs),
-            f"experiment {f} (position {q}{_file(record, f)}) holds the samples of experiment {e} (position {p}) once "
+            f"experiment {f} (position {q}{file(f)}) holds the samples of experiment {e} (position {p}) once "
             f"more, and {len(pairs) - 1} others do so too: the same data count twice, and the interval is too small "
-            f"by {np.sqrt(1 + len(pairs) / max(data.n_pos * data.n_exp - len(pairs), 1)):.2g} times. Give each once."
+            f"by {np.sqrt(1 + len(pairs) / max(count - len(pairs), 1)):.2g} times. Give each once."
             if len(pairs) > 1
-            else f"experiment {f} (position {q}{_file(record, f)}) holds the samples of experiment {e} (position {p}) "
+            else f"experiment {f} (position {q}{file(f)}) holds the samples of experiment {e} (position {p}) "
             "once more: the same data count twice, and the interval is too small. Give each only once.",
             pos=q,
             exp=f,
         )
-    yield from _halves(record)
 
 
-def _halves(record: Record) -> Iterator[Finding]:
+def halves(record: Record) -> Iterator[Finding]:
+    """Records whose second half is the first one once more."""
     data = record.data
     if data.n_periods < 4 or data.n_periods % 2:
         return

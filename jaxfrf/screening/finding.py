@@ -2,6 +2,7 @@
 
 import dataclasses
 import enum
+import re
 
 import numpy as np
 
@@ -39,3 +40,11 @@ class Finding:
     pos: int | None = None
     exp: int | None = None
     samples: tuple[int, int] | None = None
+
+
+def shifted(finding: Finding, by: int) -> Finding:
+    """The same finding in a record of which this one is a part, from position `by` on."""
+    if not by or finding.pos is None:
+        return finding
+    says = re.sub(r"\bposition (\d+)", lambda found: f"position {int(found[1]) + by}", finding.says)
+    return dataclasses.replace(finding, pos=finding.pos + by, says=says)

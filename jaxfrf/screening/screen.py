@@ -1,13 +1,13 @@
 """All checks, and what becomes of what they find."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from .._arguments import expect
 from .._errors import InputError
 from ..experiment import Experiment
-from .belongs import foreign, twice
-from .finding import Finding, Severity
+from .belongs import foreign, halves, marked_twice, marks, twice
+from .finding import Finding, Severity, shifted
 from .gain import gain_drift
 from .glitch import glitch
 from .levels import clipped, coarse, dead, held, saturated, wrapped
@@ -42,6 +42,8 @@ CHECKS: tuple[Check, ...] = (
 )
 ACROSS: tuple[Check, ...] = (twice, foreign)
 """Checks that compare experiments, which may come from several files."""
+
+_OF_ALL = (contradicted, quiet_lines)  # look at the record as a whole: its first part speaks for it
 
 _ANY_CHANNEL = {"foreign", "noncausal"}  # of which another channel may be the cause
 
@@ -96,6 +98,45 @@ def _explained(finding: Finding, by: Finding) -> bool:
     return same and (finding.kind in _ANY_CHANNEL or (finding.signal, finding.channel) == (by.signal, by.channel))
 
 
+@dataclasses.dataclass(frozen=True)
+class Looked:
+    """What was found in a part of a record: what `screened` would say of the whole comes of all of them.
+
+    **Fields:** `found`: by file. `across`: between the files' experiments. `marks`: of every experiment, (pos, exp).
+    """
+
+    found: tuple[tuple[Finding, ...], ...]
+    across: tuple[Finding, ...]
+    marks: list[list[str]]
+
+
+def look(files: Sequence[tuple[Experiment, int]], whole: Experiment, first: int) -> Looked:
+    """Screen some positions of a data set.
+
+    **Arguments:** `files`: what each of the files holds of them, and the number of its first one there. `whole`: these
+    joined, from position `first` of the data set on.
+    """
+    found = []
+    for data, start in files:
+        checks = CHECKS if start == 0 else tuple(x for x in CHECKS if x not in _OF_ALL)
+        found.append(tuple(shifted(f, start) for f in examine(data, checks)))
+    across = tuple(shifted(f, first) for f in examine(whole, (halves, foreign)))
+    return Looked(tuple(found), across, marks(whole))
+
+
+def refused(findings: Iterable[Finding]) -> None:
+    """**Raises:** `jaxfrf.InputError` for findings that make a record useless."""
+    useless = [f for f in findings if f.severity is Severity.REFUSED]
+    if useless:
+        raise InputError(" ".join(sentences(useless)))
+
+
+def across_all(looked: Sequence[Looked]) -> tuple[str, ...]:
+    """What is told of the experiments beside each other, of all parts in their order."""
+    marked = [row for part in looked for row in part.marks]
+    return sentences([*marked_twice(marked), *(f for part in looked for f in part.across)])
+
+
 def screen(data: Experiment) -> tuple[str, ...]:
     """What looks wrong in a record: one sentence a kind, with the worst place; `jaxfrf.examine` gives every finding.
 
@@ -128,8 +169,7 @@ def screened(data: Experiment, *, checks: tuple[Check, ...] = CHECKS + ACROSS, a
     """
     expect("data", data, Experiment)
     findings = examine(data, checks)
-    refused = [f for f in findings if f.severity is Severity.REFUSED]
-    if refused and not anyway:
-        raise InputError(" ".join(sentences(refused)))
+    if not anyway:
+        refused(findings)
     warnings = tuple(dict.fromkeys((*data.warnings, *sentences(findings))))
     return dataclasses.replace(data, warnings=warnings)

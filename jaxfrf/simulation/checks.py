@@ -83,13 +83,22 @@ def check_runs(design: Multisine, positions: int) -> None:
 
 def at_limits(robot: Robot, torque: np.ndarray) -> tuple[str, ...]:
     """A sentence for every motor that ran at its torque limit for a part of the record that matters."""
+    return limits_told(robot, limit_share(robot, torque))
+
+
+def limit_share(robot: Robot, torque: np.ndarray) -> np.ndarray:
+    """Share of the samples (pos, exp, time, axis) at which every motor is at its limit: (pos, exp, axis)."""
+    limit = np.asarray(robot.drives.torque_limit)
+    return np.stack([np.mean(np.abs(torque[..., i]) >= (1 - _AT) * x, axis=-1) for i, x in enumerate(limit)], axis=-1)
+
+
+def limits_told(robot: Robot, shares: np.ndarray) -> tuple[str, ...]:
+    """A sentence for every motor whose share is large anywhere."""
     limit = np.asarray(robot.drives.torque_limit)
     said = []
     for axis, name in enumerate(robot.axis_names):
-        if not np.isfinite(limit[axis]):
-            continue
-        share = np.mean(np.abs(torque[..., axis]) >= (1 - _AT) * limit[axis], axis=-1)
-        if share.max() > _OFTEN:
+        share = shares[..., axis]
+        if np.isfinite(limit[axis]) and share.max() > _OFTEN:
             pos, exp = (int(i) for i in np.unravel_index(np.argmax(share), share.shape))
             said.append(
                 f"{name}: the motor is at its torque limit of {limit[axis]:.3g} N m for {100 * share.max():.2g} % of "

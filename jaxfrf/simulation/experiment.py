@@ -51,28 +51,41 @@ def simulate(
     **Raises:** `jaxfrf.InputError` where robot, design and positions do not fit together, and where runs
     diverge: it names positions and experiments, and nothing is recorded then.
     """
-    expect("robot", robot, Robot)
-    expect("design", design, Multisine)
-    require_x64("A simulation")
-    check_fit(robot, design.fs, design.n_in, "design")
-    positions = check_positions(robot, positions)
-    check_noise(noise)
+    study = study_of_design(robot, design, positions, key, run_in, noise, steps)
     check_runs(design, len(positions))
-    references = references_of_design(design, run_in)
-    loop, point = loop_at_rest(robot, positions, noise, steps)
-    u, y = record(Study(loop, references, point, key, design.n_exp), chunk, progress)
+    u, y = record(study, chunk, progress)
     return Experiment(
-        warnings=(*soft_springs(robot, point, design), *at_limits(robot, u)),
+        warnings=(*soft_springs(robot, study.point, design), *at_limits(robot, u)),
         u=u,
         y=y,
-        r=_at_every_position(np.tile(references.velocity, (1, u.shape[2] // references.velocity.shape[1], 1)), u),
-        q=positions,
+        r=_at_every_position(played(study), u),
+        q=np.asarray(positions, float),
         fs=design.fs,
         period=design.period,
         lines=design.lines,
         transient_periods=design.transient_periods if run_in is None else 0,
         y_quantity="position",
     )
+
+
+def study_of_design(
+    robot: Robot, design: Multisine, positions, key: PRNGKeyArray, run_in: float | None, noise: float, steps: int | None
+) -> Study:
+    """The runs that play a design at every position, as in `simulate`."""
+    expect("robot", robot, Robot)
+    expect("design", design, Multisine)
+    require_x64("A simulation")
+    check_fit(robot, design.fs, design.n_in, "design")
+    positions = check_positions(robot, positions)
+    check_noise(noise)
+    loop, point = loop_at_rest(robot, positions, noise, steps)
+    return Study(loop, references_of_design(design, run_in), point, key, design.n_exp)
+
+
+def played(study: Study) -> Float[np.ndarray, "exp time axis"]:
+    """The speed references of one position for as long as a record lasts."""
+    velocity = study.references.velocity
+    return np.tile(velocity, (1, study.references.recorded // velocity.shape[1], 1))
 
 
 def replay(
@@ -124,12 +137,12 @@ def replay(
         raise input_error("key", "none", f"a key for a noise of {noise:g} rad", "Give key=jax.random.key(0).")
     study = study_of_record(robot, data, key, noise, run_in, steps)
     u, y = record(study, chunk, progress)
-    played = study.references.velocity if data.r_quantity == "velocity" else study.references.position
+    reference = study.references.velocity if data.r_quantity == "velocity" else study.references.position
     return Experiment(
         warnings=at_limits(robot, u),
         u=u,
         y=y,
-        r=_at_every_position(played, u),
+        r=_at_every_position(reference, u),
         q=np.asarray(data.q, float),
         fs=data.fs,
         period=data.period,

@@ -45,14 +45,19 @@ class Study(eqx.Module):
         return len(self.point.z) * self.n_exp
 
 
-def record(study: Study, chunk: int, progress: Progress | None, player: Player = play) -> tuple[Records, ...]:
+def record(
+    study: Study, chunk: int, progress: Progress | None, player: Player = play, positions: range | None = None
+) -> tuple[Records, ...]:
     """Torque commands and measured positions behind the run-in, `chunk` runs or fewer together on a core.
 
     `player`: `closed_loop.play`, or one that gives more signals after these two; all that it gives are recorded.
+    `positions`: these in a row alone, all by default.
 
     **Raises:** `jaxfrf.InputError` where runs diverge, naming them.
     """
-    blocks = _blocks(study.n_runs, chunk)
+    positions = range(len(study.point.z)) if positions is None else positions
+    first, n_runs = positions.start * study.n_exp, len(positions) * study.n_exp
+    blocks = [first + block for block in _blocks(n_runs, chunk)]
     kept: dict[int, Records] = {}
     lost: dict[int, float] = {}
     total, done = len(blocks) * math.ceil(study.references.n_time / _SEGMENT), itertools.count(1)
@@ -64,9 +69,9 @@ def record(study: Study, chunk: int, progress: Progress | None, player: Player =
     def work(block):
         for start, stretch in _segments(study, block, lost, player):
             for number, signal in enumerate(stretch):
-                shape = (study.n_runs, study.references.recorded, signal.shape[1])
+                shape = (n_runs, study.references.recorded, signal.shape[1])
                 whole = kept.setdefault(number, np.empty(shape))
-                _store(whole, block, start - study.references.run_in, signal)
+                _store(whole, block - first, start - study.references.run_in, signal)
             yield
 
     _share([work(block) for block in blocks], advanced)

@@ -15,6 +15,7 @@ from ..experiment import Experiment
 from ..io._container import replacing
 from ..io._json import write_json
 from ..io._optional import require
+from ..parts import BESIDE, Parts
 from ..robot import parameters
 from .bias import bias_at, first_experiments, measure, measure_all
 from .figures import draw_figures, example_responses, read_curves
@@ -26,7 +27,10 @@ from .settings import Settings, design, truth
 from .uncertain import OFF, compared, uncertain_row
 from .why import VARIANTS, variant_row
 
-BESIDE = "study, a step beside"  # name of the threads that make steps beside the main one
+PART_FILES = (
+    *(f"{kind}-*.json" for kind in ("through", "uncertain", "bias", "direct", "why", "step")),
+    *("example.json", "example.npz", "hidden.json", "hidden.npz"),
+)
 
 Say = Callable[[str], None]
 
@@ -40,20 +44,29 @@ class Task(eqx.Module):
     work: Callable[[], dict] = eqx.field(static=True)
 
 
-def run_study(settings: Settings, output: str | pathlib.Path, say: Say | None = None, *, resume: bool = False) -> dict:
+def run_study(
+    settings: Settings, output: str | pathlib.Path, say: Say | None = None, *, parts: Parts | None = None
+) -> dict:
     """Make the whole study and write it to a folder: `index.html`, `study.json`, both figures.
 
-    Every finished step is kept in `parts`. `resume`: go on in a folder that holds an interrupted study of the same
-    settings, made by the same program.
+    Every finished step is kept in `parts` (`jaxfrf.parts.Parts`; by default in `<output>.parts`, until the study
+    stands).
 
-    **Raises:** `jaxfrf.InputError` if the folder holds something else, and where it cannot be written; `ImportError`
-    without matplotlib.
+    **Raises:** `jaxfrf.InputError` if the folder holds something else than a study, and where it cannot be written;
+    `ImportError` without matplotlib.
     """
     require_x64("A study")
     require("matplotlib.figure", "plot")
-    folder = pathlib.Path(output)
-    parts = prepared(folder, settings, resume)
+    if parts is None:
+        with Parts(output, "study", say=say) as parts:
+            return run_study(settings, output, say, parts=parts)
+    folder = prepared(pathlib.Path(output))
     say = say or (lambda text: None)
+    parts.begin(settings.as_dict(), PART_FILES)
+    return _made(settings, folder, parts.folder, say)
+
+
+def _made(settings: Settings, folder: pathlib.Path, parts: pathlib.Path, say: Say) -> dict:
     began = time.monotonic()
     _work(study_tasks(settings, parts, say), settings.together, say)
     results = collect(settings, parts)
@@ -172,7 +185,7 @@ def _save(path: pathlib.Path, arrays: dict[str, np.ndarray]) -> None:
 
 def _work(tasks: list[Task], together: int, say: Say) -> None:
     """Make what is not there yet, so many steps at a time: while one simulates, another one's programs are compiled."""
-    waiting = [t for t in tasks if not t.path.exists()]
+    waiting = [t for t in tasks if not _finished(t.path)]
     if len(waiting) < len(tasks):
         say(f"{len(tasks) - len(waiting)} of {len(tasks)} steps are done already")
     total, began = len(waiting), time.monotonic()
@@ -211,6 +224,14 @@ def _work(tasks: list[Task], together: int, say: Say) -> None:
         thread.join()
     if failed:
         raise failed[0]
+
+
+def _finished(path: pathlib.Path) -> bool:
+    """Whether a step is there, and whole."""
+    try:
+        return "result" in json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
 
 
 def _clock(seconds: float) -> str:

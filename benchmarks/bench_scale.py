@@ -1,0 +1,119 @@
+"""Large data sets: memory, time and processor time of `simulate` and `estimate`, with one worker and with several.
+
+    python benchmarks/bench_scale.py                         # 0.2 GB: a minute or two
+    python benchmarks/bench_scale.py --gigabytes 10 --folder /data --workers 1 2    # an hour
+
+Every step is a command of its own, as a user gives it; its peak of resident memory and its times are what the system
+says of that process (of the largest of all, where there are workers). Data that are there already are not made again.
+"""
+
+import argparse
+import os
+import pathlib
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+
+BENCHMARKS = pathlib.Path(__file__).parent
+ROBOT = BENCHMARKS.parent / "jaxfrf" / "robot" / "r3x.toml"
+RUN = 56000 * 18 * 8  # bytes of a run of the paper's design: r, u and y of six axes
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--gigabytes", type=float, default=0.2, help="of the data set (default .2)")
+    parser.add_argument("--folder", type=pathlib.Path, help="for the data (default: a temporary one)")
+    parser.add_argument("--data", nargs="+", type=pathlib.Path, help="files to take instead of simulating any")
+    parser.add_argument("--method", default="auto")
+    parser.add_argument("--memory", default="2GB")
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--results", type=pathlib.Path, help="file to append the table to")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = given.folder or pathlib.Path(temporary)
+        lines = measured(given, folder)
+    text = "\n".join([heading(given), *lines, ""])
+    print(text)
+    if given.results:
+        with given.results.open("a", encoding="utf-8") as file:
+            file.write(text + "\n")
+
+
+def measured(given, folder: pathlib.Path) -> list[str]:
+    data, lines = given.data, []
+    if data is None:
+        path = folder / f"scale-{given.gigabytes:g}.nc"
+        blocks = 4 if given.gigabytes >= 1 else 1
+        positions = max(2, round(given.gigabytes * 1e9 / (6 * blocks * RUN)))
+        if not path.exists():
+            design = folder / "design.toml"
+            text = (BENCHMARKS / "paper_design.toml").read_text()
+            design.write_text(text.replace("blocks = 4", f"blocks = {blocks}"))
+            made = run("simulate", ROBOT, design, "--positions", positions, "--memory", given.memory, "-o", path)
+            lines.append(row(f"simulate {positions} x {6 * blocks} runs of 28 s", made))
+        data = [path]
+    size = sum(path.stat().st_size for path in data)
+    lines.append(f"data: {size / 1e9:.2f} GB")
+    first = None
+    for workers in given.workers:
+        output = folder / f"frf-{workers}.nc"
+        options = ("--method", given.method, "--memory", given.memory, "-o", output)
+        shared = ("--workers", workers) if workers > 1 else ()
+        made = run("estimate", *data, *options, *shared)
+        lines.append(row(f"estimate ({given.method}), {workers} worker(s)", made))
+        if first is None:
+            first = made, output
+        else:
+            same = "equal bit for bit" if equal(first[1], output) else "NOT EQUAL"
+            lines.append(
+                f"  {first[0]['wall'] / made['wall']:.2f} times as fast, {made['cpu'] / first[0]['cpu']:.2f} times the "
+                f"processor time, {same}"
+            )
+    return lines
+
+
+def run(*words) -> dict[str, float]:
+    """A command in a process of its own: seconds, seconds of processor time, and the peak of resident memory, GB."""
+    began = time.monotonic()
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen([sys.executable, "-m", "jaxfrf", *map(str, words)], stdout=said, stderr=said)
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            said.seek(0)
+            raise SystemExit(said.read().decode()[-2000:])
+    return {
+        "wall": time.monotonic() - began,
+        "cpu": used.ru_utime + used.ru_stime,
+        "peak": used.ru_maxrss * 1024 / 1e9,
+    }
+
+
+def row(what: str, made: dict[str, float]) -> str:
+    return f"{what:40} {made['wall']:8.1f} s {made['cpu']:8.1f} s of processor {made['peak']:6.2f} GB at most"
+
+
+def equal(one: pathlib.Path, two: pathlib.Path) -> bool:
+    """Whether two FRF files hold the same numbers, position by position."""
+    import h5py
+
+    with h5py.File(one) as a, h5py.File(two) as b:
+        names = [name for name in a if isinstance(a[name], h5py.Dataset) and a[name].shape]
+        return set(a) == set(b) and all(
+            a[name].shape == b[name].shape and a[name][i].tobytes() == b[name][i].tobytes()
+            for name in names
+            for i in range(len(a[name]))
+        )
+
+
+def heading(given) -> str:
+    git = ["git", "-C", str(BENCHMARKS), "describe", "--always", "--dirty"]
+    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip() or "no repository"
+    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    return f"{time.strftime('%Y-%m-%d')}, commit {commit}, {platform.machine()}, {os.cpu_count()} cores{load}"
+
+
+if __name__ == "__main__":
+    main()

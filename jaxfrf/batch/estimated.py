@@ -1,0 +1,304 @@
+"""The FRF of a data set of any size: some positions at a time, here or on workers, each kept until the file stands."""
+
+import dataclasses
+import functools
+import json
+import pathlib
+from collections.abc import Callable, Mapping, Sequence
+
+import equinox as eqx
+import numpy as np
+
+from .. import __version__
+from .._errors import InputError, OutputError
+from .._files import check_space, replacing
+from .._memory import block_memory
+from .._status import ADVICE, SERIOUS, describe
+from ..experiment import Experiment, select_periods
+from ..frf import FRF, AbstractMethod, adapted, concatenate_positions, describe_method, estimate
+from ..frf.covariance import variances
+from ..frf.distortion import with_distortion
+from ..frf.from_record import spectra_of
+from ..frf.scaled import Variances
+from ..frf.welch import Welch
+from ..io.blocks import Block, DataSet, file_warnings
+from ..io.responses import read_frf, write_frf, writing_frf
+from ..io.uff import write_uff
+from ..parts import Parts, files_text
+from ..screening import Finding, Looked, Severity, across_all
+from ..spectra import Spectra, added_power, check_power, lines_in, select_positions, silent_lines, weighed_power
+from .engine import Done, outcomes
+
+PART_FILES, BESIDE_PARTS = ("[0-9]" * 5 + ".npz",), ("[0-9]" * 5 + ".json",)
+_BLOCK = 3.2e7  # bytes of signals: fewer positions at a time cost more in opening files than they save
+_COPIES = 5  # of a block's signals, while it is read, screened and transformed
+
+Progress = Callable[[float], None]
+
+
+class Chosen(eqx.Module):
+    """What of a record is taken, and how it is estimated: as of `jaxfrf.frf.from_record.spectra_of`."""
+
+    method: AbstractMethod
+    periods: tuple[int | None, int | None] | None = None
+    band: tuple[float | None, float | None] | None = None
+    robust: bool = False
+
+    def spectra(self, data: Experiment, silent: bool = False) -> Spectra:
+        return spectra_of(data, self.method, periods=self.periods, band=self.band, robust=self.robust, silent=silent)
+
+    def steady(self, data: Experiment) -> Experiment:
+        return data if self.periods is None else select_periods(data, self.periods[0] or 0, self.periods[1])
+
+
+class Estimated(eqx.Module):
+    """What was written.
+
+    **Fields:** `frf`: with the variances of its covariances alone. `spectra`: of the first position, for what it says
+    of all (experiments, periods, lines).
+    """
+
+    frf: FRF
+    spectra: Spectra
+
+
+class _Job(eqx.Module):
+    """All that a worker needs to know."""
+
+    data: DataSet
+    chosen: Chosen
+    lines: np.ndarray | None
+    folder: pathlib.Path
+
+
+def estimate_to(
+    path,
+    data: DataSet,
+    chosen: Chosen,
+    *,
+    parts: Parts,
+    about: Mapping[str, object],
+    memory: float | None = None,
+    workers: int = 1,
+    cluster: str | None = None,
+    client=None,
+    progress: Progress | None = None,
+    say: Callable[[str], None] | None = None,
+) -> Estimated:
+    """`jaxfrf.estimate` of a data set, with `jaxfrf.with_distortion`, to a file: `.nc`, `.mat`, `.npz`.
+
+    One position is estimated after the other, whatever `memory` and `workers` are: the numbers are the same. A record
+    without a period, or of which `jaxfrf.Welch` takes segments, is taken whole.
+
+    **Arguments:**
+
+    - `data`: of `jaxfrf.io.data_set`. `about`: what the caller read it by, for `parts`, which keep what is finished.
+    - `memory`: bytes that every process may take, `None`: by what is free.
+    - `workers`, `cluster`, `client`: as of `jaxfrf.batch.outcomes`; on other machines paths must mean the same files.
+
+    **Raises:** `jaxfrf.InputError` as `jaxfrf.io.read` and `jaxfrf.estimate` do; nothing is kept then.
+    """
+    pieces = _pieces(data, chosen, memory)
+    first = data.read(pieces[0])
+    head, lines = _head(data, chosen, pieces, first.data)
+    method = adapted(chosen.method, head)
+    method.check(head)
+    parts.begin(_about(data, head, method, about), PART_FILES, BESIDE_PARTS)
+    _check_room(path, data, head)
+    job = _Job(data, chosen, lines, parts.folder)
+    told = {piece.start: found for piece in pieces if (found := _finished(parts, piece)) is not None}
+    waiting = [piece for piece in pieces if piece.start not in told]
+    done = data.n_pos - sum(map(len, waiting))
+
+    def advanced(count: int) -> None:
+        nonlocal done
+        done += count
+        if progress is not None:
+            progress(done / data.n_pos)
+
+    here = workers == 1 and cluster is None and client is None
+    work = functools.partial(_work, job, **({"read": [first], "advanced": advanced} if here else {}))
+    del first  # nobody else holds its memory
+    for outcome in outcomes(work, waiting, workers=workers, cluster=cluster, client=client, say=say):
+        piece = waiting[outcome.number]
+        told[piece.start] = _checked(outcome, piece, parts)
+        if not here:
+            advanced(len(piece))
+    return Estimated(_assembled(path, data, parts, [told[piece.start] for piece in pieces]), head)
+
+
+def _pieces(data: DataSet, chosen: Chosen, memory: float | None) -> list[range]:
+    if isinstance(chosen.method, Welch) or not data.period:
+        return [range(data.n_pos)]
+    most = int(block_memory(memory) / (_COPIES * data.bytes_each))
+    return data.blocks(max(1, min(int(_BLOCK / data.bytes_each), most)))
+
+
+def _head(data: DataSet, chosen: Chosen, pieces, first: Experiment) -> tuple[Spectra, np.ndarray | None]:
+    """Spectra of the first positions, and the lines where no file lists them: all positions speak for these, and for
+    lines that carry nothing at the first."""
+    if len(pieces) == 1:
+        return chosen.spectra(first), None
+    lines = _found(data, chosen, pieces) if first.lines is None else None
+    others = pieces[1:]
+    silent, spectra = _silent(chosen, _with_lines(first, lines))
+    while silent.any() and others:
+        silent = silent & _silent(chosen, _with_lines(data.unscreened(others[0]), lines))[0]
+        others = others[1:]
+    check_power(first, spectra, silent)
+    return spectra, lines
+
+
+def _silent(chosen: Chosen, data: Experiment) -> tuple[np.ndarray, Spectra]:
+    spectra = chosen.spectra(data, silent=True)
+    return silent_lines(chosen.steady(data), spectra), spectra
+
+
+def _found(data: DataSet, chosen: Chosen, pieces) -> np.ndarray:
+    """The excited lines, as `jaxfrf.spectra.excited_lines` finds them in the whole."""
+    power = noise = None
+    for piece in pieces:
+        part = chosen.steady(data.unscreened(piece))
+        k = np.arange(1, (part.period - 1) // 2 + 1)
+        power, noise = added_power(part, k, power, noise)
+    return lines_in(k, *weighed_power(part, k, power, noise), part).lines
+
+
+def _with_lines(data: Experiment, lines) -> Experiment:
+    return data if lines is None else dataclasses.replace(data, lines=lines)
+
+
+def _about(data: DataSet, head: Spectra, method: AbstractMethod, about: Mapping[str, object]) -> dict:
+    """What the estimate and everything that is stored with it depend on."""
+    f = head.frequency
+    return {
+        "method": describe_method(method),
+        "data": files_text(data.sources),
+        "output": head.y_quantity,
+        "periods": head.n_periods,
+        "lines": f"{len(f)} from {f[0]:.6g} to {f[-1]:.6g} Hz",
+        "positions": data.n_pos,
+        **about,
+    }
+
+
+def _check_room(path, data: DataSet, head: Spectra) -> None:
+    """Of three dense covariances, in the parts and in the file."""
+    check_space(path, 2 * 3 * 16.0 * data.n_pos * len(head.lines) * (head.n_in * head.n_out) ** 2)
+
+
+def _name(position: int, suffix: str = ".npz") -> str:
+    return f"{position:05d}{suffix}"
+
+
+def _finished(parts: Parts, piece: range) -> Block | None:
+    """What was told of a piece of which every part is there and whole; what is damaged is deleted."""
+    whole = [parts.read(_name(pos), read_frf) is not None for pos in piece]
+    for pos, good in zip(piece, whole, strict=True):
+        if not good:
+            parts.path(_name(pos)).unlink(missing_ok=True)
+    return parts.read(_name(piece.start, ".json"), _read_told) if all(whole) else None
+
+
+def _work(job: _Job, piece: range, read: list[Block] | None = None, advanced=None) -> Block | InputError:
+    """Estimate some positions, in whatever process; what was told of their record, or what is wrong with it. `read`:
+    the first block, if it was read already."""
+    try:
+        first = read.pop() if read else None
+        block = first if first is not None and piece.start == 0 else job.data.read(piece)
+        data = job.chosen.steady(_with_lines(block.data, job.lines))
+        told = dataclasses.replace(block, data=None)
+        del first, block
+        chosen = dataclasses.replace(job.chosen, periods=None)
+        spectra = chosen.spectra(data, silent=len(piece) < job.data.n_pos)
+        method = adapted(chosen.method, spectra)
+        for i, pos in enumerate(piece):
+            place = job.folder / _name(pos)
+            if not place.is_file():
+                one, record = (spectra, data) if len(piece) == 1 else _position(spectra, data, i)
+                write_frf(place, with_distortion(estimate(one, method), record))
+            if advanced is not None:
+                advanced(1)
+    except InputError as error:
+        return error
+    with replacing(job.folder / _name(piece.start, ".json")) as draft:
+        draft.write_text(json.dumps(_told(told), default=lambda x: x.item()), encoding="utf-8")
+    return told
+
+
+def _position(spectra: Spectra, data: Experiment, i: int) -> tuple[Spectra, Experiment]:
+    part = {name: None if getattr(data, name) is None else getattr(data, name)[i : i + 1] for name in "uyrq"}
+    return select_positions(spectra, [i]), dataclasses.replace(data, **part)
+
+
+def _told(block: Block) -> dict:
+    """What of a block is kept beside its parts, as JSON."""
+    looked = block.looked
+    found = [[_finding(f) for f in of] for of in looked.found]
+    across = [_finding(f) for f in looked.across]
+    return {
+        "first": block.first,
+        "files": block.files,
+        "remarks": block.remarks,
+        "found": found,
+        "across": across,
+        "marks": looked.marks,
+    }
+
+
+def _finding(finding: Finding) -> dict:
+    return dataclasses.asdict(finding) | {"severity": finding.severity.value}
+
+
+def _read_told(path: pathlib.Path) -> Block:
+    said = json.loads(path.read_text(encoding="utf-8"))
+    back = lambda x: Finding(**x | {"severity": Severity(x["severity"])})
+    found = tuple(tuple(map(back, of)) for of in said["found"])
+    looked = Looked(found, tuple(map(back, said["across"])), said["marks"])
+    return Block(None, said["first"], looked, tuple(said["files"]), tuple(map(tuple, said["remarks"])))
+
+
+def _checked(outcome: Done, piece: range, parts: Parts) -> Block:
+    """What came of a piece. Bad input leaves nothing: it would be refused again."""
+    if isinstance(outcome.result, InputError):
+        if not isinstance(outcome.result, OutputError):
+            parts.discard()
+        raise outcome.result
+    if outcome.error is None:
+        return outcome.result
+    if type(outcome.exception).__name__ != "KilledWorker":
+        raise outcome.exception
+    where = f"position {piece.start}" if len(piece) == 1 else f"positions {piece.start} to {piece.stop - 1}"
+    raise OSError(f"{where}: the processes that worked on it died one after the other. Was the memory too small?")
+
+
+def _assembled(path, data: DataSet, parts: Parts, told: Sequence[Block]) -> FRF:
+    """The file from its parts; what is returned holds variances only."""
+    light = [_light(read_frf(parts.path(_name(pos)))) for pos in range(data.n_pos)]
+    frf = concatenate_positions(light)
+    warnings = [
+        *file_warnings(data.files, told),
+        *(across_all([block.looked for block in told]) if len(data.files) * data.n_pos * data.n_exp > 1 else ()),
+        *(text for text in frf.warnings if text.partition(" estimates: ")[2] not in ADVICE.values()),
+        *describe(frf.status & int(SERIOUS)),
+    ]
+    frf = dataclasses.replace(frf, sources=data.sources, warnings=tuple(dict.fromkeys(warnings)), version=__version__)
+    like = _as_told(read_frf(parts.path(_name(0))), frf)
+    if pathlib.Path(path).suffix.lower() in (".uff", ".unv"):
+        write_uff(path, concatenate_positions([read_frf(parts.path(_name(pos))) for pos in range(data.n_pos)]))
+        return frf
+    with writing_frf(path, like, data.n_pos) as put:
+        for pos in range(data.n_pos):
+            put(pos, read_frf(parts.path(_name(pos))))
+    return frf
+
+
+def _light(frf: FRF) -> FRF:
+    names = [name for name in ("cov", "cov_noise", "cov_total") if getattr(frf, name) is not None]
+    return dataclasses.replace(frf, **{name: Variances(np.asarray(variances(getattr(frf, name)))) for name in names})
+
+
+def _as_told(part: FRF, whole: FRF) -> FRF:
+    """A part with what is said of all, without what others lack."""
+    lacking = [name for name in ("cov_noise", "cov_total", "bias", "q") if getattr(whole, name) is None]
+    return dataclasses.replace(part, sources=whole.sources, warnings=whole.warnings, **dict.fromkeys(lacking))

@@ -1,0 +1,215 @@
+"""Files as one data set that is read some positions at a time."""
+
+import dataclasses
+import os
+import pathlib
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from .._errors import InputError
+from ..experiment import Experiment, Source, check_compatible, concatenate, same_numbers
+from ..screening import Looked, look, refused
+from ._container import load, positions_in
+from ._joined import part_of
+from .record_arguments import check_names, check_scale, check_values
+from .records import as_given, record_of, source_of
+
+_SMALL = 1e8  # bytes of u in a file that is not read twice
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """Some positions of a data set: the record, and what its screening found.
+
+    **Fields:** `first`: number of its first position. `remarks`: by file, what is to be said of reading it.
+    """
+
+    data: Experiment
+    first: int
+    looked: Looked
+    files: tuple[int, ...]
+    remarks: tuple[tuple[str, ...], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class _File:
+    path: pathlib.Path
+    source: Source
+    n_pos: int
+    sliced: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class DataSet:
+    """Files that `jaxfrf.io.read` would read as one record, and how (see `data_set`).
+
+    **Fields:** `n_exp`, `period`; `bytes_each`: of the signals at one position.
+    """
+
+    files: tuple[_File, ...]
+    beside: bool  # further experiments at the same positions; else further positions
+    n_exp: int
+    period: int
+    bytes_each: float
+    given: object
+    kept: dict = dataclasses.field(default_factory=dict, compare=False)  # small files that were read as a whole
+
+    def __getstate__(self):
+        return self.__dict__ | {"kept": {}}
+
+    @property
+    def n_pos(self) -> int:
+        return self.files[0].n_pos if self.beside else sum(f.n_pos for f in self.files)
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        return tuple(f.source for f in self.files)
+
+    def blocks(self, size: int) -> list[range]:
+        """All positions in blocks of `size` or fewer that lie in one file each (in all, where they hold experiments of
+        the same positions); files that cannot be read in part are one block."""
+        found, first = [], 0
+        for file in self.files[:1] if self.beside else self.files:
+            whole = not all(f.sliced for f in self.files) if self.beside else not file.sliced
+            step = file.n_pos if whole else size
+            found += [range(first + a, first + min(a + step, file.n_pos)) for a in range(0, file.n_pos, step)]
+            first += file.n_pos
+        return found
+
+    def read(self, positions: range) -> Block:
+        """Some positions, screened.
+
+        **Raises:** `jaxfrf.InputError` as `jaxfrf.io.read` does.
+        """
+        where = self._where(positions)
+        read = [self._one(self.files[i], local) for i, local in where]
+        records = [data for data, _ in read]
+        whole = concatenate(records)
+        looked = look([(x, local.start) for x, (_, local) in zip(records, where, strict=True)], whole, positions.start)
+        numbers = tuple(i for i, _ in where)
+        if not self.given.anyway:
+            for i, found in zip(numbers, looked.found, strict=True):
+                try:
+                    refused(found)
+                except InputError as error:
+                    raise InputError(f"{self.files[i].path}: {error}") from None
+            refused(looked.across)
+        return Block(whole, positions.start, looked, numbers, tuple(tuple(remarks) for _, remarks in read))
+
+    def unscreened(self, positions: range) -> Experiment:
+        """The record at some positions."""
+        return concatenate([self._one(self.files[i], local)[0] for i, local in self._where(positions)])
+
+    def _where(self, positions: range) -> list[tuple[int, range]]:
+        """The files that hold these positions, and which positions of theirs these are."""
+        if self.beside:
+            return [(i, positions) for i in range(len(self.files))]
+        first, found = 0, []
+        for i, file in enumerate(self.files):
+            local = range(max(positions.start - first, 0), min(positions.stop - first, file.n_pos))
+            if local:
+                found.append((i, local))
+            first += file.n_pos
+        return found
+
+    def _one(self, file: _File, local: range) -> tuple[Experiment, list[str]]:
+        part = slice(local.start, local.stop) if file.sliced else None
+        if file.path in self.kept:
+            return self.kept[file.path]
+        try:
+            return record_of(file.path, self.given, file.source, part)
+        except InputError as error:
+            if not (part and local.start):
+                raise
+            raise InputError(f"{error} (Positions here count from number {local.start} of the file on.)") from None
+
+
+def data_set(
+    *paths: str | os.PathLike,
+    names: Mapping[str, str] | None = None,
+    values: Mapping[str, object] | None = None,
+    scale: Mapping[str, float | tuple[float, ...]] | None = None,
+    anyway: bool = False,
+) -> DataSet | None:
+    """What `jaxfrf.io.read` would read, to be read some positions at a time; `None` where it cannot be: where the
+    channels of one record come from several files.
+
+    NetCDF and Zarr files are read in part; of others only whole ones can be left for later.
+
+    **Arguments** and **Raises:** as `jaxfrf.io.read`.
+    """
+    given = as_given(check_names(names), check_values(values), check_scale(scale), anyway)
+    files = [pathlib.Path(path) for path in paths]
+    if len(files) > 1 and any(part_of(name, files) for name in given.names.values()):
+        return None
+    found, heads, places, kept = [], [], [], {}
+    for path in files:
+        n_pos = positions_in(path)
+        source = source_of(path)
+        head, remarks = record_of(path, given, source, slice(0, 1) if n_pos else None)
+        if n_pos is None and 8 * head.u.size < _SMALL:
+            kept[path] = head, remarks
+        q = _places(path, given, n_pos, head)
+        found.append(_File(path, source, n_pos or head.n_pos, n_pos is not None))
+        heads.append(_short(head))
+        places.append(q)
+    for other in heads[1:]:
+        check_compatible(heads[0], other)
+    beside = len(files) == 1 or all(same_numbers(places[0], q) for q in places[1:])
+    if (beside and len({f.n_pos for f in found}) > 1) or (not beside and len({h.n_exp for h in heads}) > 1):
+        return None  # reading it whole says what is wrong
+    n_exp = sum(h.n_exp for h in heads) if beside else heads[0].n_exp
+    bytes_each = n_exp * heads[0].u[0, 0].nbytes * _width(heads[0]) / heads[0].n_in
+    return DataSet(tuple(found), beside, n_exp, heads[0].period, bytes_each, given, kept)
+
+
+def _width(data: Experiment) -> int:
+    """Channels of all signals."""
+    return data.n_in + data.n_out + (0 if data.r is None else data.r.shape[-1])
+
+
+class Held:
+    """A record in memory as a data set of one block, read and screened already."""
+
+    def __init__(self, data: Experiment):
+        self.data, self.files, self.sources, self.n_pos = data, (), data.sources, data.n_pos
+        self.n_exp, self.period, self.bytes_each = data.n_exp, data.period, data.u[0].nbytes * _width(data) / data.n_in
+
+    def blocks(self, size: int) -> list[range]:
+        return [range(self.n_pos)]
+
+    def read(self, positions: range) -> Block:
+        return Block(self.data, 0, Looked((), (), []), (), ())
+
+
+in_memory = Held
+
+
+def _places(path: pathlib.Path, given, n_pos: int | None, head: Experiment) -> np.ndarray | None:
+    """The configurations at all positions of a file."""
+    if n_pos is None or n_pos == 1 or head.q is None or "q" in given.values:
+        return head.q
+    small = load(path, part=slice(0, n_pos), without="time")
+    q = small.get(given.names.get("q", "q"))
+    return head.q if q is None else np.asarray(q, float)
+
+
+def _short(data: Experiment) -> Experiment:
+    """What is compared and counted of a record, without its memory."""
+    still = lambda x: None if x is None else np.broadcast_to(0.0, (1, *x.shape[1:]))
+    cut = {name: still(getattr(data, name)) for name in "uyr"} | {"q": None if data.q is None else data.q[:1].copy()}
+    return Experiment(**{f.name: getattr(data, f.name) for f in dataclasses.fields(data)} | cut)
+
+
+def file_warnings(files: Sequence[_File], blocks: Sequence[Block]) -> tuple[str, ...]:
+    """What `jaxfrf.io.read` says of the files, of all blocks in their order."""
+    from ..screening import sentences
+
+    told = []
+    for i, file in enumerate(files):
+        of = [(b, b.files.index(i)) for b in blocks if i in b.files]
+        remarks = dict.fromkeys(text for block, at in of for text in block.remarks[at])
+        said = sentences([f for block, at in of for f in block.looked.found[at]])
+        told += [f"{file.path}: {text}" for text in (*remarks, *said)]
+    return tuple(dict.fromkeys(told))
