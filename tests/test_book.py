@@ -1,6 +1,6 @@
 """The book and the README: every block of code and every command runs, every page is built, every name has its place.
 
-A page runs in a folder of its own, which holds the files that it takes for granted (`book_files.py`), from top to bottom:
+A page runs in a folder of its own, with the files that it takes for granted (`book_files.py`), from top to bottom:
 
 - blocks of `python`, one after the other in one namespace;
 - blocks without a language, and of `sh`: commands;
@@ -167,7 +167,7 @@ def test_pages_are_listed():
 
 def test_links_lead_somewhere():
     """Of pages that are read as they are, on a forge."""
-    for page in PAGES + [ROOT / "CONTRIBUTING.md"]:
+    for page in [*PAGES, ROOT / "CONTRIBUTING.md"]:
         for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
             if "://" not in target and "reference/" not in target:
                 assert (page.parent / target).exists(), f"{page.name}: {target}"

@@ -3,6 +3,6 @@
 Libraries are imported when a command runs, so that `jaxfrf --help` costs nothing.
 """
 
-from . import diagnose, distortion, estimate, example, excite, identify, modal, positions, simulate, study
+from . import diagnose, distortion, estimate, example, excite, identify, modal, positions, simulate, study, view
 
-COMMANDS = (example, excite, positions, simulate, estimate, distortion, modal, identify, diagnose, study)
+COMMANDS = (example, excite, positions, simulate, estimate, view, distortion, modal, identify, diagnose, study)

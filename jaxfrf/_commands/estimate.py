@@ -27,6 +27,7 @@ def add(commands) -> None:
     parser.add_argument("data", nargs="+", metavar="DATA", help="experiment files, .nc .mat .npz .csv: one data set")
     parser.add_argument("-o", "--output", required=True, help="FRF to write: .nc, .mat, .npz or .uff")
     add_record_options(parser, method="auto", default="auto")
+    parser.add_argument("--report", metavar="FILE", help="page to write, to choose, zoom and read values on: .html")
     parser.add_argument("--plot", metavar="FILE", help="Bode picture to write: .png, .pdf, .svg")
     parser.add_argument("--robust", action="store_true", help="weigh periods: odd ones count less, or not at all")
     add_resume_option(parser)
@@ -45,6 +46,8 @@ def run(given) -> dict:
     write = _frf_writer(given.output, given.data)
     if given.plot:
         check_picture(given.plot)
+    if given.report:
+        check_target(given.report, (".html", ".htm"))
     chosen = method(given.method, options_of(given.option))
     periods, band = range_of("--periods", given.periods, int), range_of("--band", given.band, float)
     with Parts(given.output, "estimate", resume=given.resume, say=say) as parts:
@@ -54,8 +57,8 @@ def run(given) -> dict:
             frf = estimate_in_parts(spectra, chosen, parts, say=None if given.json else say)
             frf = with_distortion(frf, data if periods is None else select_periods(data, periods[0] or 0, periods[1]))
         write(given.output, frf)
-        written = [given.output, *_write_picture(given, frf)]
-    about = summary(spectra, frf)
+        about = summary(spectra, frf)
+        written = [given.output, *_write_picture(given, frf), *_write_report(given, frf, about)]
     for warning in frf.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return {
@@ -72,6 +75,15 @@ def _write_picture(given, frf) -> list[str]:
     figure, _ = plot.bode([frf], [given.method], title=", ".join(pathlib.Path(name).name for name in given.data))
     plot.save(figure, given.plot)
     return [given.plot]
+
+
+def _write_report(given, frf, about) -> list[str]:
+    if not given.report:
+        return []
+    from ..report.response import write_frf_page
+
+    write_frf_page(given.report, frf, [given.method], about=about.lines()[:4])
+    return [given.report]
 
 
 def _frf_writer(path: str, data: Sequence[str]):

@@ -1,4 +1,4 @@
-"""The pages of the book that come from the program itself: the reference from docstrings, the effects from their classes.
+"""The pages of the book that come from the program itself: reference and library of effects.
 
 They are written to `notebooks/reference/` when the book is built; docstrings are Markdown already. A public name in
 backticks, anywhere in the book, becomes a link to its place in the reference.
@@ -9,6 +9,7 @@ import inspect
 import pathlib
 import re
 import types
+import typing
 
 import jaxfrf as jf
 
@@ -35,8 +36,6 @@ ROOMS = {
     "_status": "Errors and status",
 }
 """The page on which the public names of a module stand; pages in this order."""
-
-_HIDDEN = ("__init__", "__call__")  # methods that a reader needs, of those with underscores
 
 
 def setup(app):
@@ -69,8 +68,8 @@ def pages() -> dict[str, str]:
 
 
 _HOW = """Every public name, from its docstring. `jaxfrf` is imported as `jf`; names that stand in a namespace
-(`jf.effects`, `jf.io`, ...) are written with it. Axes are named: `pos` operating point, `exp` experiment, `freq` excited
-line, `out` output, `in` input, `time` sample; `...` stands for any number of them. Wrong arguments raise
+(`jf.effects`, `jf.io`, ...) are written with it. Axes are named: `pos` operating point, `exp` experiment, `freq`
+excited line, `out` output, `in` input, `time` sample; `...` stands for any number of them. Wrong arguments raise
 `jaxfrf.InputError`, which says what was found, what was expected and what to do."""
 
 
@@ -201,11 +200,7 @@ def _type(note: object) -> str:
         axes = ", ".join(note.dim_str.split())
         return f"{kind} array ({axes})" if axes else f"{kind}"
     parts = getattr(note, "__args__", ())
-    if (
-        isinstance(note, types.UnionType)
-        or getattr(note, "__origin__", None) is not None
-        and str(note).startswith("typing.U")
-    ):
+    if typing.get_origin(note) in (typing.Union, types.UnionType):
         return " or ".join(dict.fromkeys(_type(part) for part in parts))
     text = note.__name__ if isinstance(note, type) and not parts else str(note)
     return f"`{re.sub(r'(?:[a-z_]+[.])+(?=[A-Za-z])', '', text)}`"
