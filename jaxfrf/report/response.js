@@ -291,7 +291,7 @@
     svg.addEventListener("pointerdown", (event) => {
       if (event.pointerType === "touch") return;
       pressed = { x: place(event), rect: element("rect", { y: MARGIN.top, height: bottom - MARGIN.top, class: "chosen" }, svg) };
-      svg.setPointerCapture(event.pointerId);
+      if (event.isTrusted) svg.setPointerCapture(event.pointerId); // made-up events have no pointer to capture
     });
     svg.addEventListener("pointermove", (event) => {
       const x = place(event);
