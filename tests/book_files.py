@@ -106,7 +106,7 @@ def _frf(folder):
 
 def _payload(folder):
     robot = _robot(folder)
-    payload = jf.effects.Payload("", mass=5.0, place=np.array([0.0, 0.0, 0.12]))
+    payload = jf.effects.Payload(mass=5.0, place=np.array([0.0, 0.0, 0.12]))
     jf.io.write(folder / "empty.nc", _played(robot, 4))
     jf.io.write(folder / "loaded.nc", _played(robot.with_effects(payload), 4))
 

@@ -1,4 +1,5 @@
-"""The commands: each module adds its options to a parser and runs; what they do is done by public functions.
+"""The commands: each module adds its options to a parser (`add`), runs (`run`), and says how it is used
+(`EXAMPLES`); what they do is done by public functions.
 
 Libraries are imported when a command runs, so that `jaxfrf --help` costs nothing.
 """

@@ -21,6 +21,13 @@ from .arguments import (
 )
 from .each import add_each_options
 
+EXAMPLES = (
+    "jaxfrf estimate run.nc -o frf.nc --report frf.html",
+    'jaxfrf estimate log.mat -o frf.nc --map "u=[tau1;tau2],y=rec.speed,r=v_ref" --set fs=2000,period=56000',
+    "jaxfrf estimate run.nc -o frf.mat --method lrm-jio-stacked --option width=34 --band 4:80 --plot bode.png",
+    "jaxfrf estimate 'logs/*.mat' --each -o results --workers 4",
+)
+
 
 def add(commands) -> None:
     parser = command(commands, "estimate", run, "Estimate frequency response functions from records.")
@@ -62,7 +69,11 @@ def run(given) -> dict:
     for warning in frf.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return {
-        "text": [*about.lines(), f"wrote {', '.join(written)}"],
+        "text": [
+            *about.lines(),
+            f"wrote {', '.join(written)}",
+            f"next: look at {given.report}" if given.report else f"next: jaxfrf view {given.output}",
+        ],
         "json": about.as_dict() | {"output": written},
     }
 

@@ -6,6 +6,11 @@ from .._errors import InputError
 from . import own_effects
 from .arguments import RECORD_FILES, Percent, check_seed, check_target, command
 
+EXAMPLES = (
+    "jaxfrf simulate robot.toml design.toml --positions 3 -o run.nc",
+    "jaxfrf simulate robot.toml design.toml --configurations positions.csv --noise 1e-5 -o run.nc",
+)
+
 
 def add(commands) -> None:
     parser = command(commands, "simulate", run, "Play a design on a simulated robot in closed loop.")
@@ -54,6 +59,7 @@ def run(given) -> dict:
         f"{data.n_time / data.fs:g} s, {data.n_periods} steady period(s) of {data.period / data.fs:g} s, "
         f"{len(data.lines)} excited lines, seed {given.seed}",
         f"wrote {given.output}",
+        f"next: jaxfrf estimate {given.output} -o frf.nc --report frf.html",
     ]
     return {
         "text": text,

@@ -8,6 +8,11 @@ from .arguments import command, say
 
 _SCALES = ("demo", "medium", "paper")
 
+EXAMPLES = (
+    "jaxfrf study --scale demo -o study",
+    "jaxfrf study --scale paper -o paper --resume",
+)
+
 
 def add(commands) -> None:
     parser = command(
@@ -42,4 +47,5 @@ def run(given) -> dict:
         if any(thread.name == BESIDE for thread in threading.enumerate()):
             os._exit(130)  # Python would abort in the middle of that thread's compiled code; files are whole anyway
         raise
-    return {"text": [*summary_lines(results), f"wrote {given.output}/index.html and study.json"], "json": results}
+    text = [*summary_lines(results), f"wrote {given.output}/index.html and study.json"]
+    return {"text": [*text, f"next: look at {given.output}/index.html"], "json": results}

@@ -6,6 +6,11 @@ import webbrowser
 
 from .arguments import check_result, check_target, command
 
+EXAMPLES = (
+    "jaxfrf view frf.nc",
+    "jaxfrf view before.nc after.nc -o both.html",
+)
+
 
 def add(commands) -> None:
     parser = command(commands, "view", run, "Look at FRFs: a page on which to choose, zoom and read values.")
