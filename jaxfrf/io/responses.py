@@ -22,6 +22,7 @@ length one when it saves; they are put back on reading. **NumPy**: no pickle.
 import dataclasses
 import hashlib
 import json
+import os
 import pathlib
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -53,7 +54,7 @@ _AXES = {
 }
 
 
-def write_frf(path, frf: FRF) -> None:
+def write_frf(path: str | os.PathLike, frf: FRF) -> None:
     """Write an FRF with everything that is known about it; the suffix `.nc`, `.mat` or `.npz` says the
     format.
 
@@ -68,7 +69,7 @@ def write_frf(path, frf: FRF) -> None:
         write(draft, _contents(frf))
 
 
-def read_frf(path) -> FRF:
+def read_frf(path: str | os.PathLike) -> FRF:
     """Read what `write_frf` wrote, or any `.nc`, `.mat` or `.npz` file that holds at least `G` and
     `frequency`.
 

@@ -151,7 +151,7 @@ def facts(pairs: Mapping[str, object]) -> str:
 
 
 def figure(picture, caption: str = "", kind: str = "svg") -> str:
-    """A matplotlib figure, embedded: `svg` for few marks, `png` for many."""
+    """A matplotlib figure, `picture`, embedded: `svg` for few marks, `png` for many."""
     buffer = io.BytesIO()
     options = {"dpi": 170} if kind == "png" else {"metadata": {"Date": None}}
     picture.savefig(buffer, format=kind, facecolor="white", **options)

@@ -74,10 +74,16 @@ _BODY = """<div id="frf">
 <div class="matrix"></div></div>"""
 
 
-def write_frf_page(path: str | os.PathLike, frfs, labels: Sequence[str] | None = None, *, about: Sequence[str] = ()):
+def write_frf_page(
+    path: str | os.PathLike,
+    frfs: FRF | Sequence[FRF],
+    labels: Sequence[str] | None = None,
+    *,
+    about: Sequence[str] = (),
+) -> None:
     """Write the page about one or several FRFs, one HTML file that needs nothing beside itself.
 
-    **Arguments:** as of `frf_page`.
+    **Arguments:** `frfs` and the others as of `frf_page`.
 
     **Raises:** `jaxfrf.InputError` if the FRFs have other outputs and inputs, or the folder is not there."""
     write_page(path, frf_page(frfs, labels, about=about))
