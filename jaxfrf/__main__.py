@@ -14,11 +14,28 @@ from ._commands.arguments import check_inputs
 from ._commands.each import check_alone, run_each
 from ._errors import InputError
 
+_EPILOG = """begin with:
+  jaxfrf example -o run.nc
+  jaxfrf estimate run.nc -o frf.nc --report frf.html
+
+jaxfrf COMMAND --help shows the options of a command and examples.
+
+exit codes:
+  0    done
+  1    with --each: some files failed, the others are done
+  2    bad input or usage: one message on standard error, no result
+  130  interrupted; finished parts are kept where the message says so
+"""
+
 
 def main(arguments=None) -> int:
     """Run a command; returns 0, 1 where some files of many failed, or 2 after bad input, with one message on standard
     error."""
     parser = _parser()
+    if "_ARGCOMPLETE" in os.environ:  # the shell asks for completions
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
     given = parser.parse_args(arguments)
     if given.command is None:
         _print(parser.format_help().rstrip())
@@ -111,11 +128,18 @@ def _plain(error: Exception) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="jaxfrf", description=__doc__.split(":")[0] + " of jaxfrf.")
+    parser = argparse.ArgumentParser(
+        prog="jaxfrf",
+        description=__doc__.split(":")[0] + " of jaxfrf.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--version", action="version", version=f"jaxfrf {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for command in COMMANDS:
         command.add(commands)
+        shown = "\n".join(f"  {example}" for example in command.EXAMPLES)
+        commands.choices[command.__name__.rpartition(".")[2]].epilog = f"examples:\n{shown}"
     return parser
 
 

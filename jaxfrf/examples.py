@@ -52,7 +52,7 @@ def example(*, blocks: int = 2, periods: int = 2, noise: float = 2e-3, seed: int
 
 
 def example_response(frequency) -> np.ndarray:
-    """The true FRF of `example`, from held torque to sampled motor speed: (1, freq, out, in)."""
+    """The true FRF of `example` at `frequency`, (freq,), Hz, from held torque to motor speed: (1, freq, out, in)."""
     A, B, C = _discrete()
     z = np.exp(2j * np.pi * np.asarray(frequency) / FS)
     return (C @ np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape))))[None]

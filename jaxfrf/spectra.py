@@ -140,6 +140,8 @@ def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None)
 
     What stands there is noise and nonlinear distortion: even lines show even, odd lines odd nonlinearity.
     In closed loop it is the loop's reaction too; `jaxfrf.distortion` subtracts G U first.
+
+    **Raises:** `jaxfrf.InputError` if `data` is no experiment or not periodic, or every line is excited.
     """
     expect("data", data, Experiment)
     excited = dft(data)
@@ -164,6 +166,8 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     take such spectra. Lines that hold less than 1e-4 of the strongest reference power (input power where there is no
     reference) are left out: in closed loop the response there would be that of the controller. With `band` all lines in
     it are taken but those that hold rounding only (1e-24).
+
+    **Raises:** `jaxfrf.InputError` if `data` is no experiment, or the band holds no excited line.
     """
     expect("data", data, Experiment)
     n = data.n_time
@@ -489,7 +493,10 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
 
 
 def select_positions(spectra: Spectra, positions) -> Spectra:
-    """The same spectra at some operating points only (a slice or a list of indices)."""
+    """The same spectra at some operating points only (`positions`: a slice or a list of indices).
+
+    **Raises:** `jaxfrf.InputError` if `spectra` are none.
+    """
     expect("spectra", spectra, Spectra)
 
     q = None if spectra.q is None else spectra.q[positions]
@@ -503,12 +510,18 @@ def changed_signals(spectra: Spectra, change: Callable[[Array], Array]) -> dict[
 
 
 def differentiate(X, omega, times: int):
-    """Differentiate spectra (*batch, freq, channel) `times` times: multiply by (j omega)^times, omega in rad/s."""
+    """Spectra `X`, (*batch, freq, channel), differentiated `times` times: times (j `omega`)^times, `omega` in rad/s.
+
+    **Returns:** (*batch, freq, channel).
+    """
     return X * ((1j * np.asarray(omega)) ** times)[:, None]
 
 
 def with_output_quantity(spectra: Spectra, quantity: str) -> Spectra:
-    """The same spectra with the output as `position`, `velocity` or `acceleration`, by (j omega)^n."""
+    """The same spectra with the output as `position`, `velocity` or `acceleration`, by (j omega)^n.
+
+    **Raises:** `jaxfrf.InputError` for any other quantity.
+    """
     expect("spectra", spectra, Spectra)
     if quantity not in QUANTITIES:
         raise input_error("quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them.")

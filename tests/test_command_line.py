@@ -268,6 +268,47 @@ def test_help_and_usage(capsys):
         assert says in "".join(capsys.readouterr())
 
 
+def test_examples_of_every_help_are_understood(capsys):
+    """Every help has examples; each is a command that the parser takes."""
+    import shlex
+
+    from jaxfrf.__main__ import _parser
+    from jaxfrf._commands import COMMANDS
+
+    for command in COMMANDS:
+        name = command.__name__.rpartition(".")[2]
+        assert main_exit([name, "--help"]) == 0 and f"examples:\n  jaxfrf {name} " in capsys.readouterr().out
+        for example in command.EXAMPLES:
+            program, *arguments = shlex.split(example)
+            assert program == "jaxfrf" and _parser().parse_args(arguments).command == name
+
+
+def main_exit(arguments):
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    return stopped.value.code
+
+
+def test_help_tells_exit_codes_and_results_what_is_next(tmp_path, capsys):
+    assert main_exit(["--help"]) == 0
+    out = capsys.readouterr().out
+    assert all(re.search(rf"^  {code} ", out, re.MULTILINE) for code in (0, 1, 2, 130))
+    assert main(["example", "--blocks", "1", "-o", str(tmp_path / "run.npz")]) == 0
+    *_, last = capsys.readouterr().out.splitlines()
+    assert last == f"next: jaxfrf estimate {tmp_path / 'run.npz'} -o frf.nc --report frf.html"
+
+
+def test_the_shell_completes_commands_and_options(tmp_path):
+    """As argcomplete asks: the line so far in the environment, the answers in a file."""
+    pytest.importorskip("argcomplete", reason="argcomplete is not installed: pip install 'jaxfrf[completion]'")
+    for line, expected in {"jaxfrf est": "estimate", "jaxfrf estimate --rep": "--report"}.items():
+        answers = tmp_path / "answers"
+        asked = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE": "1", "_ARGCOMPLETE_SHELL": "bash"}
+        asked |= {"_ARGCOMPLETE_STDOUT_FILENAME": str(answers), "COMP_TYPE": "9", "_ARGCOMPLETE_IFS": "\n"}
+        subprocess.run([sys.executable, "-m", "jaxfrf"], env=os.environ | asked, check=True, timeout=60)
+        assert expected in answers.read_text()
+
+
 def test_as_a_program(tmp_path):
     """`python -m jaxfrf`: the exit code and the streams of a fresh process, and no traceback when the reader leaves."""
     program = [sys.executable, "-m", "jaxfrf"]

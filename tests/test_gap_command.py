@@ -137,7 +137,7 @@ class TestWhatIsWritten:
         assert "these data cannot tell it from current_loop_lag; A step of torque, or lines above 300 Hz." in out
         assert "gap on sealed positions 5 and 6: 3.9 before, 1.06 after, floor 1, torque residual (rms), over" in out
         assert "; 98 % of the reducible gap is gone" in out
-        assert "next: Weigh the tool" in out and out.splitlines()[-1].startswith("wrote ")
+        assert "next experiment: Weigh the tool" in out and out.splitlines()[-2].startswith("wrote ")
         assert "fitting" not in error  # nobody watches
 
     def test_a_robot_with_an_own_effect_is_remarked(self, folder, tmp_path, capsys, diagnosing):

@@ -8,6 +8,7 @@ import pathlib
 import re
 import subprocess
 import sys
+import textwrap
 import types
 
 import pytest
@@ -76,6 +77,42 @@ def test_public_names_are_documented(name):
     assert not inspect.isclass(value) or "__doc__" in vars(value)
     first = text.split("\n\n")[0].rstrip()
     assert first[-1] in ".:", f"{name}: the first paragraph ends with {first[-20:]!r}"
+
+
+def functions():
+    """Public functions as they were written, without what decorators put around them."""
+    for name, value in PUBLIC.items():
+        function = inspect.unwrap(value) if callable(value) else value
+        if inspect.isfunction(function):
+            yield name, function
+
+
+def test_docstrings_say_what_is_raised():
+    """Every public function that raises, or checks its arguments, says so."""
+    for name, function in functions():
+        tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+        calls = {
+            node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        }
+        if any(isinstance(node, ast.Raise) for node in ast.walk(tree)) or calls & {"expect", "input_error"}:
+            assert "**Raises:**" in inspect.getdoc(function), name
+
+
+def test_arguments_and_results_have_shapes_or_words():
+    """What has no annotation, which tells the shape of an array, is told by the docstring."""
+    for name, function in functions():
+        text, signature = inspect.getdoc(function), inspect.signature(function)
+        for argument in signature.parameters.values():
+            plain = argument.annotation is argument.empty and argument.name not in ("self", "cls")
+            assert not plain or f"`{argument.name}`" in text, f"{name}: {argument.name}"
+        if signature.return_annotation is signature.empty:
+            assert "**Returns:**" in text or name.startswith("jaxfrf.plot."), f"{name}: what it returns"
+
+
+def test_estimators_say_when_they_are_biased_and_where_they_come_from():
+    for name, value in PUBLIC.items():
+        if inspect.isclass(value) and issubclass(value, jf.AbstractMethod) and value is not jf.AbstractMethod:
+            assert re.search(r"bias|fails|consistent", inspect.getdoc(value), re.IGNORECASE), name
 
 
 def test_public_names_have_annotated_arguments_or_speaking_defaults():

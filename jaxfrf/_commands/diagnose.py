@@ -20,6 +20,11 @@ from .arguments import (
 from .each import add_each_options
 from .progress import Progress
 
+EXAMPLES = (
+    "jaxfrf diagnose run1.nc run2.nc --robot robot.toml -o gap.json --report gap.html --robot-out extended.toml",
+    "jaxfrf diagnose run.nc --robot robot.toml --effects my_effects.py -o gap.json",
+)
+
 
 def add(commands) -> None:
     parser = command(commands, "diagnose", run, "Find the effect that a robot's model lacks, from records.")
@@ -65,7 +70,9 @@ def run(given) -> dict:
         write_gap(given.output, found)
         written = [given.output, *_write_more(given, found, own)]
     contents = gap_contents(found)
-    return {"text": [*_lines(found), f"wrote {', '.join(written)}"], "json": contents | {"output": written}}
+    page = f"next: look at {given.report}" if given.report else "next: --report gap.html shows where"
+    text = [*_lines(found), f"wrote {', '.join(written)}", page]
+    return {"text": text, "json": contents | {"output": written}}
 
 
 def _diagnosed(given, robot, data, own, parts):
@@ -154,5 +161,5 @@ def _lines(found) -> list[str]:
         f"{closed(gap)}"
     )
     if found.next_experiment:
-        lines.append(f"next: {found.next_experiment}")
+        lines.append(f"next experiment: {found.next_experiment}")
     return lines

@@ -17,6 +17,8 @@ from .arguments import (
     read_records,
 )
 
+EXAMPLES = ("jaxfrf distortion run.nc -o frf.nc --plot levels.png",)
+
 
 def add(commands) -> None:
     parser = command(
@@ -57,7 +59,7 @@ def run(given) -> dict:
         print(f"warning: {warning}", file=sys.stderr)
     about = distortion_summary(found)
     return {
-        "text": [*about.lines(), *([f"wrote {', '.join(written)}"] if written else [])],
+        "text": [*about.lines(), *([f"wrote {', '.join(written)}"] if written else []), *_next(given)],
         "json": about.as_dict() | {"output": written},
     }
 
@@ -74,3 +76,7 @@ def _write(given, found) -> list[str]:
         plot.save(figure, given.plot)
         written.append(given.plot)
     return written
+
+
+def _next(given) -> list[str]:
+    return [f"next: jaxfrf view {given.output}"] if given.output else []

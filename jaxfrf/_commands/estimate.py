@@ -25,12 +25,20 @@ from .progress import Progress
 
 _READ_BY = ("map", "set", "scale", "anyway", "periods", "band", "robust")  # options
 
+EXAMPLES = (
+    "jaxfrf estimate run.nc -o frf.nc --report frf.html",
+    'jaxfrf estimate log.mat -o frf.nc --map "u=[tau1;tau2],y=rec.speed,r=v_ref" --set fs=2000,period=56000',
+    "jaxfrf estimate run.nc -o frf.mat --method lrm-jio-stacked --option width=34 --band 4:80 --plot bode.png",
+    "jaxfrf estimate 'logs/*.mat' --each -o results --workers 4",
+)
+
 
 def add(commands) -> None:
     parser = command(commands, "estimate", run, "Estimate frequency response functions from records.")
     parser.add_argument("data", nargs="+", metavar="DATA", help="experiment files, .nc .mat .npz .csv: one data set")
     parser.add_argument("-o", "--output", required=True, help="FRF to write: .nc, .mat, .npz or .uff")
     add_record_options(parser, method="auto", default="auto")
+    parser.add_argument("--report", metavar="FILE", help="page to write, to choose, zoom and read values on: .html")
     parser.add_argument("--plot", metavar="FILE", help="Bode picture to write: .png, .pdf, .svg")
     parser.add_argument("--robust", action="store_true", help="weigh periods: odd ones count less, or not at all")
     add_memory_option(parser)
@@ -66,12 +74,16 @@ def run(given) -> dict:
                 progress=progress,
                 say=say,
             )
-        written = [given.output, *_write_picture(given, made.frf)]
-    about = summary(made.spectra, made.frf)
+        about = summary(made.spectra, made.frf)
+        written = [given.output, *_write_picture(given, made.frf), *_write_report(given, made.frf, about)]
     for warning in made.frf.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return {
-        "text": [*about.lines(), f"wrote {', '.join(written)}"],
+        "text": [
+            *about.lines(),
+            f"wrote {', '.join(written)}",
+            f"next: look at {given.report}" if given.report else f"next: jaxfrf view {given.output}",
+        ],
         "json": about.as_dict() | {"output": written},
     }
 
@@ -86,6 +98,15 @@ def _write_picture(given, frf) -> list[str]:
     return [given.plot]
 
 
+def _write_report(given, frf, about) -> list[str]:
+    if not given.report:
+        return []
+    from ..report.response import write_frf_page
+
+    write_frf_page(given.report, frf, [given.method], about=about.lines()[:4])
+    return [given.report]
+
+
 def _check_outputs(given) -> None:
     """Everything that could not be written, before anything is read."""
     check_target(given.output, (*RECORD_FILES, ".uff", ".unv"))
@@ -96,3 +117,5 @@ def _check_outputs(given) -> None:
         require("h5netcdf", "io")
     if given.plot:
         check_picture(given.plot)
+    if given.report:
+        check_target(given.report, (".html", ".htm"))

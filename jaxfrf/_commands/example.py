@@ -2,6 +2,11 @@
 
 from .arguments import RECORD_FILES, check_target, command
 
+EXAMPLES = (
+    "jaxfrf example -o run.nc",
+    "jaxfrf example -o run.mat --blocks 4 --seed 1",
+)
+
 
 def add(commands) -> None:
     parser = command(commands, "example", run, "Simulate a small closed-loop experiment and write its record.")
@@ -21,5 +26,6 @@ def run(given) -> dict:
         f"two flexible axes in closed loop: {data.n_exp} experiments, {data.n_periods} steady periods of "
         f"{data.period / data.fs:g} s, {len(data.lines)} excited lines, seed {given.seed}",
         f"wrote {given.output}",
+        f"next: jaxfrf estimate {given.output} -o frf.nc --report frf.html",
     ]
     return {"text": text, "output": given.output, "seed": given.seed, "experiments": data.n_exp}

@@ -4,6 +4,11 @@ import pathlib
 
 from .arguments import check_picture, check_target, command
 
+EXAMPLES = (
+    "jaxfrf excite design.toml -o reference.nc",
+    "jaxfrf excite design.toml -o reference.csv --plot design.png",
+)
+
 
 def add(commands) -> None:
     parser = command(commands, "excite", run, "Turn an excitation design into references that a controller can play.")
@@ -39,6 +44,7 @@ def run(given) -> dict:
             for i in range(made.n_in)
         ),
         f"wrote {', '.join(str(path) for path in (*written, picture))}",
+        "next: play it, log r, u and y, then jaxfrf estimate",
     ]
     return {
         "text": text,

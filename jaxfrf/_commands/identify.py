@@ -30,6 +30,13 @@ _SPRINGS_ONLY = (
     "starts", "seed", "guess", "direct", "fix", "free", "share", "weights", "method", "option", "band", "plot"
 )  # fmt: skip
 
+EXAMPLES = (
+    "jaxfrf identify run1.nc run2.nc --robot robot.toml -o fit.json --report fit.html --robot-out found.toml",
+    "jaxfrf identify run.nc --robot robot.toml -o fit.json --heldout 2,5 --tolerance links=0.02,friction=unknown",
+    "jaxfrf identify frf.nc --robot robot.toml --springs -o fit.json --plot bode.png",
+    "jaxfrf identify motion.csv --robot arm.urdf --map u=tau,y=theta --set fs=1000,y_quantity=position -o fit.json",
+)
+
 
 def add(commands) -> None:
     parser = command(commands, "identify", run, "Calibrate a robot from records, or its springs from FRFs.")
@@ -108,7 +115,11 @@ def run(given) -> dict:
     warnings = [w for record in data for w in record.warnings] if whole else found.measured.warnings
     for warning in dict.fromkeys(warnings):
         print(f"warning: {warning}", file=sys.stderr)
-    text = [*found.lines(), f"wrote {', '.join(written)}"]
+    ask = f"jaxfrf diagnose {' '.join(given.data)} --robot {given.robot_out or given.robot} -o gap.json"
+    next_step = (
+        f"look at {given.report}" if given.report else f"what is missing? {ask}" if whole else "--report shows it"
+    )
+    text = [*found.lines(), f"wrote {', '.join(written)}", f"next: {next_step}"]
     return {"text": text, "json": (contents if whole else _brief(contents)) | {"output": written}}
 
 

@@ -5,6 +5,11 @@ import pathlib
 from .._errors import input_error
 from .arguments import check_picture, check_result, check_target, command, naming, range_of
 
+EXAMPLES = (
+    "jaxfrf modal frf.nc -o modes.json --plot stabilisation.png",
+    "jaxfrf modal frf.nc -o modes.json --near 12,31 --band 5:60",
+)
+
 
 def add(commands) -> None:
     parser = command(commands, "modal", run, "Find the modes of an FRF: frequencies, damping, residues, intervals.")
@@ -38,7 +43,9 @@ def run(given) -> dict:
 
         plot.save(plot.stabilisation(found, title=pathlib.Path(given.frf).name)[0], given.plot)
         written.append(given.plot)
-    return {"text": [*_lines(found), f"wrote {', '.join(written)}"], "json": contents | {"output": written}}
+    next_step = f"look at {given.plot}: do the modes stay from order to order?" if given.plot else "--plot shows them"
+    text = [*_lines(found), f"wrote {', '.join(written)}", f"next: {next_step}"]
+    return {"text": text, "json": contents | {"output": written}}
 
 
 def _contents(found, source: str) -> dict:

@@ -4,6 +4,8 @@ from .._errors import input_error
 from . import own_effects
 from .arguments import check_picture, check_seed, check_target, check_x64, command
 
+EXAMPLES = ("jaxfrf positions robot.toml design.toml -n 7 -o positions.csv --plot accuracy.png",)
+
 
 def add(commands) -> None:
     parser = command(commands, "positions", run, "Choose arm configurations to measure a robot at, before measuring.")
@@ -56,6 +58,7 @@ def run(given) -> dict:
             "expected standard deviation (at random positions):",
             *(f"  {plan.names[i]}: {100 * plan.optimal[at, i]:.2g} % ({100 * plan.random[at, i]:.2g} %)" for i in rows),
             f"wrote {', '.join(written)}",
+            f"next: measure there, or jaxfrf simulate {given.robot} {given.design} --configurations {given.output} ...",
         ],
         "json": {
             "output": written,

@@ -17,6 +17,11 @@ from .progress import Progress
 
 _MOST = 100_000  # positions
 
+EXAMPLES = (
+    "jaxfrf simulate robot.toml design.toml --positions 3 -o run.nc",
+    "jaxfrf simulate robot.toml design.toml --configurations positions.csv --noise 1e-5 -o run.nc",
+)
+
 
 def add(commands) -> None:
     parser = command(commands, "simulate", run, "Play a design on a simulated robot in closed loop.")
@@ -70,6 +75,7 @@ def run(given) -> dict:
         f"experiments) of {made.samples / design.fs:g} s, {made.periods} steady period(s) of "
         f"{design.period / design.fs:g} s, {len(design.lines)} excited lines, seed {given.seed}",
         f"wrote {given.output}",
+        f"next: jaxfrf estimate {given.output} -o frf.nc --report frf.html",
     ]
     return {
         "text": text,

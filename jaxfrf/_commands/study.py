@@ -5,6 +5,11 @@ from .progress import Progress
 
 _SCALES = ("demo", "medium", "paper")
 
+EXAMPLES = (
+    "jaxfrf study --scale demo -o study",
+    "jaxfrf study --scale paper -o paper --resume",
+)
+
 
 def add(commands) -> None:
     parser = command(
@@ -32,4 +37,5 @@ def run(given) -> dict:
 
     with kept_parts(given) as parts, Progress("study", given.json) as progress:
         results = run_study(SCALES[given.scale], given.output, say=progress.say, parts=parts)
-    return {"text": [*summary_lines(results), f"wrote {given.output}/index.html and study.json"], "json": results}
+    text = [*summary_lines(results), f"wrote {given.output}/index.html and study.json"]
+    return {"text": [*text, f"next: look at {given.output}/index.html"], "json": results}

@@ -72,6 +72,8 @@ def random_odd_lines(first: int, last: int, *, group: int = 4, key: PRNGKeyArray
     **Arguments:** `first`, `last`: lines; `group`: 2 or more; `key`: `jax.random.key(...)`.
 
     **Source:** Pintelon & Schoukens, System Identification, 2nd ed. 2012, section 4.3.1.
+
+    **Raises:** `jaxfrf.InputError` for a group below 2, or a range without odd lines.
     """
     if group < 2:
         raise input_error("group", f"{group}", "2 or more odd lines", "Groups of 3 to 5 are usual.")
@@ -89,6 +91,8 @@ def log_odd_lines(first: int, last: int, points: int) -> Grid:
     Fewer than `points` lines come out: points that round to the same odd line are merged, and what rounds
     beyond `last` is dropped. `log_odd_lines(112, 2240, 366)` are the 336 lines from 4.036 to 79.32 Hz of a
     28 s period.
+
+    **Raises:** `jaxfrf.InputError` for no points, more than fit into memory, or a range without odd lines.
     """
     first, last = _range(first, last)
     if points < 1:

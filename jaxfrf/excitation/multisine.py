@@ -207,6 +207,8 @@ def shaped_amplitude(frequency: Float[Array, "freq"], corners, levels) -> Float[
     each corner, (corner,) for all channels or (channel, corner).
 
     **Returns:** (freq,) or (freq, channel): the `amplitude` of a `Multisine`.
+
+    **Raises:** `jaxfrf.InputError` where corners do not increase, or anything is not positive.
     """
     corners = _numbers("spectrum frequency", corners)
     levels = _numbers("spectrum amplitude", levels)

@@ -89,7 +89,8 @@ class AbstractAverage(AbstractMethod):
 class ArithmeticMean(AbstractAverage):
     """G = 1/M sum_m G_m over blocks of n_in experiments, or over single-experiment estimates of a local method.
 
-    Noise in u makes single estimates scatter with heavy tails, and the mean with them (Guillaume 1998).
+    Noise in u makes single estimates scatter with heavy tails, and the mean with them (Guillaume 1998). Biased as the
+    estimates are: a mean takes off their scatter alone.
 
     **Arguments:** `method`: estimates every block; default `H1()`, which on n_in experiments is Y U^-1.
     """
@@ -152,6 +153,7 @@ class RobustMean(AbstractAverage):
     sign or a disturbance counts nothing, and of clean ones a few per cent of the information are lost. Needs three
     blocks, most of which agree. The covariance is that of the weighted mean from the scatter of the blocks,
     sum_m w_m^2 d_m d_m^H / ((sum_m w_m)^2 (1 - 1/sum_m w_m)); it holds everything that differs between blocks.
+    Biased as the estimates of the blocks are, and useless where most of them are odd.
 
     **Arguments:** `method`: estimates every block; default `H1()`, which on n_in experiments is Y U^-1.
     """

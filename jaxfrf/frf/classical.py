@@ -94,7 +94,7 @@ class Hv(AbstractMethod):
 
     Between `H1` and `H2`: G_i from the eigenvector of the smallest eigenvalue of the cross-spectral matrix of [u; y_i],
     each signal scaled to unit power (Rocklin, Crowley & Vold 1985). Without noise all three agree. The covariance is
-    H1's, to first order.
+    H1's, to first order. Biased where noise is not as strong in u as in y, relative to the signals.
     """
 
     def block_size(self, spectra: Spectra | Signals) -> int:

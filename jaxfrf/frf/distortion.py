@@ -88,7 +88,10 @@ def with_distortion(frf: FRF, data: Experiment) -> FRF:
 
 
 def distortion_of(frf: FRF, data: Experiment) -> Distortion:
-    """As `best_linear_approximation`, of an FRF of the same record and band."""
+    """As `best_linear_approximation`, of an FRF of the same record and band.
+
+    **Raises:** `jaxfrf.InputError` where nothing tells noise and distortion: one period, no unexcited line.
+    """
     spectra = _same_lines(dft(data), frf)
     shape = (spectra.n_pos, len(spectra.frequency), spectra.n_out)
     unknown = np.full(shape, np.nan)
@@ -236,6 +239,8 @@ def distortion(unexcited: Spectra, frf: FRF) -> Float[np.ndarray, "pos freq out"
     In closed loop the controller excites these lines as well, so G U (G interpolated between the excited lines) is
     taken off first (Pintelon & Schoukens 2012, sec. 4.3, fast method). Even lines show even, odd lines odd
     nonlinearity; both contain the noise. Unit of Y, Fourier coefficients as in `jaxfrf.dft`.
+
+    **Raises:** `jaxfrf.InputError` if FRF and spectra have other positions or channels.
     """
     if unexcited.n_pos != frf.n_pos or (unexcited.n_out, unexcited.n_in) != (frf.n_out, frf.n_in):
         raise input_error(

@@ -116,7 +116,7 @@ def _instead(data) -> tuple[str, str]:
 
 
 def describe_method(method) -> str:
-    """A method and its options as text, e.g. `LogMean(method=LRM(order=2, width=34), elementwise=False)`."""
+    """A `method` and its options as text, e.g. `LogMean(method=LRM(order=2, width=34), elementwise=False)`."""
     if not isinstance(method, AbstractMethod):
         return repr(method)
     options = ", ".join(f"{f.name}={describe_method(getattr(method, f.name))}" for f in dataclasses.fields(method))

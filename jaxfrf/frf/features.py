@@ -43,6 +43,8 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
     between two slopes, as where no zero lies between two resonances, does not, and is left out too.
 
     Biased where two resonances overlap, and by the window of a local method that is wider than the resonance.
+
+    **Raises:** `jaxfrf.InputError` if `frf` is none.
     """
     expect("frf", frf, FRF)
     G = np.asarray(frf.G)[position, :, out, into]

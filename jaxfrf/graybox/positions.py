@@ -50,6 +50,8 @@ def position_information(
 
     **Arguments:** `points`: operating points with a leading axis (pos), e.g. arm angles (pos, axis). `weights`: of the
     elements, (out, in), 1 by default; 0 for elements that are not measured.
+
+    **Raises:** `jaxfrf.InputError` naming operating points at which the response is not finite.
     """
     coordinates = Coordinates(model.parameters)
     frequency = jnp.asarray(frequency)

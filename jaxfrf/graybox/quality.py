@@ -183,7 +183,10 @@ def model_quality(
 def response_quality(
     G: Complex[Array, "pos freq out in"], frf: FRF, weights: Weights | None = None, bands: int = 8
 ) -> Quality:
-    """Errors of any response G, a simulated one for example, against a measured FRF at the same lines."""
+    """Errors of any response G, a simulated one for example, against a measured FRF at the same lines.
+
+    **Raises:** `jaxfrf.InputError` if `G` has another shape than the FRF.
+    """
     if np.shape(G) != np.shape(frf.G):
         raise input_error("G", f"shape {np.shape(G)}", f"{np.shape(frf.G)} as the FRF", "Take the same lines.")
     tg = target(frf, Weights() if weights is None else weights, np.zeros((frf.n_pos, 0)))

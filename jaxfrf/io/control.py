@@ -15,6 +15,8 @@ def to_control(frf: FRF, pos: int = 0):
     The covariance has no place there, and NaN at lines without an estimate stay NaN. Inputs are named `u[j]`,
     outputs `y[i]`.
 
+    **Returns:** a `control.FrequencyResponseData`.
+
     **Raises:** `jaxfrf.InputError` if there is no such operating point.
     """
     control = require("control", "control")

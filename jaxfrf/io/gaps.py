@@ -34,7 +34,7 @@ _NEEDED = ("verdict", "effects", "ranking", "where", "gap", "parameters")
 
 
 def write_gap(path: str | os.PathLike, diagnosis) -> None:
-    """Write what `jaxfrf.gap.diagnose` returned as JSON, whole or not at all.
+    """Write a `diagnosis`, what `jaxfrf.gap.diagnose` returned, as JSON, whole or not at all.
 
     **Raises:** `jaxfrf.InputError` if the folder is not there."""
     write_json(path, gap_contents(diagnosis))

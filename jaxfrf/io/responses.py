@@ -22,6 +22,7 @@ length one when it saves; they are put back on reading. **NumPy**: no pickle.
 import contextlib
 import dataclasses
 import json
+import os
 import pathlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -55,7 +56,7 @@ _AXES = {
 }
 
 
-def write_frf(path, frf: FRF) -> None:
+def write_frf(path: str | os.PathLike, frf: FRF) -> None:
     """Write an FRF with everything that is known about it; the suffix `.nc`, `.mat` or `.npz` says the
     format.
 
@@ -71,7 +72,7 @@ def write_frf(path, frf: FRF) -> None:
 
 
 @contextlib.contextmanager
-def writing_frf(path, like: FRF, n_pos: int) -> Iterator[Callable[[int, FRF], None]]:
+def writing_frf(path: str | os.PathLike, like: FRF, n_pos: int) -> Iterator[Callable[[int, FRF], None]]:
     """`write_frf` of `n_pos` positions that come one after the other: `put(first, frf)` in the block.
 
     NetCDF and Zarr go to the disk as they come, other formats at the end. `like`: the FRF of some of them, with what is
@@ -107,7 +108,7 @@ def writing_frf(path, like: FRF, n_pos: int) -> Iterator[Callable[[int, FRF], No
         _WRITERS[suffix](draft, whole)
 
 
-def read_frf(path) -> FRF:
+def read_frf(path: str | os.PathLike) -> FRF:
     """Read what `write_frf` wrote, or any `.nc`, `.mat` or `.npz` file that holds at least `G` and
     `frequency`.
 

@@ -43,7 +43,10 @@ def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()
 
 
 def write_robot(robot: Robot, path: str | os.PathLike) -> None:
-    """Write a TOML file that `read_robot` reads back to the same robot. Nothing half written is left."""
+    """Write a TOML file that `read_robot` reads back to the same robot. Nothing half written is left.
+
+    **Raises:** `jaxfrf.InputError` if `robot` is none, a file cannot state it, or the folder is not there.
+    """
     expect("robot", robot, Robot)
     with replacing(pathlib.Path(path)) as draft:
         draft.write_text(toml_text(table_from_robot(robot)), encoding="utf-8")

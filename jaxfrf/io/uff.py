@@ -1,6 +1,7 @@
 """Universal files, dataset 58: what modal-testing software exchanges."""
 
 import collections
+import os
 import pathlib
 from collections.abc import Iterable, Mapping
 
@@ -21,7 +22,7 @@ _AXIS_OF_A_JOINT = 6  # rotation about z
 _DIGITS = 5  # decimals that dataset 58 keeps of a frequency (E13.5)
 
 
-def write_uff(path, frf: FRF) -> None:
+def write_uff(path: str | os.PathLike, frf: FRF) -> None:
     """Write an FRF as universal file: one dataset 58 (function type 4) per operating point and element of G.
 
     Response node i+1 and reference node j+1 stand for output i and input j (rotations about z), the version
@@ -41,7 +42,7 @@ def write_uff(path, frf: FRF) -> None:
         pyuff.UFF(str(draft)).write_sets([_si_units(), *_records(frf, frequency)], "overwrite")
 
 
-def read_uff(path) -> FRF:
+def read_uff(path: str | os.PathLike) -> FRF:
     """Read the FRFs (datasets 58 of function type 4) of a universal file; see `frf_from_uff`.
 
     **Raises:** `jaxfrf.InputError` if the file is missing, or holds no complete set of FRFs.
@@ -66,7 +67,7 @@ def frf_from_uff(sets: Iterable[Mapping], *, sources=(), where: str = "universal
     """One FRF from the dataset dictionaries of pyuff (or sdypy.io.uff), without a covariance.
 
     Response (node, direction) pairs become outputs, reference pairs inputs, in ascending order. Datasets of
-    the same element are told apart by their version number, which then counts operating points.
+    the same element are told apart by their version number, which then counts operating points. `sources`: of the FRF.
 
     **Raises:** `jaxfrf.InputError` if there is no FRF, the matrix has holes, or frequencies or quantities
     differ.

@@ -27,6 +27,8 @@ def simulate_machine(machine: Machine, data: Experiment, values=None, *, steps: 
     **Arguments:** `values`: parameters by name; by default where they start.
 
     **Returns:** (exp, time, out), in the machine's quantity, of the first operating point.
+
+    **Raises:** `jaxfrf.InputError` if `machine` or `data` are none; `ValueError` in 32 bit.
     """
     require_x64("A simulation")
     expect("machine", machine, Machine)

@@ -1,7 +1,7 @@
 """Pictures: functions that take results and return matplotlib figures and axes."""
 
 from ._style import save as save
-from .bode import bode as bode
+from .bode import bode as bode, confidence_radius as confidence_radius
 from .calibration import numbers_found as numbers_found
 from .coherence import coherence as coherence
 from .distortion import distortion as distortion

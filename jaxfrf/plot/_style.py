@@ -26,7 +26,7 @@ _WIDE = 5.0  # a band this many times as high as its lowest frequency gets a log
 
 
 def save(figure, path) -> None:
-    """Save a figure, whole or not at all; the suffix says the format (`.png`, `.pdf`, `.svg`, ...).
+    """Save a `figure` to `path`, whole or not at all; the suffix says the format (`.png`, `.pdf`, `.svg`, ...).
 
     **Raises:** `jaxfrf.InputError` if matplotlib does not know the format, or the folder is not there.
     """

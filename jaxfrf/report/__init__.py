@@ -17,3 +17,4 @@ from .page import (
     verdict as verdict,
     write_page as write_page,
 )
+from .response import frf_page as frf_page, write_frf_page as write_frf_page

@@ -59,14 +59,14 @@ details > summary { cursor: pointer; color: #0a5c96; margin: 4px 0 8px; font-siz
 
 
 def write_gap_report(path: str | os.PathLike, diagnosis) -> None:
-    """Write the page about what `jaxfrf.gap.diagnose` returned, one HTML file that needs nothing beside itself.
+    """Write the page about a `diagnosis`, as `jaxfrf.gap.diagnose` returns it, one HTML file that needs nothing else.
 
     **Raises:** `ImportError` without matplotlib; `jaxfrf.InputError` if the folder is not there."""
     write_page(path, gap_page(diagnosis))
 
 
 def gap_page(diagnosis) -> str:
-    """The page about a diagnosis as HTML text."""
+    """The page about a `diagnosis` as HTML text."""
     d = diagnosis
     names = joined([s.name for s in d.sources]) or "data in memory"
     positions = len(d.fitted) + len(d.sealed)

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Sequence
 
+from ..effects import ResolverRipple, TorqueRipple
+
 _Z = 1.959964  # of a 95 % interval
 _FAR = 0.3  # of the largest misfit: less is not what a diagnosis is about
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -123,6 +125,8 @@ def ripple_written(diagnosis) -> str:
     given = len(diagnosis.given.effects)
     orders: dict[str, list[int]] = {}
     for effect in diagnosis.base.effects[given:]:
+        if not isinstance(effect, TorqueRipple | ResolverRipple):
+            continue  # a torque constant that was calibrated
         orders.setdefault(effect.joint, []).extend(effect.order)
     if not orders:
         return ""

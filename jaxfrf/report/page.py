@@ -39,9 +39,11 @@ td.flag { color: var(--bad); white-space: normal; }
 figure { margin: 8px 0 18px; }
 figure img { max-width: 100%; height: auto; display: block; }
 figcaption { color: var(--soft); font-size: 13.5px; max-width: 92ch; margin-top: 4px; }
-@media (max-width: 640px) { section > figure { overflow-x: auto; } section > figure img { max-width: 720px; } }
+@media (max-width: 640px) { figure { overflow-x: auto; } figure img { max-width: 720px; } }
 .beside { display: flex; flex-wrap: wrap; gap: 8px 36px; align-items: flex-start; }
-.beside figure { display: table; } .beside figcaption { display: table-caption; caption-side: bottom; }
+.beside > div { max-width: 100%; } .beside figure { display: table; }
+.beside figcaption { display: table-caption; caption-side: bottom; }
+@media (max-width: 640px) { .beside figure, .beside figcaption { display: block; } }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: 2px 18px; font-size: 14px; margin: 0; }
 dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }
 .tabs > input { position: absolute; opacity: 0; }
@@ -119,6 +121,9 @@ def _is_number(x: object) -> bool:
     return isinstance(x, int | float) or (isinstance(x, str) and _NUMBER.fullmatch(x) is not None)
 
 
+_NOTHING = 1e-60  # what rounding leaves of zero
+
+
 def number(x: object, digits: int = 4) -> str:
     """A number as people write it: four significant digits, thousands whole, no exponent where there is room."""
     if x is None:
@@ -131,7 +136,7 @@ def number(x: object, digits: int = 4) -> str:
         return f"{x}"
     if not math.isfinite(x):
         return "-"
-    if x == 0:
+    if abs(x) < _NOTHING:
         return "0"
     size = math.floor(math.log10(abs(x)))
     if -4 <= size < 7:
@@ -146,7 +151,7 @@ def facts(pairs: Mapping[str, object]) -> str:
 
 
 def figure(picture, caption: str = "", kind: str = "svg") -> str:
-    """A matplotlib figure, embedded: `svg` for few marks, `png` for many."""
+    """A matplotlib figure, `picture`, embedded: `svg` for few marks, `png` for many."""
     buffer = io.BytesIO()
     options = {"dpi": 170} if kind == "png" else {"metadata": {"Date": None}}
     picture.savefig(buffer, format=kind, facecolor="white", **options)

@@ -156,7 +156,10 @@ def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "
 
 
 def mass_and_bias_columns(chain: Chain, q: Float[Array, "joint run"], rate: Float[Array, "joint run"]):
-    """As `mass_and_bias`, of many runs with the runs last, (joint, joint, run) and (joint, run)."""
+    """As `mass_and_bias`, of many runs with the runs last.
+
+    **Returns:** (joint, joint, run) and (joint, run).
+    """
     bodies = _bodies(chain, q)
     return _mass_matrix(bodies), _newton_euler(chain, bodies, rate, jnp.zeros_like(q))
 

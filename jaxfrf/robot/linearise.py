@@ -98,6 +98,8 @@ def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> Op
     spring far too soft for its load) and at angles that are NaN.
 
     **Arguments:** `arm_angles`: q_a, (*batch, axis), rad.
+
+    **Raises:** `ValueError` for another number of angles than driven joints.
     """
     _check_coupling(robot)
     arm_angles = jnp.asarray(arm_angles)

@@ -209,13 +209,19 @@ def arm_inertia(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "
 
 @eqx.filter_jit
 def arm_inertia_and_bias(robot: Robot, arm: Float[Array, "*batch arm"], rate: Float[Array, "*batch arm"]):
-    """M_ae and c_ae + g_ae from one pass over the kinematics: what changes slowly within a control sample."""
+    """M_ae and c_ae + g_ae from one pass over the kinematics: what changes slowly within a control sample.
+
+    **Returns:** (*batch, arm, arm), kg m^2, and (*batch, arm), N m.
+    """
     matrix, bias = mass_and_bias(robot.chain, chain_angles(robot, arm), chain_angles(robot, rate))
     return _arm_matrix(robot, matrix), bias[..., np.array(robot.arm_joints)]
 
 
 def arm_inertia_and_bias_columns(robot: Robot, arm: Float[Array, "arm run"], rate: Float[Array, "arm run"]):
-    """As `arm_inertia_and_bias`, of many runs with the runs last, (arm, arm, run) and (arm, run): for simulations."""
+    """As `arm_inertia_and_bias`, of many runs with the runs last: for simulations.
+
+    **Returns:** (arm, arm, run) and (arm, run).
+    """
     order = np.array(robot.arm_joints)
     angles, rates = chain_angles(robot, arm.T).T, chain_angles(robot, rate.T).T
     matrix, bias = mass_and_bias_columns(robot.chain, angles, rates)
@@ -320,7 +326,7 @@ def gear_load(robot: Robot, spring, torque) -> Float[Array, "*batch axis"]:
 
 
 def friction_effects(robot: Robot, speed, load) -> Float[Array, "*batch axis"]:
-    """Torque against the motors by the robot's effects, motor side; speed in rad/s, load as `gear_load`; N m."""
+    """Torque against the motors by the robot's effects, motor side; `speed` in rad/s, `load` as `gear_load`; N m."""
     return _effects_torque(robot, AbstractFriction, speed, load)
 
 

@@ -102,7 +102,10 @@ def robot_from_table(
 
 
 def table_from_robot(robot: Robot) -> dict[str, Any]:
-    """The table of a robot: `robot_from_table` of it gives the same robot."""
+    """The table of a robot: `robot_from_table` of it gives the same robot.
+
+    **Raises:** `jaxfrf.InputError` for springs or friction that a file cannot state.
+    """
     if not isinstance(robot.springs, Spring) or not isinstance(robot.drives.friction, Friction):
         raise input_error(
             f"{robot.name}: springs and friction",

@@ -50,7 +50,10 @@ def state_space(model: LinearRobot, quantity: str = "velocity") -> StateSpace:
 
 @eqx.filter_jit
 def discretise(system: StateSpace, sampling_frequency: float) -> StateSpace:
-    """The same system between samples with its input held (zero-order hold), by a matrix exponential."""
+    """The same system between samples with its input held (zero-order hold), by a matrix exponential.
+
+    **Raises:** `jaxfrf.InputError` for a system that is discrete already.
+    """
     if system.sample_time:
         raise input_error("system", f"sample_time {system.sample_time:g} s", "a continuous system", "Discretise once.")
     n, m = system.B.shape[-2:]
@@ -76,6 +79,8 @@ def state_space_frf(system: StateSpace, frequency: Float[Array, "freq"]) -> Comp
 
 def to_control(system: StateSpace):
     """The system as a `control.StateSpace` of python-control; one operating point (no batch axes).
+
+    **Returns:** a `control.StateSpace`.
 
     **Raises:** `ImportError` without python-control: `pip install 'jaxfrf[control]'`.
     """

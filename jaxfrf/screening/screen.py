@@ -81,6 +81,8 @@ def examine(data: Experiment, checks: tuple[Check, ...] = CHECKS + ACROSS) -> tu
     and the experiments beside each other are looked at. Nonlinear distortion repeats with the period and is no fault.
     What no record shows: a sign, a gain, a delay of some samples or an exchange of channels that is the same in all
     experiments.
+
+    **Raises:** `jaxfrf.InputError` if `data` is no experiment.
     """
     expect("data", data, Experiment)
     record, found = Record(data), []

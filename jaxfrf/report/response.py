@@ -1,0 +1,262 @@
+"""The page about FRFs: choose position, output and input, zoom, read values."""
+
+import base64
+import html
+import importlib.resources
+import json
+import os
+from collections.abc import Sequence
+
+import numpy as np
+
+from .._arguments import expect
+from .._errors import input_error
+from .._status import Status
+from ..frf import FRF
+from ..frf.covariance import variances
+from ..frf.features import features
+from ..plot._style import COLOURS, breaks
+from ..plot.bode import confidence_radius
+from ..units import input_unit, output_unit, response_unit
+from .page import facts, listing, page, paragraph, section, table, write_page
+
+_SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
+_NUMBERS = 950_000  # of two bytes each, that a page holds: some 2.6 MB of text
+_MISSING = -32768
+_LINES = 12  # of a table of features
+
+_STYLE = """<style>
+#frf .choose { display: flex; flex-wrap: wrap; gap: 8px 14px; align-items: center; margin: 0 0 8px; font-size: 14px; }
+#frf select, #frf .choose button { font: inherit; padding: 3px 8px; border: 1px solid var(--line); border-radius: 3px;
+  background: var(--paper); color: var(--ink); max-width: 100%; }
+#frf .choose button { cursor: pointer; }
+#frf select { margin-left: 5px; }
+#frf .legend { display: flex; flex-wrap: wrap; gap: 4px 18px; font-size: 14px; margin: 0 0 4px; }
+#frf .legend i { display: inline-block; width: 14px; height: 4px; margin: 0 6px 3px 4px; }
+#frf [hidden] { display: none; }
+#frf .what { color: var(--soft); font-size: 13.5px; margin: 0 0 4px; }
+#frf .chart svg { width: 100%; height: auto; display: block; touch-action: pan-y; cursor: crosshair;
+  user-select: none; }
+#frf .charts:focus-visible { outline: 2px solid #0072b2; outline-offset: 3px; }
+#frf .grid { stroke: var(--line); stroke-width: 1; } #frf .frame { fill: none; stroke: #7b858e; }
+#frf .tick { font-size: 12px; fill: var(--soft); font-variant-numeric: tabular-nums; }
+#frf .line { fill: none; stroke-width: 1.1; opacity: .75; } #frf .band { opacity: .18; stroke: none; }
+#frf .doubtful { fill: var(--paper); stroke: #9a9a9a; stroke-width: .7; }
+#frf .cursor { stroke: var(--ink); stroke-width: 1; stroke-dasharray: 3 3; pointer-events: none; }
+#frf .chosen { fill: #0072b2; opacity: .15; }
+#frf .values { margin: 8px 0 4px; } #frf .values td:first-child { padding-left: 8px; white-space: normal; }
+#frf .matrix { display: grid; gap: 4px; margin: 14px 0 0; max-width: 760px; }
+#frf .cell { position: relative; padding: 2px; border: 1px solid var(--line); border-radius: 3px;
+  background: var(--paper); cursor: pointer; min-width: 0; }
+#frf .cell svg { display: block; width: 100%; height: 44px; } #frf .cell path { fill: none; stroke-width: 1.5;
+  vector-effect: non-scaling-stroke; }
+#frf .cell span { position: absolute; left: 4px; top: 1px; font-size: 11px; color: var(--soft);
+  background: var(--paper); padding: 0 2px; line-height: 1.2; }
+#frf .cell[aria-pressed=true] { border-color: var(--ink); box-shadow: 0 0 0 1px var(--ink); }
+@media print { #frf .choose, #frf .matrix, #frf .hint, #frf .legend input { display: none; } }
+</style>"""
+
+_BODY = """<div id="frf">
+<noscript><p>This page draws with JavaScript, which is switched off here.</p></noscript>
+<div class="choose"><label>Position<select class="position"></select></label>
+<label>Output<select class="output"></select></label><label>Input<select class="input"></select></label>
+<button type="button" class="in" title="Zoom in about the cursor">zoom in</button>
+<button type="button" class="out" title="Zoom out">zoom out</button>
+<button type="button" class="reset">whole band</button><button type="button" class="axis"></button></div>
+<div class="legend"></div><p class="what"></p>
+<div class="charts" tabindex="0" aria-label="Magnitude and phase; arrow keys move the cursor">
+<div class="chart magnitude"></div><div class="chart phase"></div></div>
+<div class="wide"><table class="values"><thead><tr><th>at the cursor</th><th class="number">Hz</th>
+<th class="number">|G|, UNIT</th><th class="number">CONFIDENCE % region</th><th class="number">dB</th>
+<th class="number">phase, degrees</th></tr></thead><tbody></tbody></table></div>
+<p class="what hint">Drag across a picture to zoom, double-click for the whole band, move to read values (arrow keys, +,
+- and Escape do the same). Bands: CONFIDENCE % regions; hollow points: doubtful estimates; DOTTED.</p>
+<div class="matrix"></div></div>"""
+
+
+def write_frf_page(
+    path: str | os.PathLike,
+    frfs: FRF | Sequence[FRF],
+    labels: Sequence[str] | None = None,
+    *,
+    about: Sequence[str] = (),
+) -> None:
+    """Write the page about one or several FRFs, one HTML file that needs nothing beside itself.
+
+    **Arguments:** `frfs` and the others as of `frf_page`.
+
+    **Raises:** `jaxfrf.InputError` if the FRFs have other outputs and inputs, or the folder is not there."""
+    write_page(path, frf_page(frfs, labels, about=about))
+
+
+def frf_page(
+    frfs: FRF | Sequence[FRF],
+    labels: Sequence[str] | None = None,
+    *,
+    about: Sequence[str] = (),
+    confidence: float = 0.95,
+) -> str:
+    """The page about FRFs of the same outputs and inputs, as HTML text, below 3 MB.
+
+    A person chooses position, output and input, zooms and reads values. Of FRFs that are too large for a page, the
+    first positions are shown, or every n-th line of them; the page says so.
+
+    **Arguments:** `labels`: a name for each, the methods by default. `about`: sentences to stand first. `confidence`:
+    probability of the bands.
+
+    **Raises:** `jaxfrf.InputError` where the FRFs do not fit together.
+    """
+    frfs = list(frfs) if isinstance(frfs, list | tuple) else [frfs]
+    for frf in frfs:
+        expect("frfs", frf, FRF)
+    if not frfs:
+        raise input_error("frfs", "none", "at least one FRF", "Estimate one first.")
+    labels = (
+        [f.method.partition("(")[0] or f"estimate {k + 1}" for k, f in enumerate(frfs)] if labels is None else labels
+    )
+    _check(frfs, labels)
+    positions, stride = _room(frfs)
+    first = frfs[0]
+    data = {
+        "estimates": [
+            _packed(f, label, COLOURS[k % len(COLOURS)], positions, stride, confidence)
+            for k, (f, label) in enumerate(zip(frfs, labels, strict=True))
+        ],
+        "outputs": [f"y{i + 1} ({output_unit(first)})" for i in range(first.n_out)],
+        "inputs": [f"u{j + 1} ({input_unit(first)})" for j in range(first.n_in)],
+        "positions": [f"position {p}" for p in range(min(positions, max(f.n_pos for f in frfs)))],
+        "unit": response_unit(first),
+    }
+    levels = first.cov_total is not None
+    body = _BODY.replace("UNIT", html.escape(response_unit(first))).replace("CONFIDENCE", f"{100 * confidence:g}")
+    body = body.replace("DOTTED", "dotted: noise, dashed: noise and distortion" if levels else "lines join neighbours")
+    left_out = _left_out(frfs, positions, stride)
+    script = importlib.resources.files(__package__).joinpath("response.js").read_text(encoding="utf-8")
+    drawn = (
+        f'{_STYLE}\n{body}\n<script type="application/json" id="frf-data">{_json(data)}</script>\n'
+        f"<script>{script}</script>"
+    )
+    names = ", ".join(dict.fromkeys(s.name for f in frfs for s in f.sources))
+    sections = [
+        listing([*about, *left_out]),
+        section("Response", drawn),
+        _features(first),
+        _remarks(frfs),
+        _provenance(frfs, labels),
+    ]
+    shape = f"{first.n_out} x {first.n_in}, {first.n_pos} position{'s' if first.n_pos > 1 else ''}, "
+    band = f"{len(first.frequency)} lines from {first.frequency[0]:.4g} to {first.frequency[-1]:.4g} Hz"
+    return page(f"FRF of {names}" if names else "FRF", [s for s in sections if s], shape + band)
+
+
+def _check(frfs: Sequence[FRF], labels: Sequence[str]) -> None:
+    if len(labels) != len(frfs):
+        raise input_error("labels", f"{len(labels)}", f"one for each of the {len(frfs)} FRFs", "Name them all.")
+    shapes = [(f.n_out, f.n_in, response_unit(f)) for f in frfs]
+    for shape, label in zip(shapes, labels, strict=True):
+        if shape != shapes[0]:
+            raise input_error(
+                label,
+                f"{shape[0]} x {shape[1]} in {shape[2]}",
+                f"{shapes[0][0]} x {shapes[0][1]} in {shapes[0][2]}, as the first",
+                "Look at them in pages of their own.",
+            )
+
+
+# --- numbers
+
+
+def _layers(frf: FRF) -> list[str]:
+    more = {"noise": frf.cov_noise, "total": frf.cov_total} if frf.cov_total is not None else {}
+    return ["level", "phase", "radius", "doubt", *(name for name, cov in more.items() if cov is not None)]
+
+
+def _room(frfs: Sequence[FRF]) -> tuple[int, int]:
+    """How many positions fit, and every how many-th line of them."""
+    each = sum(f.G[0].size * len(_layers(f)) for f in frfs)
+    most = max(f.n_pos for f in frfs)
+    return max(1, min(most, _NUMBERS // each)), max(1, -(-each // _NUMBERS))
+
+
+def _left_out(frfs: Sequence[FRF], positions: int, stride: int) -> list[str]:
+    most, said = max(f.n_pos for f in frfs), []
+    if positions < most:
+        said.append(f"Positions 0 to {positions - 1} of {most} are shown: more make a page too large to open.")
+    if stride > 1:
+        said.append(f"One line of {stride} is shown: more make a page too large to open.")
+    return said
+
+
+def _packed(frf: FRF, label: str, colour: str, positions: int, stride: int, confidence: float) -> dict:
+    """What the script needs of one estimate: hundredths of decibels and degrees in two bytes each."""
+    at = slice(None, positions), slice(None, None, stride)
+    G, frequency = np.asarray(frf.G)[at], np.asarray(frf.frequency, float)[::stride]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = {
+            "level": _decibel(np.abs(G)),
+            "phase": np.where(np.isfinite(G), np.degrees(np.angle(G)), np.nan),
+            "radius": _decibel(confidence_radius(frf, confidence)[at]),
+            "doubt": np.broadcast_to(_doubted(frf)[at][..., None, None], G.shape),
+        }
+        for name in _layers(frf)[4:]:
+            spread = np.asarray(variances(getattr(frf, f"cov_{name}")))
+            found[name] = _decibel(np.sqrt(np.maximum(spread, 0)).reshape(*frf.G.shape[:2], frf.n_in, frf.n_out)[at])
+            found[name] = found[name].swapaxes(-1, -2)
+    order = np.argsort(frequency, kind="stable")
+    layers = np.stack([np.moveaxis(x[:, order], 1, -1) for x in found.values()], axis=1)  # (pos, layer, out, in, freq)
+    whole = np.where(np.isfinite(layers), np.clip(np.round(100 * layers), -32767, 32767), _MISSING).astype("<i2")
+    return {
+        "name": label,
+        "colour": colour,
+        "layers": list(found),
+        "positions": len(G),
+        "frequency": [float(f"{f:.7g}") for f in frequency[order]],
+        "cuts": np.flatnonzero(breaks(frequency[order])).tolist() if len(frequency) > 1 else [],
+        "data": base64.b64encode(whole.tobytes()).decode(),
+    }
+
+
+def _decibel(x: np.ndarray) -> np.ndarray:
+    return 20 * np.log10(np.where(x > 0, x, np.nan))
+
+
+def _doubted(frf: FRF) -> np.ndarray:
+    return ((np.asarray(frf.status) & int(_SERIOUS)) != 0).astype(float)
+
+
+def _json(data: dict) -> str:
+    """JSON that may stand inside a script element."""
+    return json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+
+
+# --- words
+
+
+def _features(frf: FRF) -> str:
+    rows = []
+    for k in range(min(frf.n_out, frf.n_in)):
+        for x in sorted(features(frf, k, k)[:_LINES], key=lambda x: x.frequency):
+            known = np.isfinite(x.damping)
+            damping = f"{100 * x.damping:.2g} ± {196 * x.damping_std:.1g} %" if known else ""
+            rows.append([f"G{k + 1}{k + 1}", x.kind, f"{x.frequency:.5g} ± {1.96 * x.frequency_std:.1g}", damping])
+    if not rows:
+        return ""
+    at = " at the first position" if frf.n_pos > 1 else ""
+    return section(
+        f"Resonances and antiresonances{at}", table(["element", "kind", "Hz (95 %)", "damping (95 %)"], rows)
+    )
+
+
+def _remarks(frfs: Sequence[FRF]) -> str:
+    from .._status import describe
+
+    said = list(dict.fromkeys(w for f in frfs for w in f.warnings))
+    said += list(dict.fromkeys(text for f in frfs for text in describe(f.status)))
+    return section("What to keep in mind", listing(said)) if said else ""
+
+
+def _provenance(frfs: Sequence[FRF], labels: Sequence[str]) -> str:
+    told = {}
+    for label, f in zip(labels, frfs, strict=True):
+        told[label] = paragraph(f.method or "method unknown") + facts({s.name: f"sha256 {s.sha256}" for s in f.sources})
+    return section("Provenance", *told.values())
