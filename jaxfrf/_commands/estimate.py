@@ -1,5 +1,6 @@
 """`jaxfrf estimate`."""
 
+import dataclasses
 import pathlib
 import sys
 from collections.abc import Sequence
@@ -27,6 +28,12 @@ def add(commands) -> None:
     parser.add_argument("data", nargs="+", metavar="DATA", help="experiment files, .nc .mat .npz .csv: one data set")
     parser.add_argument("-o", "--output", required=True, help="FRF to write: .nc, .mat, .npz or .uff")
     add_record_options(parser, method="auto", default="auto")
+    parser.add_argument(
+        "--segment",
+        type=int,
+        metavar="SAMPLES",
+        help="cut a record without a period into pieces of so many samples: experiments more, or Welch's segments",
+    )
     parser.add_argument("--plot", metavar="FILE", help="Bode picture to write: .png, .pdf, .svg")
     parser.add_argument("--robust", action="store_true", help="weigh periods: odd ones count less, or not at all")
     add_resume_option(parser)
@@ -50,6 +57,7 @@ def run(given) -> dict:
     with Parts(given.output, "estimate", resume=given.resume, say=say) as parts:
         data = read_records(given, given.data)
         with naming(given.data):
+            chosen, data = _in_segments(chosen, data, given.segment)
             spectra = spectra_of(data, chosen, periods=periods, band=band, robust=given.robust)
             frf = estimate_in_parts(spectra, chosen, parts, say=None if given.json else say)
             frf = with_distortion(frf, data if periods is None else select_periods(data, periods[0] or 0, periods[1]))
@@ -62,6 +70,18 @@ def run(given) -> dict:
         "text": [*about.lines(), f"wrote {', '.join(written)}"],
         "json": about.as_dict() | {"output": written},
     }
+
+
+def _in_segments(chosen, data, length: int | None):
+    """The method and the record with `--segment`: Welch's segments are its own, for others they are experiments."""
+    from ..experiment import segments
+    from ..frf.welch import Welch
+
+    if length is None:
+        return chosen, data
+    if isinstance(chosen, Welch):
+        return dataclasses.replace(chosen, segment=length), data
+    return chosen, segments(data, length)
 
 
 def _write_picture(given, frf) -> list[str]:

@@ -92,10 +92,9 @@ def saturated(record: Record) -> Iterator[Finding]:
                 "saturated",
                 Severity.WARNED,
                 share,
-                f"looks limited: {100 * share:.2g} % of its samples crowd within {0.7 if sharp else 3:g} % of the range "
-                "near one end, "
-                f"{ratio:.2g} times as many as beside them. A sensor or a drive at its limit biases the FRF: lower the "
-                "excitation.",
+                f"looks limited: {100 * share:.2g} % of its samples crowd within {0.7 if sharp else 3:g} % of the "
+                f"range near one end, {ratio:.2g} times as many as beside them. A sensor or a drive at its limit "
+                "biases the FRF: lower the excitation.",
             )
 
 
@@ -111,8 +110,8 @@ def _heap(x: np.ndarray) -> tuple[float, float]:
 
 
 def _sharp_edge(c: Channel) -> tuple[float, float]:
-    """Samples in the fullest two of the outermost hundredths' thirds over those beside, and their share; 0, 0 where that
-    is chance, or how the signal crowds at wider scales, too. Periods that repeat count once."""
+    """Samples in the fullest two of the outermost bins over those beside, and their share; 0, 0 where that is chance,
+    or how the signal crowds at wider scales, too. Periods that repeat count once."""
     count = np.histogram(c.x[c.first :], _EDGE_BINS)[0] / max(c.n_periods, 1)
     for side in (count, count[::-1]):
         first = int(np.argmax(side[:4] + side[1:5]))
