@@ -113,7 +113,7 @@ def machine_record(kind: str, rng, n_periods: int = 10) -> dict:
         scale = spec["noise"] * 30.0 / (2 * np.pi * 40 * M[0, 0])
     u, y = simulate(M, spring, damper, played * ramp, rng, noise=scale, gain=gain, **more)
     steady = slice(2 * period, None)
-    found = {"u": u[:, steady], "y": y[:, steady], "fs": FS, "period": period}
+    found = {"u": u[:, steady], "y": y[:, steady], "fs": FS, "period": period, "y_quantity": "velocity"}
     if kind == "open":
         found["u"] = found["u"] * (1 + 0.0) + 1e-3 * 30.0 * rng.standard_normal(found["u"].shape)
         found["lines"] = lines

@@ -11,8 +11,12 @@ the regions over the median distance to the truth (2.1 for circular Gaussian err
 
 import argparse
 import dataclasses
+import os
 import pathlib
 import time
+
+os.environ.setdefault("JAX_ENABLE_X64", "1")
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import _plants
 import numpy as np

@@ -18,6 +18,7 @@ from test_graybox_fit import frf_of, noisy, random_covariance
 import jaxfrf as jf
 from jaxfrf.graybox import Coordinates
 from jaxfrf.graybox.cost import Cost
+from jaxfrf.graybox.overlap import overlaps
 from jaxfrf.graybox.solver import descend
 from jaxfrf.graybox.target import target
 from jaxfrf.graybox.uncertainty import uncertainty
@@ -233,3 +234,22 @@ class TestMisfit:
         assert known.misfit == found.cost / known.expected_cost
         assert 5 < known.misfit < 20  # about (.05^2 / 2) / 1e-4
         assert any("the model lacks something" in text for text in found.explain())
+
+
+def test_overlap_is_that_of_the_fits_written_out():
+    """Against a matrix of the weights of least squares, for windows narrow, wide, and at the ends of the band."""
+    rng, n = np.random.default_rng(0), 60
+    widths = rng.integers(1, n + 10, n)
+    rows = np.zeros((n, n))
+    for i, width in enumerate(np.clip(widths, 1, n)):
+        first = np.clip(i - width // 2, 0, n - width)
+        x = np.arange(first, first + width) - i
+        rows[i, first : first + width] = np.linalg.pinv(x[:, None] ** np.arange(min(width, 3.0)))[0]
+    rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+    rho, x, some = rows @ rows.T, rng.standard_normal((n, 2)), np.arange(3, n, 7)
+    (found,) = overlaps(widths[None] * 1.0)
+    np.testing.assert_allclose(found @ x, rho @ x, atol=1e-9)
+    np.testing.assert_allclose(found.row_sums(), rho.sum(axis=1), atol=1e-9)
+    np.testing.assert_allclose(found.at(some) @ x[some], rho[np.ix_(some, some)] @ x[some], atol=1e-9)
+    assert abs(found.sum_of_squares(np.ones(n)) / np.sum(rho**2) - 1) < 1e-9
+    assert overlaps(np.ones((1, n))) is None

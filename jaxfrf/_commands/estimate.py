@@ -1,5 +1,6 @@
 """`jaxfrf estimate`."""
 
+import dataclasses
 import pathlib
 import sys
 
@@ -23,7 +24,7 @@ from .arguments import (
 from .each import add_each_options
 from .progress import Progress
 
-_READ_BY = ("map", "set", "scale", "anyway", "periods", "band", "robust")  # options
+_READ_BY = ("map", "set", "scale", "anyway", "periods", "band", "robust", "segment")  # options
 
 EXAMPLES = (
     "jaxfrf estimate run.nc -o frf.nc --report frf.html",
@@ -38,6 +39,12 @@ def add(commands) -> None:
     parser.add_argument("data", nargs="+", metavar="DATA", help="experiment files, .nc .mat .npz .csv: one data set")
     parser.add_argument("-o", "--output", required=True, help="FRF to write: .nc, .mat, .npz or .uff")
     add_record_options(parser, method="auto", default="auto")
+    parser.add_argument(
+        "--segment",
+        type=int,
+        metavar="SAMPLES",
+        help="cut a record without a period into pieces of so many samples: experiments more, or Welch's segments",
+    )
     parser.add_argument("--report", metavar="FILE", help="page to write, to choose, zoom and read values on: .html")
     parser.add_argument("--plot", metavar="FILE", help="Bode picture to write: .png, .pdf, .svg")
     parser.add_argument("--robust", action="store_true", help="weigh periods: odd ones count less, or not at all")
@@ -47,18 +54,12 @@ def add(commands) -> None:
 
 
 def run(given) -> dict:
-    from ..batch.estimated import Chosen, estimate_to
-    from ..frf.catalogue import method
+    from ..batch.estimated import estimate_to
     from ..pipeline import summary
 
     check_x64("jaxfrf estimate")
     _check_outputs(given)
-    chosen = Chosen(
-        method(given.method, options_of(given.option)),
-        range_of("--periods", given.periods, int),
-        range_of("--band", given.band, float),
-        given.robust,
-    )
+    chosen = _chosen(given)
     with kept_parts(given) as parts, Progress("estimate", given.json) as progress:
         data = data_set(given)
         with naming(given.data):
@@ -86,6 +87,24 @@ def run(given) -> dict:
         ],
         "json": about.as_dict() | {"output": written},
     }
+
+
+def _chosen(given):
+    """What is taken of the record, and how. Welch's segments are its own, for other methods they are experiments."""
+    from ..batch.estimated import Chosen
+    from ..frf.catalogue import method
+    from ..frf.welch import Welch
+
+    chosen, segment = method(given.method, options_of(given.option)), given.segment
+    if segment is not None and isinstance(chosen, Welch):
+        chosen, segment = dataclasses.replace(chosen, segment=segment), None
+    return Chosen(
+        chosen,
+        range_of("--periods", given.periods, int),
+        range_of("--band", given.band, float),
+        given.robust,
+        segment,
+    )
 
 
 def _write_picture(given, frf) -> list[str]:

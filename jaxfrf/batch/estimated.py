@@ -14,7 +14,7 @@ from .._errors import InputError, OutputError
 from .._files import check_space, replacing
 from .._memory import block_memory
 from .._status import ADVICE, SERIOUS, describe
-from ..experiment import Experiment, select_periods
+from ..experiment import Experiment, segments, select_periods
 from ..frf import FRF, AbstractMethod, adapted, concatenate_positions, describe_method, estimate
 from ..frf.covariance import variances
 from ..frf.distortion import with_distortion
@@ -37,17 +37,21 @@ Progress = Callable[[float], None]
 
 
 class Chosen(eqx.Module):
-    """What of a record is taken, and how it is estimated: as of `jaxfrf.frf.from_record.spectra_of`."""
+    """What of a record is taken, and how it is estimated: as of `jaxfrf.frf.from_record.spectra_of`; `segment`: samples
+    of the pieces that a record without a period is cut to."""
 
     method: AbstractMethod
     periods: tuple[int | None, int | None] | None = None
     band: tuple[float | None, float | None] | None = None
     robust: bool = False
+    segment: int | None = None
 
     def spectra(self, data: Experiment, silent: bool = False) -> Spectra:
+        data = data if self.segment is None else segments(data, self.segment)
         return spectra_of(data, self.method, periods=self.periods, band=self.band, robust=self.robust, silent=silent)
 
     def steady(self, data: Experiment) -> Experiment:
+        data = data if self.segment is None else segments(data, self.segment)
         return data if self.periods is None else select_periods(data, self.periods[0] or 0, self.periods[1])
 
 
@@ -209,7 +213,7 @@ def _work(job: _Job, piece: range, read: list[Block] | None = None, advanced=Non
         data = job.chosen.steady(_with_lines(block.data, job.lines))
         told = dataclasses.replace(block, data=None)
         del first, block
-        chosen = dataclasses.replace(job.chosen, periods=None)
+        chosen = dataclasses.replace(job.chosen, periods=None, segment=None)
         spectra = chosen.spectra(data, silent=len(piece) < job.data.n_pos)
         method = adapted(chosen.method, spectra)
         for i, pos in enumerate(piece):

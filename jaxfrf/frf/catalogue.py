@@ -42,11 +42,14 @@ METHODS: dict[str, tuple[str, AbstractMethod]] = {
         JointInputOutput(CommonDenominatorLRM()),
     ),
     "welch": (
-        "cross spectra averaged over segments of a record, as SciPy's csd/welch and MATLAB's tfestimate",
+        "cross spectra averaged over segments of a record, as SciPy's csd/welch and MATLAB's tfestimate; also: spa",
         Welch(),
     ),
 }
 """Name: what it is, and the method with its default options. The paper's are h1 to lrm-jio."""
+
+ALIASES = {"spa": "welch", "tfestimate": "welch", "csd": "welch"}
+"""What other programs call a method."""
 
 
 def method(name: str, options: Mapping[str, object] | None = None) -> AbstractMethod:
@@ -58,6 +61,7 @@ def method(name: str, options: Mapping[str, object] | None = None) -> AbstractMe
 
     **Raises:** `jaxfrf.InputError` naming an unknown method or option, and the known ones.
     """
+    name = ALIASES.get(name, name)
     if name not in METHODS:
         raise input_error("method", repr(name), f"one of {', '.join(METHODS)}", "Choose one of them.")
     chosen, unused = _with_options(METHODS[name][1], dict(options or {}))

@@ -19,7 +19,8 @@ from .scaled import Scaled, Widened
 _NEAR, _LEAST_NEAR = 8, 2  # bias is averaged over this part of the window, and so many lines on either side
 _OTHERS = 0.25  # weight of all elements together beside the element itself
 _LEAST = 0.5  # of the smaller variance, that two estimates at least differ by
-_UNSEEN = 0.1  # of the variance of the difference: bias of fractions, by noise in their regressors, that no test sees
+_DOUBT = 2.0  # standard errors of the mean over lines: an excess of less is mostly chance
+_UNSEEN = 0.13  # of the variance of the difference: bias of fractions, by noise in their regressors, that no test sees
 _NOISE_LINES = 4  # on either side, over which the residuals of pointwise estimates are averaged
 
 
@@ -32,8 +33,8 @@ def with_causes(estimate: Estimate, spectra: Spectra, method: AbstractMethod) ->
       with the status `NOISE_ONLY`.
     - `bias` of local methods with a given window, as a variance that is added to the covariance: what
       |G - Y Z^H (U Z^H)^-1|^2, Z the reference or the input, has beyond the variance of the difference, averaged over
-      some lines; of fractions, where there are more experiments than inputs, a tenth of that variance more, for what no
-      test sees.
+      some lines: x^3/(x^2 + e^2) of an excess x with the standard error e, so that chance adds little. Of fractions,
+      where there are more experiments than inputs, an eighth of that variance more, for what no test sees.
     """
     estimate = _with_noise(estimate, spectra)
     estimate = _with_noise_only(estimate, spectra)
@@ -115,7 +116,9 @@ def _with_bias(estimate: Estimate, spectra: Spectra, method: AbstractMethod) -> 
     excess = np.where(usable, np.abs(estimate.G - pointwise) ** 2 / np.where(usable, difference, 1.0), 0.0)
     excess = (1 - _OTHERS) * excess + _OTHERS * excess.mean(axis=(-2, -1), keepdims=True)
     reach = np.maximum(np.asarray(estimate.window) // _NEAR, _LEAST_NEAR).astype(int)
-    power = np.maximum(running_mean(excess, reach) - 1, 0) * np.where(usable, difference, 0.0)
+    found = np.maximum(running_mean(excess, reach) - 1, 0)
+    doubt = _DOUBT / np.sqrt(2 * reach + 1)[..., None, None]
+    power = found**3 / (found**2 + doubt**2) * np.where(usable, difference, 0.0)
     unseen = (
         _UNSEEN * np.where(usable, difference, 0.0) if has_fractions(method) and spectra.n_exp > spectra.n_in else 0.0
     )

@@ -220,7 +220,8 @@ def _blend(tried: Estimate, widths: tuple[int, ...]) -> Estimate:
         keep = bias / (1 + bias)
         told = (1 - _OTHERS) * excess + _OTHERS * excess.mean(axis=(-2, -1), keepdims=True)
         told = jnp.maximum(_mean(told, far) - 1, 0) + _UNSEEN
-        keep_stated = jnp.maximum(told / (1 + told), keep)
+        told = told / (1 + told)
+        keep_stated = (told + jnp.maximum(told, keep)) / 2
         share = keep.mean(axis=(-2, -1))
         mixed = 1 / ((1 - share) / dof_wide + share / jnp.where(dof > 0, dof, 1.0))
         after = (

@@ -248,15 +248,16 @@ def _independent(known, overlap, inside) -> np.ndarray:
     n = np.einsum("bf,pfv->pbv", inside, known.astype(float))
     if overlap is None:
         return n
-    shared = np.stack(
-        [_shared(own, rho.power(2), inside) for own, rho in zip(known.astype(float), overlap, strict=True)]
-    )
+    shared = np.stack([_shared(own, rho, inside) for own, rho in zip(known.astype(float), overlap, strict=True)])
     return np.where(shared > 0, n**2 / np.maximum(shared, 1e-300), 0.0)
 
 
-def _shared(own, squared, inside) -> np.ndarray:
+def _shared(own, rho, inside) -> np.ndarray:
     """Sum of squared correlations within every band, (band, vec)."""
-    return np.stack([np.sum((row := band[:, None] * own) * (squared @ row), axis=0) for band in inside])
+    alike = bool(np.all(own == own[:, :1]))
+    columns = own[:, :1] if alike else own
+    found = np.array([[rho.sum_of_squares(band * x) for x in columns.T] for band in inside])
+    return np.broadcast_to(found, (len(inside), own.shape[1])) if alike else found
 
 
 def _cells(x, shape: tuple[int, int]) -> np.ndarray:

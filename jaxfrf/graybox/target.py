@@ -5,12 +5,12 @@ import dataclasses
 import equinox as eqx
 import jax
 import numpy as np
-import scipy.sparse
 from jaxtyping import Bool, Complex, Float, PyTree
 
 from .._errors import input_error
 from .._types import Array
 from ..frf import FRF, features
+from .overlap import Overlap, overlaps
 
 _LEAST = 2.0  # degrees of freedom beyond the size of a covariance: with fewer, its inverse has no variance
 _NEIGHBOURS = 4  # lines on either side that a scatter is taken over
@@ -70,7 +70,7 @@ class Target(eqx.Module):
     **Fields:** `log_G`: log of the measured elements, (pos, freq, vec), columns stacked; 0 where left out.
     `magnitude`, `phase`: square roots of the weights of Re E and Im E, (pos, freq, vec). `whitener`: matrix applied to
     E before them, (pos, freq, vec, vec), or `None`. `cov`: covariance of E, (pos, freq, vec, vec), zero where unknown.
-    `overlap`: correlation between the estimates of two lines, a sparse (freq, freq) for each position, or `None` for
+    `overlap`: correlation between the estimates of two lines, one for each position, or `None` for
     independent lines.
     `points`: operating points, leading axis pos. `used`: (pos, freq, vec). `scatter`: how much more the cost and the
     variance of its gradient are than weights from the true covariance would make them, because the weights come from
@@ -84,7 +84,7 @@ class Target(eqx.Module):
     phase: Float[Array, "pos freq vec"]
     whitener: Complex[Array, "pos freq vec vec"] | None
     cov: Complex[Array, "pos freq vec vec"]
-    overlap: tuple[scipy.sparse.csr_array, ...] | None
+    overlap: tuple[Overlap, ...] | None
     points: PyTree
     used: Bool[Array, "pos freq vec"]
     scatter: Float[Array, "pos freq two"]
@@ -147,7 +147,7 @@ def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
         phase=root,
         whitener=whitener,
         cov=relative,
-        overlap=overlap(np.asarray(frf.window)),
+        overlap=overlaps(np.asarray(frf.window)),
         points=points,
         used=used,
         scatter=_scatter(frf, weights, variance, used, floor),
@@ -241,42 +241,6 @@ def _scatter(frf: FRF, weights: Weights, variance, used, floor: float) -> np.nda
     return np.stack([1 + share * (cost - 1), 1 + share**2 * (gradient - 1)], axis=-1)
 
 
-def overlap(window) -> tuple[scipy.sparse.csr_array, ...] | None:
-    """Correlation between local estimates at two lines whose windows share data, sparse (freq, freq) for each position.
-
-    The correlation of two second-order local polynomial fits through windows of these widths that stand about (or, at
-    an end of the band, beside) their lines. `None` where every window is one line wide.
-    """
-    if np.all(window <= 1):
-        return None
-    kernels = {}
-    keys = []
-    for widths in np.asarray(np.rint(window), int):
-        keys.append(widths.tobytes())
-        if keys[-1] in kernels:
-            continue
-        count = len(widths)
-        widths = np.clip(widths, 1, count)
-        lines = np.arange(count)
-        first = np.clip(lines - widths // 2, 0, count - widths)
-        shapes = {place: _kernel(*place) for place in set(zip((lines - first).tolist(), widths.tolist(), strict=True))}
-        places = zip((lines - first).tolist(), widths.tolist(), strict=True)
-        weights = np.concatenate([shapes[place] for place in places])
-        columns = np.concatenate([np.arange(a, a + n) for a, n in zip(first, widths, strict=True)])
-        ends = np.concatenate([[0], np.cumsum(widths)])
-        rows = scipy.sparse.csr_array((weights, columns, ends), shape=(count, count))
-        rows = scipy.sparse.diags_array(1 / np.sqrt(rows.power(2).sum(axis=1))) @ rows
-        kernels[keys[-1]] = scipy.sparse.csr_array(rows @ rows.T)
-    return tuple(kernels[key] for key in keys)
-
-
-def _kernel(at: int, width: int) -> np.ndarray:
-    """Weights that a second-order local fit at line `at` of a window gives to its lines."""
-    x = (np.arange(width) - at) / max(width, 1)
-    powers = np.stack([x**p for p in range(min(3, width))], axis=1)
-    return np.linalg.pinv(powers)[0]
-
-
 def assumed_cost(target: Target, floor: float) -> float:
     """The cost to expect where the covariance of E is that of the FRF and floor^2 besides, as the weights assume."""
     spread = np.asarray(target.cov) + max(floor, _FLOOR) ** 2 * np.eye(target.log_G.shape[-1])
@@ -294,7 +258,7 @@ def select(target: Target, positions=None, lines=None) -> Target:
     cut = lambda x: None if x is None else np.asarray(x)[positions][:, lines]
     whole = target.overlap
     chosen = None if whole is None else np.arange(len(whole))[positions]
-    shared = None if whole is None else tuple(whole[i][:, lines][lines] for i in chosen)
+    shared = None if whole is None else tuple(whole[i].at(lines) for i in chosen)
     return dataclasses.replace(
         target,
         frequency=np.asarray(target.frequency)[lines],

@@ -155,7 +155,7 @@ def _position(target: Target, slope, pos: int):
     M = np.tensordot(spread.reshape(T.shape), T, axes=((0, 2), (0, 2)))
     solved = np.linalg.solve(np.where(known[:, None, None], factor, 0) + eye * ~(used & known[:, None])[:, None], J)
     solved = np.where(known[:, None, None], solved, 0)
-    shares = np.ones(len(T)) if rho is None else 1.0 / np.maximum(rho.sum(axis=1), 1.0)
+    shares = np.ones(len(T)) if rho is None else 1.0 / np.maximum(rho.row_sums(), 1.0)
     shares = shares / np.asarray(target.scatter[pos])[:, 0]
     solved = (np.sqrt(shares)[:, None, None] * solved).reshape(-1, J.shape[-1])
     information = 2 * np.real(solved.conj().T @ solved)

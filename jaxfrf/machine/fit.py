@@ -9,6 +9,7 @@ import numpy as np
 import scipy.fft
 import scipy.optimize
 import scipy.stats
+from jaxtyping import Bool, Complex
 
 from .._arguments import expect
 from .._errors import input_error
@@ -16,10 +17,11 @@ from .._types import require_x64
 from ..effects import AbstractEffect
 from ..experiment import QUANTITIES, Experiment
 from .model import Machine
-from .simulate import driving, fine_steps, motion
+from .simulate import driving, fine_steps, motion, settling
 
-_FLOOR = 1e-3  # of the output's rms at a line: below it no model is right
+FLOOR = 1e-3  # of the output's rms at a line: below it no model is right
 _REACH = np.log(1e4)  # that a positive parameter may move from its start
+_RETRIES = 2  # of a fit whose machine turns out to ring for longer than was waited
 _BEYOND = 1.5  # times the highest excited line: distortion shows there, too
 
 
@@ -29,7 +31,8 @@ class MachineFit(eqx.Module):
     **Fields:** `machine`: at the result. `values`, `std`: of every free parameter; std by the curvature, widened by the
     misfit. `residual`: root of the power of measured less simulated output over that of the measured one, at the lines
     of the fit. `misfit`: root mean square of the residual over its standard deviation. `lines`: those of the fit.
-    `converged`.
+    `left`, `measured`: what is left of the measured output's Fourier coefficients at these lines, and the coefficients,
+    (exp, line, out). `settle`: periods that were waited. `converged`.
     """
 
     machine: Machine
@@ -38,6 +41,9 @@ class MachineFit(eqx.Module):
     residual: float = eqx.field(static=True)
     misfit: float = eqx.field(static=True)
     lines: np.ndarray
+    left: Complex[np.ndarray, "exp line out"]
+    measured: Complex[np.ndarray, "exp line out"]
+    settle: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
 
 
@@ -46,9 +52,10 @@ def fit_machine(
     data: Experiment,
     *,
     band: tuple[float, float] | None = None,
-    settle: int = 3,
+    settle: int | None = None,
     steps: int | None = None,
-    floor: float = _FLOOR,
+    floor: float = FLOOR,
+    used: Bool[np.ndarray, "exp line"] | None = None,
 ) -> MachineFit:
     """Fit masses, springs, dampers and effects of a machine to a record, by simulating it under the measured input.
 
@@ -64,9 +71,11 @@ def fit_machine(
     - `data`: a periodic record; its output in any quantity.
     - `band`: Hz; by default from the first line, or 0 where the machine's quantity is a derivative of the measured one
       (of which a period's mean is then known to be 0), to 1.5 times the highest excited one.
-    - `settle`: periods before the one that is compared; a machine that rings for longer needs more (what is left of its
-      start counts as misfit). `steps`: see `simulate_machine`.
+    - `settle`: periods before the one that is compared; by default as many as the slowest mode needs to fall to a third
+      of `floor`, at the start and at the result (what is left of a start counts as misfit). `steps`: see
+      `simulate_machine`.
     - `floor`: standard deviation of the model itself, over the rms of the output.
+    - `used`: which experiments and lines (of `MachineFit.lines`) count; by default all.
 
     **Raises:** `jaxfrf.InputError` for records without a period, and where the simulation diverges at the start.
     """
@@ -82,14 +91,33 @@ def fit_machine(
             f"{len(machine.outputs)} of {machine.inputs.shape[1]}",
             "Choose channels (names=), or correct inputs and outputs of the machine.",
         )
-    lines, measured, sigma = _measured(machine, data, band, floor)
+    lines, measured, sigma = measured_lines(machine, data, band, floor)
+    used = np.ones(measured.shape[:2], bool) if used is None else np.asarray(used, bool)
+    if used.shape != measured.shape[:2] or not used.any():
+        raise input_error("used", f"{used.shape}, {used.sum()} of them", f"{measured.shape[:2]}, some", "Correct it.")
+    period, given = data.period / data.fs, settle
+    settle = settling(machine, _starts(machine), period, floor / 3) if given is None else given
+    for left in reversed(range(_RETRIES + 1)):
+        found = _fitted(machine, data, lines, measured, sigma, used, settle, steps)
+        needed = settling(found.machine, _starts(found.machine), period, floor / 3)
+        if given is not None or needed <= settle or not left:
+            return found
+        machine, settle = found.machine, needed
+
+
+def _starts(machine: Machine) -> dict[str, float]:
+    return {n: float(p.start) for n, p in machine.parameters.items()}
+
+
+def _fitted(machine: Machine, data: Experiment, lines, measured, sigma, used, settle: int, steps) -> MachineFit:
     names = [n for n, p in machine.parameters.items() if p.free and p.same_as is None]
-    start = {n: float(p.start) for n, p in machine.parameters.items()}
+    start = _starts(machine)
     steps = fine_steps(machine, start, data.fs) if steps is None else steps
     u = jnp.asarray(np.tile(driving(data), (1, settle + 1, 1)))
     x0 = np.array([np.log(start[n]) if machine.parameters[n].positive else 0.0 for n in names])
     scale = np.array([machine.parameters[n].scale for n in names])
     positive = np.array([machine.parameters[n].positive for n in names])
+    counted = used[..., None] / sigma
 
     def values_at(x):
         found = {n: jnp.asarray(v) for n, v in start.items()}
@@ -97,10 +125,13 @@ def fit_machine(
             found[n] = jnp.exp(x[i]) if positive[i] else start[n] + scale[i] * x[i]
         return found | {n: found[p.same_as] for n, p in machine.parameters.items() if p.same_as}
 
-    def errors(x):
+    @jax.jit
+    def left(x):
         y = motion(machine, values_at(x), u, data.fs, steps)[:, -data.period :]
-        Y = jnp.fft.rfft(y, axis=1)[:, lines] / data.period
-        e = ((Y - measured) / sigma).ravel()
+        return jnp.fft.rfft(y, axis=1)[:, lines] / data.period - measured
+
+    def errors(x):
+        e = (left(x) * counted).ravel()
         return jnp.concatenate([e.real, e.imag]) * jnp.sqrt(2.0)
 
     errors, jacobian = jax.jit(errors), jax.jit(jax.jacfwd(errors))
@@ -116,10 +147,37 @@ def fit_machine(
         xtol=1e-8,
         ftol=1e-10,
     )
-    return _result(machine, names, solved, lines, measured, sigma, values_at, positive, scale)
+    dof = max(2 * used.sum() * measured.shape[2] - len(names), 1)
+    # Twice the sum of both parts is one complex residual: mean square 1 each where the model is right.
+    misfit = np.sqrt(np.sum(solved.fun**2) / dof)
+    covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * max(misfit, 1.0) ** 2
+    found = {n: float(v) for n, v in values_at(jnp.asarray(solved.x)).items()}
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    std = {
+        n: float(s * (found[n] if positive[i] else scale[i]))
+        for i, (n, s) in enumerate(zip(names, spread, strict=True))
+    }
+    rest = np.asarray(left(solved.x))
+    return MachineFit(
+        machine=machine.with_values(found),
+        values={n: found[n] for n in names},
+        std=std,
+        residual=share_left(rest, measured, used),
+        misfit=float(misfit),
+        lines=lines,
+        left=rest,
+        measured=measured,
+        settle=settle,
+        converged=bool(solved.status > 0),
+    )
 
 
-def _measured(machine: Machine, data: Experiment, band, floor: float):
+def share_left(left, measured, where: Bool[np.ndarray, "exp line"]) -> float:
+    """Root of the power of what is left over that of what was measured, there."""
+    return float(np.sqrt(np.sum(np.abs(left[where]) ** 2) / np.sum(np.abs(measured[where]) ** 2)))
+
+
+def measured_lines(machine: Machine, data: Experiment, band, floor: float):
     """Lines, the mean period's Fourier coefficients there in the machine's quantity, and their standard deviation."""
     y = np.asarray(data.y)[0][:, data.transient_periods * data.period :]
     periods = y.reshape(len(y), -1, data.period, y.shape[2])
@@ -142,30 +200,6 @@ def _measured(machine: Machine, data: Experiment, band, floor: float):
     return lines, mean[:, lines], np.sqrt(noise[:, lines] + (floor * rms) ** 2)
 
 
-def _result(machine, names, solved, lines, measured, sigma, values_at, positive, scale) -> MachineFit:
-    dof = max(len(solved.fun) - len(names), 1)
-    # Twice the sum of both parts is one complex residual: mean square 1 each where the model is right.
-    misfit = np.sqrt(np.sum(solved.fun**2) / dof)
-    covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * max(misfit, 1.0) ** 2
-    found = {n: float(v) for n, v in values_at(jnp.asarray(solved.x)).items()}
-    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    std = {
-        n: float(s * (found[n] if positive[i] else scale[i]))
-        for i, (n, s) in enumerate(zip(names, spread, strict=True))
-    }
-    e = (solved.fun[: solved.fun.size // 2] + 1j * solved.fun[solved.fun.size // 2 :]) / np.sqrt(2)
-    left = np.sum(np.abs(e.reshape(measured.shape) * sigma) ** 2)
-    return MachineFit(
-        machine=machine.with_values(found),
-        values={n: found[n] for n in names},
-        std=std,
-        residual=float(np.sqrt(left / np.sum(np.abs(measured) ** 2))),
-        misfit=float(misfit),
-        lines=lines,
-        converged=bool(solved.status > 0),
-    )
-
-
 class Ranked(eqx.Module):
     """A candidate: the `fit` with it, and `gain`, the factor by which the power of the residual fell."""
 
@@ -181,8 +215,8 @@ def rank_effects(
     candidates: Sequence[AbstractEffect],
     *,
     band: tuple[float, float] | None = None,
-    settle: int = 3,
-    floor: float = _FLOOR,
+    settle: int | None = None,
+    floor: float = FLOOR,
 ) -> tuple[MachineFit, list[Ranked]]:
     """The fit without any, and every candidate by how much of the residual it takes, the best first.
 

@@ -14,15 +14,19 @@ from ..experiment import Experiment
 from .forces import force
 from .model import Machine
 
+_MOST_PERIODS = 50  # that are waited at most
+_SETTLED = 1e-3  # of a start, that is left where nobody says how much may be
 _TURN = 1.5  # rad of the fastest mode, or of friction's decay, in a step
 
 
-def simulate_machine(machine: Machine, data: Experiment, values=None, *, steps: int | None = None, settle: int = 3):
+def simulate_machine(
+    machine: Machine, data: Experiment, values=None, *, steps: int | None = None, settle: int | None = None
+):
     """The output of a machine that the input of a record drives, held between samples.
 
-    A periodic record is played as its mean steady period, `settle` times before the one that is kept; any other once,
-    from rest. Integrated by the classical Runge-Kutta method in `steps` steps a sample (by default as many as the
-    fastest mode asks for).
+    A periodic record is played as its mean steady period, `settle` times before the one that is kept (by default until
+    a thousandth of the start is left); any other once, from rest. Integrated by the classical Runge-Kutta method in
+    `steps` steps a sample (by default as many as the fastest mode asks for).
 
     **Arguments:** `values`: parameters by name; by default where they start.
 
@@ -35,6 +39,8 @@ def simulate_machine(machine: Machine, data: Experiment, values=None, *, steps: 
     expect("data", data, Experiment)
     values = {n: jnp.asarray(p.start) for n, p in machine.parameters.items()} if values is None else values
     u = driving(data)
+    if settle is None and data.period:
+        settle = settling(machine, values, data.period / data.fs, _SETTLED)
     played = np.tile(u, (1, settle + 1 if data.period else 1, 1))
     steps = fine_steps(machine, values, data.fs) if steps is None else steps
     y = motion(machine, values, jnp.asarray(played), data.fs, steps)
@@ -47,6 +53,18 @@ def driving(data: Experiment) -> Float[np.ndarray, "exp time in"]:
     if not data.period:
         return u
     return u[:, data.transient_periods * data.period :].reshape(len(u), -1, data.period, u.shape[2]).mean(axis=1)
+
+
+def settling(machine: Machine, values, duration: float, part: float) -> int:
+    """Periods of `duration` s until the slowest mode of the matrices has fallen to `part`, from 1 to 50. Friction that
+    an effect adds is not counted; what drifts (rigid motion without a damper) never settles and is not waited for."""
+    M, D, K = (np.asarray(x, float) for x in machine.matrices(values))
+    n = len(M)
+    state = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]])
+    poles = np.linalg.eigvals(state)
+    decay = -poles.real[np.abs(poles) > 1e-6 * np.abs(poles).max()]
+    slowest = decay[decay > 0].min(initial=np.inf)
+    return int(np.clip(np.ceil(np.log(1 / part) / (slowest * duration)), 1, _MOST_PERIODS))
 
 
 def fine_steps(machine: Machine, values, fs: float) -> int:

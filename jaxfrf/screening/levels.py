@@ -18,6 +18,10 @@ _HEAP = 3.2  # a sine has 2.4
 _HEAP_FLOOR = 0.004  # of the samples: tails hold too few to compare
 _HEAP_SHARE = 0.01
 _HEAP_BESIDE, _HEAP_OF_REFERENCE = 2.5, 1.3  # where the reference has so little; multisines have less than 1
+_EDGE_BINS = 300  # of the range: fine enough for a limit with noise of a third of a percent behind it
+_EDGE, _EDGE_SURE = 2.0, 5.0  # at the end over beside it; standard deviations of the count
+_EDGE_FINE = 1.6  # that ratio over the same at four times the scale: 1 for sines, which crowd at every scale
+_EDGE_LEAST = 0.3  # sample in a bin
 _TWO_LEVELS = 0.9  # a signal with this share of samples at its extremes is a designed two-level signal
 _CORNER = 0.25  # median step before a clipped stretch, in usual steps: what comes to rest there has none
 
@@ -65,29 +69,32 @@ def saturated(record: Record) -> Iterator[Finding]:
     """A heap of samples near one end of the range, where a limit was met before noise was added.
 
     Only with 20 excited lines or more, whose sum is nearly Gaussian, and where the reference has no such heap (a motion
-    that rests at its ends, or runs at its highest speed).
+    that rests at its ends, or runs at its highest speed). A heap that is sharper than the rest of the distribution is
+    one beside a slow sine, too.
     """
     if len(record.lines) < _MANY_LINES:
         return
-    heaps = [_heap(c.x[c.first :])[0] for c in record.channels() if c.signal == "r"]
-    if heaps and max(heaps) > _HEAP_OF_REFERENCE:
+    references = [c for c in record.channels() if c.signal == "r"]
+    heaps = [_heap(c.x[c.first :])[0] for c in references]
+    if any(_sharp_edge(c)[0] for c in references):
         return
+    calm = not heaps or max(heaps) <= _HEAP_OF_REFERENCE
     least = _HEAP_BESIDE if heaps else _HEAP
     for c in record.channels():
+        if c.signal == "r" or len(np.unique(c.x[: 10 * _MANY_LINES])) <= _MANY_LINES:
+            continue
         ratio, share = _heap(c.x[c.first :])
-        if (
-            c.signal != "r"
-            and ratio > least
-            and share > _HEAP_SHARE
-            and len(np.unique(c.x[: 10 * _MANY_LINES])) > _MANY_LINES
-        ):
+        sharp = not (calm and ratio > least and share > _HEAP_SHARE)
+        if sharp:
+            ratio, share = _sharp_edge(c)
+        if ratio:
             yield c.finding(
                 "saturated",
                 Severity.WARNED,
                 share,
-                f"looks limited: {100 * share:.2g} % of its samples crowd within 3 % of the range near one end, "
-                f"{ratio:.2g} times as many as beside them. A sensor or a drive at its limit biases the FRF: lower the "
-                "excitation.",
+                f"looks limited: {100 * share:.2g} % of its samples crowd within {0.7 if sharp else 3:g} % of the "
+                f"range near one end, {ratio:.2g} times as many as beside them. A sensor or a drive at its limit "
+                "biases the FRF: lower the excitation.",
             )
 
 
@@ -100,6 +107,21 @@ def _heap(x: np.ndarray) -> tuple[float, float]:
         top, beside = max(heaps, key=lambda h: h[0] / (h[1] + 1 + _HEAP_FLOOR * len(x)))
         best = max(best, (top / (beside + 1 + _HEAP_FLOOR * len(x)), top / len(x)))
     return best
+
+
+def _sharp_edge(c: Channel) -> tuple[float, float]:
+    """Samples in the fullest two of the outermost bins over those beside, and their share; 0, 0 where that is chance,
+    or how the signal crowds at wider scales, too. Periods that repeat count once."""
+    count = np.histogram(c.x[c.first :], _EDGE_BINS)[0] / max(c.n_periods, 1)
+    for side in (count, count[::-1]):
+        first = int(np.argmax(side[:4] + side[1:5]))
+        top, beside = side[first : first + 2].sum(), side[first + 2 : first + 8].sum() / 6
+        ratio = top / 2 / max(beside, _EDGE_LEAST)
+        coarse = side[: first + 8].mean() / max(side[first + 8 : first + 32].mean(), _EDGE_LEAST)
+        sure = top - 2 * beside > _EDGE_SURE * np.sqrt(max(8 / 3 * beside, 4 / 3))
+        if ratio > _EDGE and sure and ratio > _EDGE_FINE * coarse:
+            return float(ratio), float(top / max(count.sum(), 1))
+    return 0.0, 0.0
 
 
 def _piled_up(x: np.ndarray, top: np.ndarray) -> float:

@@ -26,6 +26,14 @@ _CLEAR = 100.0  # power of the mean spectrum over its scatter, where phases are 
 _FEWEST = 20  # lines
 _LEAST_TURN = 0.1  # rad, by a lead of one sample at the highest line; below it, phases tell nothing
 
+_LEADS = np.arange(-8.0, 8.01, 0.05)  # samples, tried for lightly damped machines
+_NEAR_AXIS = 0.15  # rad, within which a phase counts as that of an undamped machine
+_ON_AXES, _BETTER = 0.5, 1.3  # share of the band that is, at the lead; that share over the best one without a lead
+_LIGHT_SURE = 5.0  # standard errors
+_LEAST_LIGHT = 0.3  # rad at the highest line: dampers of springs make less
+_HALF, _IN_HALF = 0.5 * np.pi + 0.25, 0.97  # rad; share of the band within it
+_BLOCKS = 10  # of the band, each left out once
+
 
 def jitter(record: Record) -> Iterator[Finding]:
     """Samples taken early and late: successive periods differ where the signal is steep, by its slope times the jitter.
@@ -71,7 +79,9 @@ def noncausal(record: Record) -> Iterator[Finding]:
     The phase of a response without zeros in the right half plane follows from its magnitude (Bode 1945),
     arg G(w) = 1/pi int d ln|G|/dv ln coth(|v|/2) dv, v = ln(w'/w), up to a multiple of pi/2; delays and other zeros
     only take from it. What is left and rises with frequency is a lead, which no machine has. Within a band a resonance
-    beyond its end does the same, so that nothing is said unless |G| runs straight over the upper half of the band.
+    beyond its end does the same, so that this is used only where |G| runs straight over the upper half of the band; or
+    where drive and sensor are at one place and damping is light (`_light_lead`), which needs nothing from beyond it.
+    A band of little turn, heavy damping, drive and sensor apart: a lead cannot be told from what the machine is.
     """
     data = record.data
     if not data.n_periods or len(record.lines) < _FEWEST or data.n_in != data.n_out:
@@ -88,7 +98,9 @@ def noncausal(record: Record) -> Iterator[Finding]:
             if good.sum() < _FEWEST // 2 or good.mean() < 0.5:
                 continue
             lead, error = _lead(omega[k][good], G[good, channel, channel])
-            if lead > _LEAD and lead > _LEAD_SURE * error:
+            if not (lead > _LEAD and lead > _LEAD_SURE * error):
+                lead, error = _light_lead(omega[k][good], G[good, channel, channel])
+            if lead > _LEAD:
                 yield Finding(
                     "noncausal",
                     Severity.WARNED,
@@ -159,6 +171,43 @@ def _lead(omega, G) -> tuple[float, float]:
     # Errors of the phase of the gain are alike at neighbouring lines: a tenth of them count as independent.
     independent = max(len(w) / 10, 3)
     return lead, float(spread / (w.std() * np.sqrt(independent)))
+
+
+def _light_lead(omega, G) -> tuple[float, float]:
+    """Lead of a lightly damped machine that is driven and seen at one place, with its standard error; 0 where it is
+    not sure that it is one.
+
+    Such a machine answers with a phase near two opposite directions, 0 and pi or both turned by pi/2, between which it
+    changes at resonances and antiresonances in turn (the Foster theorem), whatever lies beyond the band. The lead is
+    that which brings most of the band there.
+    """
+    good = np.isfinite(G) & (np.abs(G) > 0)
+    omega, phase = omega[good], np.angle(G[good])
+    if len(omega) < _FEWEST:
+        return 0.0, np.inf
+    weight = np.gradient(omega) / np.ptp(omega)
+    found = (0.0,)
+    for turn in (0.0, 0.5 * np.pi):
+        off = np.angle(np.exp(2j * (phase - omega * _LEADS[:, None] - turn))) / 2
+        near = np.exp(-((off / _NEAR_AXIS) ** 2)) * weight
+        parts = np.stack([near[:, i].sum(axis=1) for i in np.array_split(np.arange(len(omega)), _BLOCKS)])
+        found = max(found, (parts.sum(axis=0).max(), turn, parts), key=lambda x: x[0])
+    most, turn, parts = found
+    whole = parts.sum(axis=0)
+    lead = float(_LEADS[np.argmax(whole)])
+    without = _LEADS[np.argmax(whole - parts, axis=1)]  # each block left out: the jackknife
+    error = max(float(np.sqrt((_BLOCKS - 1) * np.var(without))), _LEADS[1] - _LEADS[0])
+    sure = most > _ON_AXES and most > _BETTER * whole[_LEADS <= 0].max() and lead > _LIGHT_SURE * error
+    if not sure or lead * omega[-1] < _LEAST_LIGHT or not _at_one_place(phase - omega * lead, turn, weight):
+        return 0.0, np.inf
+    return lead, error
+
+
+def _at_one_place(phase, turn: float, weight) -> bool:
+    """Whether phases change between two opposite directions, through one half plane, at least twice."""
+    away = [np.abs(np.angle(np.exp(1j * (phase - o)))) < _HALF for o in (0, 0.5 * np.pi, np.pi, -0.5 * np.pi)]
+    side = scipy.ndimage.median_filter(np.sign(np.cos(phase - turn)), 5)
+    return max(float(np.sum(weight * x)) for x in away) > _IN_HALF and np.count_nonzero(np.diff(side)) >= 2
 
 
 def _calm_end(omega, size) -> bool:

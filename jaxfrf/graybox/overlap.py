@@ -1,0 +1,107 @@
+"""Correlations between local estimates whose windows share data, without a matrix of all pairs of lines."""
+
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+_PAIRS, _SAMPLE = 1_000_000, 40  # of lines, whose squared correlations are summed one by one; lines that at least are
+
+
+class Overlap(eqx.Module):
+    """rho = F F^T: the correlation of two second-order local polynomial fits through windows about (or, at an end of
+    the band, beside) their lines.
+
+    Row i of F holds the weights of one fit, a parabola over its window: F and its transpose are applied by running
+    sums, in as many operations as there are lines, however wide the windows.
+
+    **Fields:** `first`, `width`: of the windows. `weights`: of 1, l, l^2 in a row of F, l counted from the middle of
+    the band. `lines`: which of all lines this is about.
+    """
+
+    first: Int[np.ndarray, "line"]
+    width: Int[np.ndarray, "line"]
+    weights: Float[np.ndarray, "line 3"]
+    lines: Int[np.ndarray, "chosen"]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return (len(self.lines), len(self.lines))
+
+    def __matmul__(self, x: Float[np.ndarray, "chosen ..."]) -> Float[np.ndarray, "chosen ..."]:
+        """rho x."""
+        n = len(self.first)
+        powers = _powers(n)
+        own = self.weights[self.lines]
+        columns = np.reshape(x, (len(self.lines), -1))
+        rows = own[:, :, None] * columns[:, None, :]
+        at = np.zeros((n + 1, *rows.shape[1:]))
+        np.add.at(at, self.first[self.lines], rows)
+        np.add.at(at, (self.first + self.width)[self.lines], -rows)
+        shared = np.einsum("lk,lkc->lc", powers, np.cumsum(at, axis=0)[:-1])  # F^T x
+        total = np.cumsum(powers[:, :, None] * shared[:, None, :], axis=0)
+        total = np.concatenate([np.zeros((1, *total.shape[1:])), total])
+        window = total[(self.first + self.width)[self.lines]] - total[self.first[self.lines]]
+        return np.einsum("lk,lkc->lc", own, window).reshape(np.shape(x))
+
+    def row_sums(self) -> Float[np.ndarray, "chosen"]:
+        return self @ np.ones(len(self.lines))
+
+    def sum_of_squares(self, x: Float[np.ndarray, "chosen"]) -> float:
+        """sum_ij x_i rho_ij^2 x_j; from evenly spaced lines i where there are many."""
+        inside = np.flatnonzero(x)
+        if not inside.size:
+            return 0.0
+        count = min(max(_PAIRS // len(self.lines), _SAMPLE), inside.size)
+        some = inside[np.unique(np.linspace(0, inside.size - 1, count).round().astype(int))]
+        one = np.zeros((len(self.lines), len(some)))
+        one[some, np.arange(len(some))] = 1.0
+        squares = np.square(self @ one)
+        return float(x @ squares @ x[some]) * float(x.sum() / x[some].sum())
+
+    def at(self, lines) -> "Overlap":
+        """That of some of its lines."""
+        return dataclasses.replace(self, lines=self.lines[lines])
+
+
+def overlaps(window: Float[np.ndarray, "pos line"]) -> tuple[Overlap, ...] | None:
+    """One for each position, from the widths of windows; `None` where every window is one line wide."""
+    if np.all(window <= 1):
+        return None
+    known, keys = {}, []
+    for widths in np.asarray(np.rint(window), int):
+        keys.append(widths.tobytes())
+        if keys[-1] not in known:
+            known[keys[-1]] = _overlap(widths)
+    return tuple(known[key] for key in keys)
+
+
+def _overlap(widths: Int[np.ndarray, "line"]) -> Overlap:
+    n = len(widths)
+    line = np.arange(n)
+    width = np.clip(widths, 1, n)
+    width = np.where(width < 3, 1, width)  # a parabola through two lines is the line itself
+    first = np.where(width == 1, line, np.clip(line - width // 2, 0, n - width))
+    before, after = line - first, first + width - 1 - line
+    counts = np.cumsum(np.arange(n, dtype=float)[:, None] ** np.arange(5), axis=0)
+    sign = (-1.0) ** np.arange(5)
+    sums = counts[after] + sign * counts[before] - (np.arange(5) == 0)
+    sums = sums / width[:, None] ** np.arange(5.0)  # of ((l - i)/width)^k over the window
+    gram = sums[:, np.arange(3)[:, None] + np.arange(3)]
+    gram = np.where((width == 1)[:, None, None], np.eye(3), gram)
+    shape = np.linalg.solve(gram, np.broadcast_to(np.eye(3)[:, :1], (n, 3, 1)))[..., 0]
+    shape = shape / np.sqrt(shape[:, :1]) / width[:, None] ** np.arange(3.0)
+    i = line - _middle(n)
+    weights = np.stack(
+        [shape[:, 0] - i * shape[:, 1] + i**2 * shape[:, 2], shape[:, 1] - 2 * i * shape[:, 2], shape[:, 2]], axis=1
+    )
+    return Overlap(first, width, weights, line)
+
+
+def _middle(n: int) -> float:
+    return 0.5 * (n - 1)
+
+
+def _powers(n: int) -> Float[np.ndarray, "line 3"]:
+    return (np.arange(n) - _middle(n))[:, None] ** np.arange(3)

@@ -1,0 +1,199 @@
+"""What a machine of one's own is missing: effects tried in turn, and what they explain of what no fit saw."""
+
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Complex, Float
+
+from .._arguments import expect
+from .._errors import InputError, input_error
+from ..effects import AbstractEffect, Backlash, CoulombFriction, FrictionAsymmetry, StiffnessHardening, StribeckFriction
+from ..experiment import Experiment
+from .fit import FLOOR, MachineFit, fit_machine, measured_lines, share_left
+from .forces import CubicSpring
+from .model import Machine
+from .simulate import driving, simulate_machine
+
+_ENOUGH = 1.3  # misfit of a machine that misses nothing
+_LEAST_GAIN = 0.15  # part of the sealed gap that an effect has to close
+_ALIKE = 1.3  # times what the best effect leaves on the sealed part: with less, another explains as well
+_SURE = 3.0  # standard deviations of its largest number from 0
+_EVERY = 3  # line that is sealed, where there is one experiment
+_SHAPES = ("smoothing", "width")  # numbers that stay where they start: a record seldom tells them
+_LEAST_FORCE = 0.05  # of the driving force's rms, at which an effect starts
+
+Say = Callable[[str], None]
+
+
+class MachineDiagnosis(eqx.Module):
+    """What a machine is missing.
+
+    **Fields:**
+
+    - `verdict`: `sufficient` (it explains the record as it is), `named` (by `effects`), `ambiguous` (as well by one of
+      `rivals`) or `unexplained`.
+    - `effects`: that were added, with their numbers. `rivals`: effects in the place of the last one that leave as
+      little. `before`, `fit`: without and with them.
+    - `sealed`: what is left on the sealed experiment or lines over what was measured there, at first and with every
+      effect.
+    - `tried`: (place, effect, what it leaves on the sealed part) of every candidate, in the order of trial.
+    """
+
+    verdict: str = eqx.field(static=True)
+    effects: tuple[AbstractEffect, ...]
+    rivals: tuple[AbstractEffect, ...]
+    before: MachineFit
+    fit: MachineFit
+    sealed: tuple[float, ...] = eqx.field(static=True)
+    tried: tuple[tuple[str, str, float], ...] = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        gap = " -> ".join(f"{100 * x:.3g} %" for x in self.sealed)
+        named = "; ".join(f"{e.name} at {e.joint}" for e in self.effects) or "no effect"
+        more = f"; or, in the place of the last: {', '.join(f'{e.name} at {e.joint}' for e in self.rivals)}"
+        return f"{self.verdict}: {named} (left on the sealed part: {gap}){more if self.rivals else ''}"
+
+
+def diagnose_machine(
+    machine: Machine,
+    data: Experiment,
+    candidates: Sequence[AbstractEffect] | None = None,
+    *,
+    band: tuple[float, float] | None = None,
+    settle: int | None = None,
+    floor: float = FLOOR,
+    most: int = 2,
+    say: Say = lambda _: None,
+) -> MachineDiagnosis:
+    """Find which effects a machine of your own is missing.
+
+    The machine is fitted; then every candidate with all its other parameters, and the one that leaves least stays, up
+    to `most` of them. The last of several experiments is sealed, else every third line: no fit sees it, and an effect
+    stays only if it closes a sixth of what is left there, has a sign that it can have, and differs from 0 by three
+    standard deviations. Where another leaves as little, or both less than `floor`, the verdict is `ambiguous`.
+
+    Says less than it seems where the machine's own matrices are wrong (a missing mass is nobody's friction), and with
+    one experiment, whose sealed lines share its amplitude with the others: other amplitudes tell springs apart.
+
+    **Arguments:**
+
+    - `candidates`: by default cubic spring, Coulomb, Stribeck and one-sided friction at every place, and play and
+      hardening where the machine has a spring.
+    - `band`, `settle`, `floor`: as of `fit_machine`.
+
+    **Raises:** `jaxfrf.InputError` as `fit_machine`, and for a machine without places.
+    """
+    expect("machine", machine, Machine)
+    expect("data", data, Experiment)
+    if not machine.places:
+        raise input_error(
+            "machine", "no places", "some, where effects can act", 'Name them: places={"spring": [1, -1]}.'
+        )
+    options = {"band": band, "settle": settle, "floor": floor}
+    used = _unsealed(measured_lines(machine, data, band, floor)[1])
+    before = fit = fit_machine(machine, data, **options, used=used)
+    sealed = [_gap(fit, used)]
+    say(f"as it is: misfit {fit.misfit:.3g}, {100 * sealed[0]:.3g} % left on the sealed part")
+    effects, rivals, tried = [], [], []
+    while fit.misfit > _ENOUGH and len(effects) < most:
+        own = _typical(fit.machine, data) if candidates is None else candidates
+        known = {(e.joint, e.name) for e in fit.machine.effects}
+        found = []
+        for effect in own:
+            if (effect.joint, effect.name) not in known:
+                one = _with(fit, effect, data, options | {"used": used})
+                left = _gap(one, used) if one is not None else np.inf
+                tried.append((str(effect.joint), effect.name, left))
+                say(f"{effect.name} at {effect.joint}: {100 * left:.3g} % left")
+                found.append((left, effect, one))
+        found = [x for x in found if x[0] < (1 - _LEAST_GAIN) * sealed[-1] and _stands(x[1], x[2])]
+        if not found:
+            break
+        found.sort(key=lambda x: x[0])
+        alike = max(_ALIKE * found[0][0], floor)
+        rivals = [x[2].machine.effects[-1] for x in found[1:] if x[0] < alike]
+        sealed.append(found[0][0])
+        fit = found[0][2]
+        effects.append(fit.machine.effects[-1])
+    verdict = "unexplained" if not effects else "ambiguous" if rivals else "named"
+    if before.misfit <= _ENOUGH:
+        verdict = "sufficient"
+    added = fit.machine.effects[len(machine.effects) :]
+    return MachineDiagnosis(verdict, added, tuple(rivals), before, fit, tuple(sealed), tuple(tried))
+
+
+def _unsealed(measured: Complex[np.ndarray, "exp line out"]) -> Bool[np.ndarray, "exp line"]:
+    used = np.ones(measured.shape[:2], bool)
+    if len(used) > 1:
+        used[-1] = False
+    else:
+        used[:, _EVERY - 1 :: _EVERY] = False
+    return used
+
+
+def _gap(fit: MachineFit, used) -> float:
+    left = share_left(fit.left, fit.measured, ~used) if not used.all() else fit.residual
+    return left if np.isfinite(left) else np.inf
+
+
+def _with(fit: MachineFit, effect: AbstractEffect, data: Experiment, options) -> MachineFit | None:
+    machine = fit.machine.with_effects(effect)
+    shapes = [f"{effect.joint}.{effect.name}.{f}" for f in effect.units if f in _SHAPES]
+    if isinstance(effect, FrictionAsymmetry):
+        shapes.append(f"{effect.joint}.{effect.name}.level")  # that is Coulomb friction
+    try:
+        return fit_machine(machine.held(*shapes), data, **options)
+    except InputError as error:  # no candidate
+        if "diverges" not in str(error):
+            raise
+        return None
+
+
+def _stands(effect: AbstractEffect, fit: MachineFit) -> bool:
+    """Whether its numbers have a sign that it can have, and the largest of them is not 0."""
+    names = {f: f"{effect.joint}.{effect.name}.{f}" for f in effect.units}
+    free = {f: n for f, n in names.items() if n in fit.values}
+    allowed = all(fit.values[n] >= 0 or effect.bounds[f][0] < 0 for f, n in free.items())
+    return allowed and any(abs(fit.values[n]) > _SURE * fit.std[n] for n in free.values())
+
+
+def _typical(machine: Machine, data: Experiment) -> list[AbstractEffect]:
+    """Effects at every place of a size that the machine's motion there lets see."""
+    found = []
+    for place, p in machine.places.items():
+        x, v = (_rms(_seen(machine, p, kind), data) for kind in ("position", "velocity"))
+        force = _LEAST_FORCE * float(np.sqrt(np.mean(driving(data) ** 2))) * float(np.abs(machine.inputs).max())
+        slow = max(machine.smoothing, 0.02 * v)
+        found += [
+            CubicSpring(place, force / x**3),
+            CoulombFriction(place, force),
+            StribeckFriction(place, force, 0.2 * v, slow),
+            FrictionAsymmetry(place, 0.5 * force, 0.0, slow),
+        ]
+        K = np.asarray(machine.matrices({n: p.start for n, p in machine.parameters.items()})[2], float)
+        if p @ K @ p > 0:
+            found += [Backlash(place, 0.2 * x), StiffnessHardening(place, 0.8, x)]
+    return found
+
+
+def _seen(machine: Machine, p: Float[np.ndarray, "dof"], quantity: str) -> Machine:
+    """The machine, seen at a place."""
+    return eqx.tree_at(
+        lambda m: m.outputs,
+        Machine(
+            machine.matrices,
+            machine.parameters,
+            inputs=machine.inputs,
+            outputs=machine.outputs,
+            places=machine.places,
+            quantity=quantity,
+            smoothing=machine.smoothing,
+        ),
+        p[None],
+    )
+
+
+def _rms(machine: Machine, data: Experiment) -> float:
+    y = np.asarray(simulate_machine(machine, data))
+    return max(float(np.sqrt(np.mean((y - y.mean(axis=1, keepdims=True)) ** 2))), 1e-12)
