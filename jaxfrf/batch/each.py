@@ -144,6 +144,7 @@ class _Job(eqx.Module):
 def _job(given: argparse.Namespace, folder: pathlib.Path, name: str, file: pathlib.Path) -> _Job:
     output = str(folder / f"{name}{given.result}")
     own = vars(given) | {"data": [str(file)], "output": output, "json": True, "each": False}
+    own |= {"workers": 1, "cluster": None}  # these share the files, not what is in one
     for option, suffix in given.beside.items():
         own[option] = str(folder / f"{name}{suffix}")
     return _Job(argparse.Namespace(**own), _made_from(given, file))
