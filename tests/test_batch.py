@@ -90,6 +90,19 @@ def test_what_may_pass_is_tried_again(logs, tmp_path):
     assert made_at(tmp_path / "out")["b.json"] > before
 
 
+def test_interrupted_it_says_that_the_same_command_goes_on(logs, tmp_path):
+    def interrupted(given):
+        if "c.txt" in given.data[0]:
+            raise KeyboardInterrupt
+        return doubled(given)
+
+    given = asked(tmp_path / "out", f"{logs}/*.txt")
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        each(argparse.Namespace(**vars(given) | {"run": interrupted}))
+    assert "2 of 3 files stand in" in stopped.value.__notes__[0]
+    assert len(made_at(tmp_path / "out")) == 2
+
+
 def test_names_that_would_be_the_same(logs, tmp_path):
     (logs / "more").mkdir()
     (logs / "more" / "a.txt").write_text("7")

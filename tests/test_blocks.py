@@ -66,7 +66,11 @@ def faulty():
     return dataclasses.replace(data, y=y, u=u)
 
 
-@pytest.mark.parametrize("shift", [None, 0.0, 5.0], ids=["one file", "same positions", "other positions"])
+@pytest.mark.parametrize(
+    "shift",
+    [None, pytest.param(0.0, marks=pytest.mark.slow), pytest.param(5.0, marks=pytest.mark.slow)],
+    ids=["one file", "same positions", "other positions"],
+)
 def test_blocks_are_the_record_and_say_the_same(tmp_path, shift):
     more = [] if shift is None else [record(1, periods=3, shift=shift)]
     paths = files(tmp_path, faulty(), *more)

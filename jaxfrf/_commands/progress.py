@@ -30,13 +30,13 @@ class Progress:
 
     def __enter__(self) -> "Progress":
         global _under_way
-        _under_way = self
+        self._around, _under_way = _under_way, self
         return self
 
     def __exit__(self, *error) -> None:
         global _under_way
         self.wipe()
-        _under_way = None
+        _under_way = self._around
 
     def __call__(self, done: float, says: str = "") -> None:
         """A part from 0 to 1 is done."""

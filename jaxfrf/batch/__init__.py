@@ -3,8 +3,10 @@
     jaxfrf estimate 'logs/*.mat' --each -o results --workers 8
 
 In Python, `jaxfrf.batch.each` does the same with any command's arguments, on a Dask client of one's own where it is
-given one.
+given one. And data sets of any size, some positions at a time: `estimate_to`, `simulate_to`.
 """
 
 from .each import Batch as Batch, each as each
 from .engine import Done as Done, outcomes as outcomes
+from .estimated import Chosen as Chosen, Estimated as Estimated, estimate_to as estimate_to
+from .simulated import Simulated as Simulated, simulate_to as simulate_to

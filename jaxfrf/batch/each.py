@@ -91,18 +91,23 @@ def each(
     todo = [name for name in names if name not in made]
     pieces = [jobs[name] for name in todo]
     shared = {"workers": workers, "cluster": cluster, "client": client, "say": say}
-    for count, done in enumerate(outcomes(_work, pieces, **shared), 1):
-        name = todo[done.number]
-        made[name] = done.result or {
-            "file": jobs[name].given.data[0],
-            "ok": False,
-            "message": done.error,
-            "again": True,
-        }
-        results.keep(name, made[name], jobs[name].made_from)
-        if progress is not None:
-            failed = sum(not outcome["ok"] for outcome in made.values())
-            progress(count / len(todo), f"{count} of {len(todo)} files" + (f", {failed} failed" if failed else ""))
+    try:
+        for count, done in enumerate(outcomes(_work, pieces, **shared), 1):
+            name = todo[done.number]
+            made[name] = done.result or {
+                "file": jobs[name].given.data[0],
+                "ok": False,
+                "message": done.error,
+                "again": True,
+            }
+            results.keep(name, made[name], jobs[name].made_from)
+            if progress is not None:
+                failed = sum(not outcome["ok"] for outcome in made.values())
+                progress(count / len(todo), f"{count} of {len(todo)} files" + (f", {failed} failed" if failed else ""))
+    except KeyboardInterrupt as error:
+        if made:
+            error.add_note(f"{len(made)} of {len(files)} files stand in {folder}: the same command goes on from there.")
+        raise
     batch = Batch(folder, {name: made[name] for name in names})
     write_table(folder / "table.csv", batch.outcomes)
     write_page(folder / "index.html", f"jaxfrf {given.command}", batch.outcomes)
@@ -144,6 +149,7 @@ class _Job(eqx.Module):
 def _job(given: argparse.Namespace, folder: pathlib.Path, name: str, file: pathlib.Path) -> _Job:
     output = str(folder / f"{name}{given.result}")
     own = vars(given) | {"data": [str(file)], "output": output, "json": True, "each": False}
+    own |= {"workers": 1, "cluster": None}  # these share the files, not what is in one
     for option, suffix in given.beside.items():
         own[option] = str(folder / f"{name}{suffix}")
     return _Job(argparse.Namespace(**own), _made_from(given, file))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 _PUBLIC = {
     "from_control": "control",
     "to_control": "control",
+    "data_set": "blocks",
     "design_from_table": "designs",
     "read_design": "designs",
     "read_fit": "fits",
@@ -41,6 +42,7 @@ _PUBLIC = {
 __all__ = [*_PUBLIC]
 
 if TYPE_CHECKING:
+    from .blocks import data_set as data_set
     from .control import from_control as from_control, to_control as to_control
     from .designs import design_from_table as design_from_table, read_design as read_design
     from .fits import read_fit as read_fit, write_fit as write_fit

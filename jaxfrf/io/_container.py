@@ -92,7 +92,12 @@ def positions_in(path: str | os.PathLike) -> int | None:
     if not hasattr(reader, "positions"):
         return None
     check_file(path)
-    return reader.positions(path)
+    try:
+        return reader.positions(path)
+    except (InputError, ImportError):
+        raise
+    except Exception:  # of a broken file, of which reading it says what is wrong
+        return None
 
 
 def load(path: str | os.PathLike, part: slice | None = None, without: str | None = None) -> dict[str, Leaf]:
