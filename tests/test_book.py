@@ -147,7 +147,7 @@ def test_names_on_the_pages_exist():
     """Of `jf.X` and `jaxfrf.X`, in code and in text."""
     for page in PAGES:
         for name in re.findall(
-            r"(?<![\w/])(?:jf|jaxfrf)\.([A-Za-z_]+(?:\.[A-Za-z_]+)?)", page.read_text(encoding="utf-8")
+            r"(?<![\w/])(?:jf|jaxfrf)\.([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)?)", page.read_text(encoding="utf-8")
         ):
             first, _, second = name.partition(".")
             if first in ("nc", "toml", "md"):
