@@ -30,7 +30,7 @@ _PUBLIC = {
     "concatenate": "experiment",
     "select_periods": "experiment",
     "segments": "experiment",
-    "screen": "screening",
+    "screen": "screening.screen",
     "examine": "screening",
     "Finding": "screening",
     "example": "examples",
@@ -46,7 +46,7 @@ _PUBLIC = {
     "differentiate": "spectra",
     "with_output_quantity": "spectra",
     "FRF": "frf",
-    "estimate": "frf",
+    "estimate": "frf.estimate",
     "AbstractMethod": "frf",
     "Auto": "frf",
     "H1": "frf",
@@ -61,16 +61,16 @@ _PUBLIC = {
     "MisoLRM": "frf",
     "CommonDenominatorLRM": "frf",
     "Welch": "frf",
-    "coherence": "frf",
+    "coherence": "frf.coherence",
     "multiple_coherence": "frf",
     "levels": "frf",
     "Levels": "frf",
-    "distortion": "frf",
+    "distortion": "frf.distortion",
     "Distortion": "frf",
     "best_linear_approximation": "frf",
     "with_distortion": "frf",
-    "features": "frf",
-    "modal": "frf",
+    "features": "frf.features",
+    "modal": "frf.modal",
     "ModalModel": "frf",
     "Mode": "frf",
     "Feature": "frf",
@@ -87,19 +87,19 @@ _PUBLIC = {
     "LevenbergMarquardt": "graybox",
     "BFGS": "graybox",
     "Fit": "graybox",
-    "fit": "graybox",
+    "fit": "graybox.fit",
     "ThroughFit": "graybox",
     "fit_in_motion": "graybox",
     "fit_through_experiment": "graybox",
     "Quality": "graybox",
-    "quality": "graybox",
-    "derived": "graybox",
+    "quality": "graybox.quality",
+    "derived": "graybox.derived",
     "initial_guess": "graybox",
     "guessed": "graybox",
     "plan_positions": "graybox",
-    "calibrate": "calibration",
+    "calibrate": "calibration.calibrate",
     "Calibration": "calibration",
-    "identify": "identification",
+    "identify": "identification.identify",
     "Identification": "identification",
     "position_information": "graybox",
     "d_optimal": "graybox",
@@ -145,7 +145,8 @@ if TYPE_CHECKING:
     from ._status import (
         Status as Status,
     )
-    from .calibration import Calibration as Calibration, calibrate as calibrate
+    from .calibration import Calibration as Calibration
+    from .calibration.calibrate import calibrate as calibrate
     from .examples import (
         example as example,
         example_response as example_response,
@@ -194,17 +195,17 @@ if TYPE_CHECKING:
         RobustMean as RobustMean,
         Welch as Welch,
         best_linear_approximation as best_linear_approximation,
-        coherence as coherence,
         concatenate_positions as concatenate_positions,
         describe_method as describe_method,
-        distortion as distortion,
-        estimate as estimate,
-        features as features,
         levels as levels,
-        modal as modal,
         multiple_coherence as multiple_coherence,
         with_distortion as with_distortion,
     )
+    from .frf.coherence import coherence as coherence
+    from .frf.distortion import distortion as distortion
+    from .frf.estimate import estimate as estimate
+    from .frf.features import features as features
+    from .frf.modal import modal as modal
     from .graybox import (
         BFGS as BFGS,
         AbstractModel as AbstractModel,
@@ -217,26 +218,26 @@ if TYPE_CHECKING:
         ThroughFit as ThroughFit,
         Weights as Weights,
         d_optimal as d_optimal,
-        derived as derived,
         expected_accuracy as expected_accuracy,
-        fit as fit,
         fit_in_motion as fit_in_motion,
         fit_through_experiment as fit_through_experiment,
         guessed as guessed,
         initial_guess as initial_guess,
         plan_positions as plan_positions,
         position_information as position_information,
-        quality as quality,
     )
+    from .graybox.derived import derived as derived
+    from .graybox.fit import fit as fit
+    from .graybox.quality import quality as quality
     from .identification import (
         Identification as Identification,
-        identify as identify,
     )
+    from .identification.identify import identify as identify
     from .screening import (
         Finding as Finding,
         examine as examine,
-        screen as screen,
     )
+    from .screening.screen import screen as screen
     from .simulation import (
         random_positions as random_positions,
         replay as replay,

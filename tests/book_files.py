@@ -129,7 +129,7 @@ def _log(folder):
 
 def _tables(folder):
     rng = np.random.default_rng(0)
-    u = rng.standard_normal((20000, 2))
+    u = rng.standard_normal((3000, 2))
     y = np.zeros_like(u)
     for k in range(1, len(u)):
         y[k] = 0.95 * y[k - 1] + 0.05 * u[k - 1]

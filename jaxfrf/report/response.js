@@ -15,6 +15,7 @@
   }
   const all = data.estimates.flatMap((e) => [e.frequency[0], e.frequency[e.frequency.length - 1]]);
   const whole = [Math.min(...all), Math.max(...all)];
+  if (whole[0] === whole[1]) [whole[0], whole[1]] = [0.9 * whole[0], 1.1 * whole[1] || 1]; // a single line
   const state = { position: 0, out: 0, into: 0, range: whole.slice(), log: whole[0] > 0, cursor: null };
 
   // --- numbers

@@ -84,7 +84,10 @@ def public() -> dict[str, tuple[str, object]]:
             if isinstance(value, types.ModuleType) or id(value) in seen:
                 continue
             seen.add(id(value))
-            found[f"jaxfrf.{space}.{name}" if space else f"jaxfrf.{name}"] = (ROOMS[space or names[name]], value)
+            found[f"jaxfrf.{space}.{name}" if space else f"jaxfrf.{name}"] = (
+                ROOMS[space or names[name].partition(".")[0]],
+                value,
+            )
     return found
 
 
