@@ -7,7 +7,8 @@ import scipy.integrate
 
 import jaxfrf as jf
 from jaxfrf.effects import Backlash, CoulombFriction, FrictionAsymmetry
-from jaxfrf.machine import CubicSpring, Machine, fit_machine, rank_effects, simulate_machine
+from jaxfrf.machine import CubicSpring, Machine, diagnose_machine, fit_machine, rank_effects, simulate_machine
+from jaxfrf.machine.simulate import settling
 
 FS, PERIOD = 100.0, 200
 TRUE = {"m": 2.0, "d": 3.0, "k": 2000.0}
@@ -110,3 +111,22 @@ def test_a_real_axis(measured):
     for name, value in known.items():
         assert abs(found.values[name] / value - 1) < 0.08, (name, found.values[name])
     assert abs(found.values["slide.friction_asymmetry.offset"] + 3.16) < 0.5
+
+
+def test_settling():
+    """exp(-d/(2 m) t) = part; a rigid motion that has no damper is not waited for."""
+    wait = settling(machine(d=0.4), TRUE | {"d": 0.4}, PERIOD / FS, 1e-3)
+    assert wait == int(np.ceil(np.log(1e3) * 2 * TRUE["m"] / 0.4 / (PERIOD / FS)))
+    assert settling(machine(), TRUE | {"d": 0.0, "k": 0.0}, 2.0, 1e-3) == 1
+    assert settling(machine(), TRUE | {"d": 1e-6}, 2.0, 1e-3) == 50
+
+
+@pytest.mark.slow
+def test_what_a_machine_misses(record):
+    """The spring is named on lines that no fit saw; with it, nothing is missing."""
+    start = machine(m=2.3, d=4.0, k=2400.0)
+    found = diagnose_machine(start, record, [CoulombFriction("spring", 0.5), CubicSpring("spring", 1e5)])
+    assert found.verdict == "named" and [e.name for e in found.effects] == ["cubic_spring"]
+    assert found.sealed[1] < 0.1 * found.sealed[0]
+    assert abs(float(found.effects[0].stiffness) / CUBIC - 1) < 0.02
+    assert diagnose_machine(found.fit.machine, record, []).verdict == "sufficient"

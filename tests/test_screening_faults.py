@@ -206,3 +206,47 @@ def test_what_is_refused_can_be_read_anyway(tmp_path, record):
     with pytest.raises(jf.InputError, match=r"a\.npz: period"):
         jf.io.read(path)
     assert any("1000 samples" in text for text in jf.io.read(path, anyway=True).warnings)
+
+
+def two_masses(hertz, place, damping=0.02):
+    """Torque of the first of two masses to the speed of `place`: antiresonance at 60 Hz, resonance at 85 Hz."""
+    s = 2j * np.pi * hertz
+    k = (2 * np.pi * 60.0) ** 2
+    spring = k + 2 * damping * np.sqrt(k) * s
+    M = np.array([[s**2 + s + spring, -spring], [-spring, s**2 + spring]])
+    return s * np.linalg.inv(np.moveaxis(M, -1, 0))[:, place, 0]
+
+
+@pytest.mark.parametrize(("late", "place"), [(0, 0), (1, 0), (3, 0), (0, 1)])
+def test_u_late_by_samples_of_a_lightly_damped_machine(late, place):
+    """Resonances up to near the end of the band: |G| does not run straight there."""
+    rng, n, lines = np.random.default_rng(0), 2000, np.arange(9, 260)
+    U = np.zeros(n // 2 + 1, complex)
+    U[lines] = np.exp(2j * np.pi * rng.random(lines.size))
+    Y = U.copy()
+    Y[lines] *= two_masses(lines * 0.5, place) * np.exp(-1j * np.pi * lines / n)  # u is held between samples
+    u, y = (np.tile(np.fft.irfft(X, n), 2) for X in (U, Y))
+    u = np.roll(u, late) + 1e-3 * u.std() * rng.standard_normal(2 * n)
+    y = y + 1e-3 * y.std() * rng.standard_normal(2 * n)
+    found = [f for f in jf.examine(jf.Experiment(u, y, 1000.0, n, lines=lines)) if f.kind == "noncausal"]
+    assert len(found) == (late > 0)
+    for finding in found:
+        assert abs(finding.size - (late - 0.5)) < 0.2
+
+
+@pytest.mark.parametrize("limit", [None, 1.6])
+def test_a_limit_behind_noise_beside_a_slow_sine(limit):
+    rng, n = np.random.default_rng(1), 2000
+    t = np.arange(n) / n
+    weak = sum(0.15 * np.cos(2 * np.pi * (k * t + rng.random())) for k in range(11, 240, 4))
+    y = np.tile(2.0 * np.sin(2 * np.pi * 3 * t) + weak, 2)
+    u = np.tile(weak, 2) + 1e-3 * rng.standard_normal(2 * n)
+    if limit:
+        y = np.clip(y, -limit * y.std(), limit * y.std())
+    y = y + 0.006 * rng.standard_normal(2 * n)
+    assert bool([f for f in jf.examine(jf.Experiment(u, y, 1000.0, n)) if f.kind == "saturated"]) == bool(limit)
+
+
+def test_several_periods_given_as_one(record):
+    findings = examine(record, period=2 * PERIOD)
+    assert f"repeats every {PERIOD} samples already" in the_one(findings, "period").says

@@ -458,8 +458,16 @@ def _rate_advice(ratio: float, rate: float) -> str:
     return f"Correct one of them, e.g. --set fs={rate:.6g}."
 
 
+_RATES = ("fs", "f_s", "rate", "samplerate", "sample_rate", "samplingrate", "sampling_rate", "sampling_frequency")
+
+
 def _no_rate(file: _File, n_time: int) -> InputError:
     like = time_like(file.variables, n_time)
+    named = [n for n, v in file.variables.items() if n.lower() in _RATES and np.size(v) == 1]
+    if named:
+        return file.error(
+            "fs", "no such variable", "the sampling frequency fs (Hz)", f"Is it {named[0]}? --map fs={named[0]}."
+        )
     if not like:
         return file.error(
             "fs",

@@ -78,7 +78,7 @@ def diagnose_machine(
 
     **Arguments:**
 
-    - `candidates`: by default cubic spring, Coulomb, Stribeck and one-sided friction at every place, and play and
+    - `candidates`: by default Coulomb, Stribeck and one-sided friction at every place, and cubic spring, play and
       hardening where the machine has a spring.
     - `band`, `settle`, `floor`: as of `fit_machine`.
 
@@ -166,14 +166,13 @@ def _typical(machine: Machine, data: Experiment) -> list[AbstractEffect]:
         force = _LEAST_FORCE * float(np.sqrt(np.mean(driving(data) ** 2))) * float(np.abs(machine.inputs).max())
         slow = max(machine.smoothing, 0.02 * v)
         found += [
-            CubicSpring(place, force / x**3),
             CoulombFriction(place, force),
             StribeckFriction(place, force, 0.2 * v, slow),
             FrictionAsymmetry(place, 0.5 * force, 0.0, slow),
         ]
         K = np.asarray(machine.matrices({n: p.start for n, p in machine.parameters.items()})[2], float)
         if p @ K @ p > 0:
-            found += [Backlash(place, 0.2 * x), StiffnessHardening(place, 0.8, x)]
+            found += [CubicSpring(place, force / x**3), Backlash(place, 0.2 * x), StiffnessHardening(place, 0.8, x)]
     return found
 
 

@@ -16,6 +16,8 @@ _WORSE_BY = 0.15  # the same as a difference, where both are noisy
 _CLEAR = 0.3  # mismatch of a period that can be believed against a record of a single one
 _BLOCKS = 16  # of a period
 _FITS = 0.25  # of them, in which the given period fits as well: it is the period, and samples are missing elsewhere
+_PARTS = (2, 3, 5, 7)  # of the given period, after which the record may repeat already
+_AS_WELL, _AS_WELL_BY = 3.0, 0.01  # mismatch after such a part over that after the given period, and beside it
 _SURE_LINES = 0.9
 _QUIET_SHARE = 0.1  # of the given lines, that may be quiet
 
@@ -28,6 +30,7 @@ def contradicted(record: Record) -> Iterator[Finding]:
     name, x = ("u", data.u) if data.r is None else ("r", data.r)
     x = x[0, 0, : max(_LOOK_PERIODS * data.period, _LOOK_SAMPLES)]
     given = mismatch(x, data.period)
+    yield from _several_periods(data, name, x, given)
     if given < _LOOK:
         return
     found = find_period(x)
@@ -50,6 +53,23 @@ def contradicted(record: Record) -> Iterator[Finding]:
             sure=found.sure,
             signal=name,
         )
+
+
+def _several_periods(data, name: str, x: np.ndarray, given: float) -> Iterator[Finding]:
+    """A given period that is several: the lines between are not excited, and are found where there is noise."""
+    for part in _PARTS if data.lines is None else ():
+        if data.period % part == 0 and mismatch(x, data.period // part) < min(_AS_WELL * given + _AS_WELL_BY, _CLEAR):
+            shorter = data.period // part
+            yield Finding(
+                "period",
+                Severity.WARNED,
+                1.0 / part,
+                f"period: {data.period} samples are given, but {name} repeats every {shorter} samples already: no line "
+                f"but every {part}{'nd' if part == 2 else 'rd' if part == 3 else 'th'} one is excited. "
+                f"{how_to_set(data.n_time, shorter)[:1].upper()}{how_to_set(data.n_time, shorter)[1:]}.",
+                signal=name,
+            )
+            return
 
 
 def _or_lost(data, found: int) -> str:
