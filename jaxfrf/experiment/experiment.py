@@ -1,0 +1,195 @@
+"""The record of an experiment: reference r, input u, output y, and what is known about them."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._errors import input_error
+from .._types import Array
+from ..periodic import FoundPeriod, find_period
+from .arguments import as_configurations, as_count, as_line_numbers, as_positive, as_quantity, as_signal
+
+
+class Source(eqx.Module):
+    """Where data come from: a file name and the sha256 of its bytes."""
+
+    name: str = eqx.field(static=True)
+    sha256: str = eqx.field(static=True, default="")
+
+
+class Experiment(eqx.Module):
+    """Records of one or several experiments at one or several operating points, sampled together.
+
+    **Arguments:**
+
+    - `u`: plant input, (pos, exp, time, in), N m (motor side).
+    - `y`: plant output, (pos, exp, time, out), unit by `y_quantity`.
+    - `fs`: sampling frequency, Hz.
+    - `period`: samples in one excitation period; 0 = not periodic.
+    - `r`: reference, (pos, exp, time, ref), unit by `r_quantity`; `None` where it was not recorded.
+    - `q`: arm configuration of every operating point, (pos, joint), rad; `None` where there is none.
+    - `lines`: excited DFT lines of one period; `None` = to be found in `r` (or `u`).
+    - `transient_periods`: leading periods that are not steady and are dropped by `jaxfrf.dft`.
+    - `r_quantity`, `y_quantity`: `position`, `velocity` or `acceleration`.
+    - `u_unit`, `y_unit`: SI units for pictures and files, where they are not those above (a force in N, a current in A,
+      a position in m). The numbers are not converted: `jaxfrf.io.read` does that.
+
+    Fewer dimensions are accepted where the meaning is plain: (time, channel) is one operating point and one
+    experiment, (exp, time, channel) one operating point. Signals are held in double precision on the host.
+
+    **Raises:** `jaxfrf.InputError` naming the variable, what was found, what was expected and what to do.
+    """
+
+    u: Float[Array, "pos exp time in"]
+    y: Float[Array, "pos exp time out"]
+    r: Float[Array, "pos exp time ref"] | None
+    q: Float[Array, "pos joint"] | None
+    lines: Int[Array, "freq"] | None
+    fs: float = eqx.field(static=True)
+    period: int = eqx.field(static=True)
+    transient_periods: int = eqx.field(static=True)
+    r_quantity: str = eqx.field(static=True)
+    y_quantity: str = eqx.field(static=True)
+    u_unit: str = eqx.field(static=True)
+    y_unit: str = eqx.field(static=True)
+    sources: tuple[Source, ...] = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        u,
+        y,
+        fs: float,
+        period: int = 0,
+        *,
+        r=None,
+        q=None,
+        lines=None,
+        transient_periods: int = 0,
+        r_quantity: str = "velocity",
+        y_quantity: str = "velocity",
+        u_unit: str = "",
+        y_unit: str = "",
+        sources: Sequence[Source] = (),
+        warnings: Sequence[str] = (),
+    ):
+        self.u = as_signal("u", u)
+        self.y = as_signal("y", y)
+        self.r = None if r is None else as_signal("r", r)
+        self.q = None if q is None else as_configurations(q)
+        self.lines = None if lines is None else as_line_numbers(lines)
+        self.fs = as_positive("fs", fs)
+        self.period = as_count("period", period)
+        self.transient_periods = as_count("transient_periods", transient_periods)
+        self.r_quantity = as_quantity("r_quantity", r_quantity)
+        self.y_quantity = as_quantity("y_quantity", y_quantity)
+        self.u_unit = str(u_unit)
+        self.y_unit = str(y_unit)
+        self.sources = tuple(sources)
+        self.warnings = tuple(warnings)
+
+    def __check_init__(self):
+        for name in ("y", "r"):
+            x = getattr(self, name)
+            if x is not None and x.shape[:3] != self.u.shape[:3]:
+                raise input_error(
+                    f"{name} and u",
+                    f"{x.shape[:3]} and {self.u.shape[:3]} (position, experiment, time)",
+                    "the same number of positions, experiments and samples",
+                    "Cut both to their common part, or read each record from its own file.",
+                )
+        n_pos, _, n_time, _ = self.u.shape
+        if self.q is not None and len(self.q) != n_pos:
+            raise input_error(
+                "q",
+                f"{len(self.q)} configurations",
+                f"one for each of the {n_pos} positions",
+                "Check the order of axes.",
+            )
+        if self.period:
+            _check_periods(self)
+        if self.lines is not None:
+            _check_lines(self.lines, self.period or n_time)
+
+    @property
+    def n_pos(self) -> int:
+        return self.u.shape[0]
+
+    @property
+    def n_exp(self) -> int:
+        return self.u.shape[1]
+
+    @property
+    def n_time(self) -> int:
+        return self.u.shape[2]
+
+    @property
+    def n_in(self) -> int:
+        return self.u.shape[3]
+
+    @property
+    def n_out(self) -> int:
+        return self.y.shape[3]
+
+    @property
+    def n_periods(self) -> int:
+        """Steady periods (transient ones not counted); 0 where the record is not periodic."""
+        return self.n_time // self.period - self.transient_periods if self.period else 0
+
+
+def _check_periods(data: Experiment) -> None:
+    n_time, period, transient = data.n_time, data.period, data.transient_periods
+    if n_time % period:
+        seen = seen_period(data.r, data.u, data.y)
+        if seen is None or seen[1].period == period:
+            do = f"Cut the record to {n_time // period} periods, or correct the period."
+        else:
+            do = f"{seen[0]} repeats every {seen[1].period} samples: {how_to_set(n_time, seen[1].period)}."
+        raise input_error(
+            "period",
+            f"{n_time} samples, {n_time / period:.4g} periods of {period}",
+            "a whole number of periods",
+            do,
+        )
+    if n_time // period <= transient:
+        raise input_error(
+            "transient_periods",
+            f"{transient} of {n_time // period} periods",
+            "at least one period left after them",
+            "Lower transient_periods, or record longer.",
+        )
+
+
+def seen_period(r, u, y) -> tuple[str, FoundPeriod] | None:
+    """The period that a record shows, in the reference where there is one, and in which signal; `None` if none.
+
+    **Arguments:** signals (pos, exp, time, channel) or `None`. The first experiment speaks for all.
+    """
+    for name, x in (("r", r), ("u", u), ("y", y)):
+        found = None if x is None else find_period(np.asarray(x)[0, 0])
+        if found is not None:
+            return name, found
+    return None
+
+
+def how_to_set(n_time: int, period: int) -> str:
+    """The option that sets a period, and cuts the record to whole ones where it has to."""
+    whole = n_time // period * period
+    return f"--set period={period}" + ("" if whole == n_time else f",samples=0:{whole}")
+
+
+def _check_lines(lines: np.ndarray, period: int) -> None:
+    top = (period - 1) // 2
+    if lines.min() < 1 or lines.max() > top:
+        raise input_error(
+            "lines",
+            f"{lines.min()} to {lines.max()}",
+            f"lines between 1 and {top} (below half the sampling frequency)",
+            "Check period and fs: line k is k*fs/period Hz.",
+        )
+    if np.any(np.diff(lines) <= 0):
+        raise input_error(
+            "lines", "a list that is not increasing", "increasing line numbers", "Sort them, without repeats."
+        )

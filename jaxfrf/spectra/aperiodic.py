@@ -1,0 +1,130 @@
+"""Spectra of records without a period: taken whole, or in windowed segments."""
+
+import dataclasses
+
+import numpy as np
+import scipy  # its modules load when they are used: scipy.signal alone takes a second
+
+from .._arguments import expect
+from .._errors import input_error
+from ..experiment import Experiment
+from .lines import strength, where
+from .spectra import Spectra
+from .steady import at_lines
+
+_STRONG, _STRONG_IN_BAND = 1e-4, 1e-24  # power, of the strongest line's, from which a line of a whole record counts
+
+
+def record_spectra(data: Experiment, band: tuple[float, float] | None = None) -> Spectra:
+    """Spectra of the whole record, for data that are not periodic: all DFT lines of the record in `band` (Hz).
+
+    Leakage makes Y = G U + T with a transient T that is smooth in frequency: only estimators with a transient term
+    take such spectra. Lines that hold less than 1e-4 of the strongest reference power (input power where there is no
+    reference) are left out: in closed loop the response there would be that of the controller. With `band` all lines in
+    it are taken but those that hold rounding only (1e-24).
+
+    **Raises:** `jaxfrf.InputError` if `data` is no experiment, or the band holds no excited line.
+    """
+    expect("data", data, Experiment)
+    n = data.n_time
+    k = np.arange(1, (n - 1) // 2 + 1)
+    whole = _rebuild_whole(data)
+    power = strength(whole, k)
+    strong = power >= (_STRONG if band is None else _STRONG_IN_BAND) * power.max()
+    if band is None:
+        k = k[strong]
+    else:
+        f = k * data.fs / n
+        k = k[(f >= band[0]) & (f <= band[1]) & strong]
+        if k.size == 0:
+            raise input_error(
+                "band",
+                f"{band[0]:g} to {band[1]:g} Hz",
+                f"a band that holds excited lines between {data.fs / n:.4g} and {data.fs / 2:g} Hz",
+                "Widen the band.",
+            )
+    spectra = at_lines(whole, k)
+    return dataclasses.replace(
+        spectra, periodic=False, noise=None, warnings=(*spectra.warnings, _what_it_can_give(data, spectra))
+    )
+
+
+def segment_spectra(
+    data: Experiment, segment: int | None = None, *, overlap: float = 0.5, window: str = "hann"
+) -> Spectra:
+    """Spectra of windowed segments of a record, as experiments beside each other: what Welch's method averages.
+
+    As in `scipy.signal.welch` the mean of every segment is taken off, and what is left at the end is not used. With
+    them `jaxfrf.coherence(spectra)` is `scipy.signal.coherence`, and `jaxfrf.estimate(spectra, jaxfrf.Welch())` is
+    csd(u, y)/welch(u). Leakage from line to line is as the window makes it.
+
+    **Arguments:** `segment`, in samples; `None`: as long as eight with half an overlap can be. `overlap`: share of a
+    segment. `window`: as `scipy.signal.get_window` names it.
+
+    **Raises:** `jaxfrf.InputError` if the record is shorter than a segment.
+    """
+    n = data.n_time
+    length = max(2 * n // 9, 8) if segment is None else int(segment)
+    if not 8 <= length <= n:
+        raise input_error("segment", f"{length} samples of a record of {n}", f"from 8 to {n} samples", "Shorten it.")
+    hop = max(length - int(length * overlap), 1)
+    taper = scipy.signal.get_window(window, length)
+    k = np.arange(1, (length - 1) // 2 + 1)
+
+    def cut(x):
+        if x is None:
+            return None
+        starts = range(0, n - length + 1, hop)
+        pieces = np.stack([x[:, :, s : s + length] for s in starts], axis=2)
+        pieces = (pieces - pieces.mean(axis=3, keepdims=True)) * taper[:, None]
+        found = scipy.fft.rfft(pieces, axis=3, workers=-1)[:, :, :, k] / taper.sum()
+        return found.reshape(found.shape[0], -1, *found.shape[3:])
+
+    return Spectra(
+        U=cut(data.u),
+        Y=cut(data.y),
+        R=cut(data.r),
+        lines=k,
+        frequency=k * data.fs / length,
+        noise=None,
+        q=data.q,
+        fs=data.fs,
+        period=length,
+        periodic=False,
+        segments=(n - length) // hop + 1,
+        y_quantity=data.y_quantity,
+        sources=data.sources,
+        warnings=data.warnings,
+    )
+
+
+def _what_it_can_give(data: Experiment, spectra: Spectra) -> str:
+    """One sentence on where the excitation of an aperiodic record has its power."""
+    name, X = ("u", spectra.U) if spectra.R is None else ("r", spectra.R)
+    power = np.sum(np.abs(X) ** 2, axis=(0, 1))
+    share = np.cumsum(power, axis=0) / np.sum(power, axis=0)
+    limit = [f"{f:.3g}" for f in np.unique(spectra.frequency[np.argmax(share >= 0.99, axis=0)])]
+    below = f"{limit[0]} Hz" if len(limit) == 1 else f"{limit[0]} to {limit[-1]} Hz (by channel)"
+    return (
+        f"{where(data, name)}: not periodic, taken whole with a transient term; 99 % of the power between "
+        f"{spectra.frequency[0]:.3g} and {spectra.frequency[-1]:.3g} Hz lies below {below}. Above that, and between "
+        "lines that carry little, look at the standard deviation before the FRF; no noise level can be told apart from "
+        "distortion."
+    )
+
+
+def _rebuild_whole(data: Experiment) -> Experiment:
+    return Experiment(
+        data.u,
+        data.y,
+        data.fs,
+        data.n_time,
+        r=data.r,
+        q=data.q,
+        r_quantity=data.r_quantity,
+        y_quantity=data.y_quantity,
+        u_unit=data.u_unit,
+        y_unit=data.y_unit,
+        sources=data.sources,
+        warnings=data.warnings,
+    )

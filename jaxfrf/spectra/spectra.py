@@ -1,0 +1,140 @@
+"""Fourier coefficients of an experiment, and parts of them."""
+
+import dataclasses
+from collections.abc import Callable
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+from .._arguments import expect
+from .._errors import input_error
+from .._types import Array
+from ..experiment import QUANTITIES, Source
+from ..units import differentiated
+
+
+class Spectra(eqx.Module):
+    """Fourier coefficients X(k) = 1/N sum_t x(t) exp(-2 pi j k t / N) of the mean steady period.
+
+    **Fields:**
+
+    - `U`, `Y`, `R`: input, output, reference, (pos, exp, freq, channel); `R` is `None` where it was not recorded.
+    - `lines`, `frequency`: DFT lines (freq,) and their frequencies, Hz.
+    - `noise`: covariance of [Y; U] (mean over the periods) that the scatter between periods shows,
+      (pos, exp, freq, sig, sig); `None` with fewer than two periods.
+    - `n_periods`: periods averaged. `periodic`: false where the record was taken whole, with leakage
+      (`record_spectra`); only methods with a transient term can use it then.
+    - `segments`: of every experiment that stand for experiments here (`segment_spectra`); 0 otherwise.
+    - `q`, `fs`, `period`, `y_quantity`, `u_unit`, `y_unit`, `sources`, `warnings`: as in `Experiment`.
+    """
+
+    U: Complex[Array, "pos exp freq in"]
+    Y: Complex[Array, "pos exp freq out"]
+    R: Complex[Array, "pos exp freq ref"] | None
+    lines: Int[Array, "freq"]
+    frequency: Float[Array, "freq"]
+    noise: Complex[Array, "pos exp freq sig sig"] | None
+    q: Float[Array, "pos joint"] | None = None
+    fs: float = eqx.field(static=True, default=1.0)
+    period: int = eqx.field(static=True, default=0)
+    n_periods: int = eqx.field(static=True, default=1)
+    periodic: bool = eqx.field(static=True, default=True)
+    segments: int = eqx.field(static=True, default=0)
+    y_quantity: str = eqx.field(static=True, default="velocity")
+    u_unit: str = eqx.field(static=True, default="")
+    y_unit: str = eqx.field(static=True, default="")
+    sources: tuple[Source, ...] = eqx.field(static=True, default=())
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self):
+        for name in ("Y", "R"):
+            x = getattr(self, name)
+            if x is not None and x.shape[:3] != self.U.shape[:3]:
+                raise ValueError(f"{name} has shape {x.shape}, U {self.U.shape}; expected the same first three axes.")
+        if self.U.shape[2] != len(self.lines):
+            raise ValueError(f"U holds {self.U.shape[2]} lines, `lines` {len(self.lines)}; expected as many.")
+
+    @property
+    def n_pos(self) -> int:
+        return self.U.shape[0]
+
+    @property
+    def n_exp(self) -> int:
+        return self.U.shape[1]
+
+    @property
+    def n_in(self) -> int:
+        return self.U.shape[3]
+
+    @property
+    def n_out(self) -> int:
+        return self.Y.shape[3]
+
+    @property
+    def n_real(self) -> int:
+        """Blocks M of n_in experiments; experiments beyond the last whole block are not counted."""
+        return self.n_exp // self.n_in
+
+
+def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
+    """The same spectra at the lines from `low` to `high` (Hz) only.
+
+    **Raises:** `jaxfrf.InputError` if no line is left.
+    """
+    expect("spectra", spectra, Spectra)
+    inside = (spectra.frequency >= low) & (spectra.frequency <= high)
+    if not inside.any():
+        raise input_error(
+            "band",
+            f"no excited line between {low:g} and {high:g} Hz",
+            f"a part of {spectra.frequency[0]:.4g} to {spectra.frequency[-1]:.4g} Hz",
+            "Widen the band.",
+        )
+
+    signals = changed_signals(spectra, lambda x: x[:, :, inside])
+    return dataclasses.replace(spectra, **signals, lines=spectra.lines[inside], frequency=spectra.frequency[inside])
+
+
+def select_positions(spectra: Spectra, positions) -> Spectra:
+    """The same spectra at some operating points only (`positions`: a slice or a list of indices).
+
+    **Raises:** `jaxfrf.InputError` if `spectra` are none.
+    """
+    expect("spectra", spectra, Spectra)
+
+    q = None if spectra.q is None else spectra.q[positions]
+    return dataclasses.replace(spectra, **changed_signals(spectra, lambda x: x[positions]), q=q)
+
+
+def changed_signals(spectra: Spectra, change: Callable[[Array], Array]) -> dict[str, Array]:
+    """`change` applied to U, Y, R and the noise covariance, as far as they are there, by field name."""
+    names = [name for name in ("U", "Y", "R", "noise") if getattr(spectra, name) is not None]
+    return {name: change(getattr(spectra, name)) for name in names}
+
+
+def differentiate(X, omega, times: int):
+    """Spectra `X`, (*batch, freq, channel), differentiated `times` times: times (j `omega`)^times, `omega` in rad/s.
+
+    **Returns:** (*batch, freq, channel).
+    """
+    return X * ((1j * np.asarray(omega)) ** times)[:, None]
+
+
+def with_output_quantity(spectra: Spectra, quantity: str) -> Spectra:
+    """The same spectra with the output as `position`, `velocity` or `acceleration`, by (j omega)^n.
+
+    **Raises:** `jaxfrf.InputError` for any other quantity.
+    """
+    expect("spectra", spectra, Spectra)
+    if quantity not in QUANTITIES:
+        raise input_error("quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them.")
+    times = QUANTITIES[quantity] - QUANTITIES[spectra.y_quantity]
+    factor = (2j * np.pi * np.asarray(spectra.frequency)) ** times
+    noise = spectra.noise
+    if noise is not None:
+        scale = np.ones((len(factor), noise.shape[-1]), complex)
+        scale[:, : spectra.n_out] = factor[:, None]
+        noise = noise * scale[:, :, None] * scale[:, None, :].conj()
+    unit = differentiated(spectra.y_unit, times) if spectra.y_unit else ""
+    return dataclasses.replace(spectra, Y=spectra.Y * factor[:, None], noise=noise, y_quantity=quantity, y_unit=unit)
