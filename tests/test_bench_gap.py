@@ -160,6 +160,7 @@ def test_two_simulators_agree():
     assert all(relative(found.u[..., i : i + 1], plain.u[..., i : i + 1]) > 0.01 for i in range(6))
 
 
+@pytest.mark.slow
 def test_presliding_friction():
     """The bristles against SciPy's integration of the law; in a run they take the place of Coulomb friction."""
     level, distance, damping, step = 0.4, 0.3, 0.01, 1e-3

@@ -253,6 +253,7 @@ class TestInTheLinearisation:
         without = jf.robot.robot_from_table(jf.robot.table_from_robot(robot) | {"effect": []})
         assert np.abs((estimate - G(without)) / size).max() > 0.5
 
+    @pytest.mark.slow
     def test_derivatives(self):
         """G and its derivative in springs and dampers, losses and coupling in them, against differences."""
         robot, frequency = linear_robot(), np.array([5.0, 17.0, 40.0])

@@ -53,7 +53,7 @@ def row_wise(U, Y, R, width, order=2):
         jf.JointInputOutput(jf.LRM(width=12)),
         jf.MisoLRM(width=10),
         jf.LogMean(),
-        jf.LogMean(jf.JointInputOutput(jf.LPM(width=10))),
+        pytest.param(jf.LogMean(jf.JointInputOutput(jf.LPM(width=10))), marks=pytest.mark.slow),
     ],
     ids=["jio-lrm", "miso", "log", "log-jio-lpm"],
 )

@@ -443,6 +443,7 @@ def test_auto_narrows_at_resonances():
     assert np.median([auto / widest for _, auto, _, widest in quiet]) < 0.1
 
 
+@pytest.mark.slow
 def test_auto_uses_the_windows_it_is_given():
     records = plants.steady_spectra(plants.two_mass_loop(2), LOG_ODD, 4000, 1, process_noise=0.05)
     frf = jf.estimate(records.spectra(), jf.Auto(widths=(30, 10)))

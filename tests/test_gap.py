@@ -588,6 +588,7 @@ class TestDiagnosis:
         for name, change in found.changed.items():
             assert change == pytest.approx(0.02 if "stiffness" in name else -0.05, abs=0.01), name
 
+    @pytest.mark.slow
     def test_coulomb_friction(self, rubbing):
         named = first(rubbing[1])
         assert (named.name, named.joint) == ("coulomb_friction", "shoulder")

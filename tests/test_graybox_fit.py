@@ -347,7 +347,7 @@ def differences(f, x, step=1e-5):
     return np.stack([(f(x + h) - f(x - h)) / (2 * step) for h in step * np.eye(len(x))], axis=-1)
 
 
-@pytest.fixture(scope="module", params=["plain", "correlated"])
+@pytest.fixture(scope="module", params=["plain", pytest.param("correlated", marks=pytest.mark.slow)])
 def both(request, measured):
     """The cost, and that of the NumPy network."""
     weights, rule = CASES[request.param]
@@ -605,6 +605,7 @@ class TestFit:
 
 
 class TestRobot:
+    @pytest.mark.slow
     def test_every_start_finds_the_truth(self):
         """Two axes; R3X is below."""
         start = jf.RobotModel(jf.robot.robot_from_table(tomllib.loads(ROBOT)))

@@ -93,6 +93,7 @@ class TestOperatingPoint:
         assert 2.0 < torque[1] <= 2.9
         assert 2.5 < torque[2] <= 3.5
 
+    @pytest.mark.slow
     def test_derivative_is_that_of_the_solution(self):
         robot, names = (
             jr.r3x(),
@@ -177,6 +178,7 @@ class TestLinearisation:
             expected = second_order_frf(mass, damping, stiffness, np.eye(14)[:, :6], LINES[::7])
             assert relative(jr.frf(model, LINES[::7])[i], expected).max() < 1e-6
 
+    @pytest.mark.slow
     def test_published_modes(self):
         """Mode frequencies and damping ratios against the published medians of 49 random positions.
 

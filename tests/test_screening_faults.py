@@ -167,8 +167,10 @@ def test_a_wrong_period_is_refused(record, period):
             jf.estimate(data, jf.LRM())
 
 
-def test_a_multiple_of_the_period_is_a_period(record):
-    assert not [f for f in examine(record, period=2000) if f.kind == "period"]
+def test_a_multiple_of_the_period_is_told(record):
+    """It is a period, but lines that nobody excited lie between the excited ones."""
+    found = the_one(examine(record, period=2000), "period")
+    assert found.severity is Severity.WARNED and "--set period=1000" in found.says
 
 
 def test_lines_that_are_not_excited(record):
