@@ -454,6 +454,16 @@ def test_auto_uses_the_windows_it_is_given():
     np.testing.assert_array_equal(one.dof, same.dof)
 
 
+def test_auto_in_one_stage():
+    """With one window it is the method itself; two stages are another estimate."""
+    spectra = plants.steady_spectra(plants.two_mass_loop(2), LOG_ODD, 4000, 1, process_noise=0.05).spectra()
+    one, two = (jf.estimate(spectra, jf.Auto(widths=(20,), stages=n)).G for n in (1, 2))
+    same = jf.estimate(spectra, jf.JointInputOutput(jf.LRM(width=20, variable="frequency"))).G
+    np.testing.assert_array_equal(one, same)
+    assert np.abs(two - same).max() > 1e-3 * np.abs(same).max()
+    refused(lambda: jf.Auto(stages=3), "stages: found 3")
+
+
 @pytest.mark.parametrize("with_reference", [True, False])
 def test_auto_goes_through_the_reference_where_there_is_one(with_reference):
     records = plants.steady_spectra(plants.two_mass_loop(2), LOG_ODD, 4000, 1, process_noise=0.05)
