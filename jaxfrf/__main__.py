@@ -9,10 +9,10 @@ import sys
 import threading
 
 from . import __version__, _environment
-from ._commands import COMMANDS
-from ._commands.arguments import check_inputs
-from ._commands.each import check_alone, run_each
 from ._errors import InputError
+from .cli import COMMANDS
+from .cli.arguments import check_inputs
+from .cli.each import check_alone, run_each
 
 _EPILOG = """begin with:
   jaxfrf example -o run.nc

@@ -19,9 +19,9 @@ import two_axes
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
-from jaxfrf._commands.arguments import _bytes
-from jaxfrf._commands.progress import Progress
 from jaxfrf.batch import estimated, simulated
+from jaxfrf.cli.arguments import _bytes
+from jaxfrf.cli.progress import Progress
 from jaxfrf.frf.catalogue import method
 from jaxfrf.io.blocks import data_set, file_warnings
 from jaxfrf.parts import Parts

@@ -273,7 +273,7 @@ def test_examples_of_every_help_are_understood(capsys):
     import shlex
 
     from jaxfrf.__main__ import _parser
-    from jaxfrf._commands import COMMANDS
+    from jaxfrf.cli import COMMANDS
 
     for command in COMMANDS:
         name = command.__name__.rpartition(".")[2]

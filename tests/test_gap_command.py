@@ -10,7 +10,7 @@ from gap_examples import NAMES, example
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
-from jaxfrf._commands.own_effects import own_effects
+from jaxfrf.cli.own_effects import own_effects
 from jaxfrf.io.gaps import read_gap
 from jaxfrf.report.gap_words import headline
 

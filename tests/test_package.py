@@ -227,7 +227,7 @@ MAY_IMPORT = {
     "report": WHOLE | {"plot", "identification", "report"},
     "study": WHOLE | {"plot", "identification", "report", "gap", "study"},
     "batch": WHOLE | {"report", "batch"},
-    "commands": WHOLE | {"examples", "plot", "identification", "report", "study", "gap", "batch", "commands"},
+    "cli": WHOLE | {"examples", "plot", "identification", "report", "study", "gap", "batch", "cli"},
 }
 """Which rooms a room may import from. Data flow from excitation over experiment and spectra to the FRF, which know no
 robot; the robot knows no FRF. Files and pictures stand above all containers, the command line above everything, and
