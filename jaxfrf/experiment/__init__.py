@@ -10,6 +10,7 @@ from .experiment import (
 from .selected import (
     check_compatible as check_compatible,
     concatenate as concatenate,
+    rebuilt as rebuilt,
     same_numbers as same_numbers,
     segments as segments,
     select_periods as select_periods,

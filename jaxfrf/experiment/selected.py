@@ -69,6 +69,7 @@ def segments(data: Experiment, length: int) -> Experiment:
 
 
 def rebuilt(data: Experiment, **changes) -> Experiment:
+    """The same record with other fields, checked as a new one."""
     fields = {f.name: getattr(data, f.name) for f in dataclasses.fields(data)}
     return Experiment(**(fields | changes))
 

@@ -12,18 +12,17 @@ import numpy as np
 from .._arguments import expect
 from .._errors import InputError, input_error
 from .._files import digest
-from ..experiment import QUANTITIES, UNITS, Experiment, Source, concatenate
+from ..experiment import UNITS, Experiment, Source, concatenate
 from ..screening import ACROSS, CHECKS, screened
-from ..units import DEFAULT_INPUT, input_unit, known_unit, output_unit, quantity_of
+from ..units import DEFAULT_INPUT, input_unit, output_unit, quantity_of
 from ._container import Later, Leaf, Put, Variable, Variables, check_file, load, save, save_blocks
 from ._joined import expanded, joined, part_of
 from ._matlab import NAMELESS
-from ._select import column, missing, select, time_like
+from ._rate import sampling_frequency
+from ._select import column, missing
+from ._variables import File, Given, numbers, scalar, scaled, text, unit_of
 from .record_arguments import SIGNALS, check_names, check_scale, check_values
 
-_RATE = 1e-3  # relative difference of fs and the time vector that counts as a contradiction
-_UNIFORM = 0.05  # sample intervals that a time stamp may stand off the uniform grid
-_WHOLE = 1e-6  # a rate this close to a whole number of Hz is that number (time stamps are rounded)
 _CHANNEL = {"r": "input", "u": "input", "y": "output"}
 
 
@@ -65,7 +64,7 @@ def read(
             raise input_error("files", f"{type(path).__name__} {path!r:.60}", "names of files", several)
     if not paths:
         raise input_error("files", "none", "at least one measurement file", "Name a file.")
-    given = _Given(check_names(names), check_values(values), check_scale(scale), anyway)
+    given = Given(check_names(names), check_values(values), check_scale(scale), anyway)
     files = [pathlib.Path(path) for path in paths]
     if len(files) > 1 and any(part_of(name, files) for name in given.names.values()):
         return _read_one(files, dataclasses.replace(given, names=expanded(given.names, files)))
@@ -126,57 +125,22 @@ def writing(
         yield put
 
 
-@dataclasses.dataclass(frozen=True)
-class _Given:
-    """What the caller says about the files."""
-
-    names: Mapping[str, str]
-    values: Mapping[str, object]
-    scale: Mapping[str, float | tuple[float, ...]]
-    anyway: bool = False
-
-
-@dataclasses.dataclass(frozen=True)
-class _File:
-    """One file, and what the caller says about it."""
-
-    path: pathlib.Path
-    variables: Variables
-    given: _Given
-
-    def get(self, key: str):
-        """Value of a name of the experiment file, or `None`; what the caller sets goes first."""
-        if key in self.given.values:
-            return self.given.values[key]
-        if key in self.given.names or key in self.variables:
-            return select(self.path, self.variables, key, self.given.names.get(key, key))
-        return None
-
-    def label(self, key: str) -> str:
-        """`u`, or `u (iq_adx)` where the file has another name for it."""
-        name = self.given.names.get(key, key)
-        return key if name == key else f"{key} ({name})"
-
-    def error(self, key: str, found: str, expected: str, do: str) -> InputError:
-        return input_error(f"{self.path}: {self.label(key)}", found, expected, do)
-
-
-def _read_one(paths: Sequence[pathlib.Path], given: _Given) -> Experiment:
+def _read_one(paths: Sequence[pathlib.Path], given: Given) -> Experiment:
     """The record in one file, or the one whose channels several files hold, screened."""
     path = paths[0] if len(paths) == 1 else pathlib.Path(" + ".join(x.name for x in paths))
     variables = load(path) if len(paths) == 1 else joined({x: load(x) for x in paths})
     sources = tuple(source_of(x) for x in paths)
-    data, remarks = _record(_File(path, _with_units(variables), given), sources)
+    data, remarks = _record(File(path, _with_units(variables), given), sources)
     del variables  # the arrays live on in `data` alone
-    with _naming(_File(path, Variables({}), given)):
+    with _naming(File(path, Variables({}), given)):
         data = screened(data, checks=CHECKS, anyway=given.anyway)
     warnings = tuple(f"{path}: {text}" for text in (*remarks, *data.warnings))
     return dataclasses.replace(data, warnings=warnings) if warnings else data
 
 
-def as_given(names, values, scale, anyway: bool) -> _Given:
+def as_given(names, values, scale, anyway: bool) -> Given:
     """What the caller says about the files, checked."""
-    return _Given(names, values, scale, anyway)
+    return Given(names, values, scale, anyway)
 
 
 def source_of(path: pathlib.Path) -> Source:
@@ -186,33 +150,33 @@ def source_of(path: pathlib.Path) -> Source:
 
 
 def record_of(
-    path: pathlib.Path, given: _Given, source: Source, part: slice | None = None
+    path: pathlib.Path, given: Given, source: Source, part: slice | None = None
 ) -> tuple[Experiment, list[str]]:
     """The record in a file, or at some of its positions, not screened; and what is to be said of reading it."""
     variables = load(path, part=part)
     values = dict(given.values)
     if part is not None and np.ndim(values.get("q")) == 2 and len(values["q"]) >= part.stop:
         values["q"] = values["q"][part]
-    return _record(_File(path, _with_units(variables), dataclasses.replace(given, values=values)), (source,))
+    return _record(File(path, _with_units(variables), dataclasses.replace(given, values=values)), (source,))
 
 
-def _record(file: _File, sources: tuple[Source, ...]) -> tuple[Experiment, list[str]]:
+def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[str]]:
     """The record as the file has it, and what is to be said of that."""
     signals = {key: _signal(file, key) for key in SIGNALS}
-    fs, late = _sampling_frequency(file, signals["u"].shape[-2])
+    fs, late = sampling_frequency(file, signals["u"].shape[-2])
     y_quantity, asked = _output_quantity(file)
     remarks = [*late, *_restored_axes(file, signals), *asked, *_conversions(file)]
     optional = {key: file.get(key) for key in ("q", "lines")}
     if optional["q"] is not None:
-        optional["q"] = _scaled(file, "q", _numbers(file, "q", optional["q"]))
+        optional["q"] = scaled(file, "q", numbers(file, "q", optional["q"]))
     with _naming(file):
         data = Experiment(
             **{key: _cut(file, key, x) for key, x in signals.items()},
             **optional,
             fs=fs,
-            period=_scalar(file, "period", 0),
-            transient_periods=_scalar(file, "transient_periods", 0),
-            r_quantity=_text(file, "r_quantity", quantity_of(_unit(file, "r")[0]) or "velocity"),
+            period=scalar(file, "period", 0),
+            transient_periods=scalar(file, "transient_periods", 0),
+            r_quantity=text(file, "r_quantity", quantity_of(unit_of(file, "r")[0]) or "velocity"),
             y_quantity=y_quantity,
             u_unit=_kept_unit(file, "u", DEFAULT_INPUT),
             y_unit=_kept_unit(file, "y", UNITS.get(y_quantity, "")),
@@ -221,14 +185,14 @@ def _record(file: _File, sources: tuple[Source, ...]) -> tuple[Experiment, list[
     return data, remarks
 
 
-def _signal(file: _File, key: str) -> np.ndarray | None:
+def _signal(file: File, key: str) -> np.ndarray | None:
     """A record as the file has it, a vector made one channel, its units converted."""
     value = file.get(key)
     if value is None:
         if key == "r":
             return None
         raise missing(file.path, file.variables, key, key)
-    x = column(_numbers(file, key, value))
+    x = column(numbers(file, key, value))
     if _lost_its_channel(file, x):
         x = x[..., None]
     if x.size == 0:
@@ -247,15 +211,15 @@ def _signal(file: _File, key: str) -> np.ndarray | None:
             "time as the last axis but one, and the longest: ([position,] [experiment,] time, channel)",
             f"The axes look swapped. {turn}",
         )
-    return _scaled(file, key, x)
+    return scaled(file, key, x)
 
 
-def _lost_its_channel(file: _File, x: np.ndarray) -> bool:
+def _lost_its_channel(file: File, x: np.ndarray) -> bool:
     """MATLAB drops trailing axes of length one; of one channel it leaves (position, experiment, time)."""
     return file.path.suffix.lower() == ".mat" and x.ndim == 3 and x.shape[2] > max(x.shape[:2])
 
 
-def _restored_axes(file: _File, signals: Mapping[str, np.ndarray | None]) -> list[str]:
+def _restored_axes(file: File, signals: Mapping[str, np.ndarray | None]) -> list[str]:
     """A remark where a single channel was assumed, unless the number of configurations confirms it."""
     for key, x in signals.items():
         if x is None or not _lost_its_channel(file, np.asarray(file.get(key))):
@@ -270,12 +234,12 @@ def _restored_axes(file: _File, signals: Mapping[str, np.ndarray | None]) -> lis
     return []
 
 
-def _output_quantity(file: _File) -> tuple[str, list[str]]:
+def _output_quantity(file: File) -> tuple[str, list[str]]:
     """What y is, and a remark where that is not sure."""
-    unit, _ = _unit(file, "y")
+    unit, _ = unit_of(file, "y")
     by_unit = quantity_of(unit)
     if file.get("y_quantity") is not None:
-        stated = _text(file, "y_quantity", "")
+        stated = text(file, "y_quantity", "")
         if by_unit in (None, stated):
             return stated, []
         return stated, [f"{file.label('y')}: its unit {unit} is that of a {by_unit}, y_quantity says {stated}."]
@@ -296,68 +260,23 @@ def _with_units(variables: Mapping[str, Leaf]) -> Variables:
     return variables if isinstance(variables, Variables) else Variables(variables)
 
 
-def _unit(file: _File, key: str) -> tuple[str, float]:
-    """The SI unit of a record, "" if nothing is known, and the factor to it."""
-    said = file.given.values.get(f"{key}_unit")
-    if said is not None:
-        return known_unit(said) or (said, 1.0)
-    name = file.given.names.get(key, key)
-    parts = re.split(r"\s*;\s*", name.strip("[]")) if name.startswith("[") else [name]
-    said = {file.variables.units.get(re.sub(r"'?(\[[^\[\]]*\])?$", "", part), "") for part in parts}
-    found = {known_unit(text) or (text, 1.0) for text in said}
-    if len(found) == 1:
-        return found.pop()
-    if key not in file.given.scale and len({factor for _, factor in found}) > 1:
-        raise file.error(
-            key,
-            f"channels in {', '.join(sorted(said))}",
-            "one unit for all",
-            f"Say one factor for each: --scale {key}=[...].",
-        )
-    return "", 1.0
-
-
-def _kept_unit(file: _File, key: str, usual: str) -> str:
-    unit, _ = _unit(file, key)
+def _kept_unit(file: File, key: str, usual: str) -> str:
+    unit, _ = unit_of(file, key)
     return "" if unit == usual else unit
 
 
-def _conversions(file: _File) -> list[str]:
+def _conversions(file: File) -> list[str]:
     """What was converted because the file says its unit."""
     said = []
     for key in (*SIGNALS, "q"):
-        unit, factor = _unit(file, key)
+        unit, factor = unit_of(file, key)
         stated = f"{key}_unit" in file.given.values
         if factor != 1.0 and key not in file.given.scale and not stated and file.get(key) is not None:
             said.append(f"{file.label(key)}: converted to {unit}, as the file states its unit (factor {factor:.6g}).")
     return said
 
 
-def _numbers(file: _File, key: str, value) -> np.ndarray:
-    x = np.asarray(value)
-    if x.dtype.kind not in "biuf":
-        kind = {"c": "complex numbers", "U": "text", "S": "text", "O": "objects"}.get(x.dtype.kind, f"{x.dtype} data")
-        raise file.error(key, kind, "real numbers", "Store the time record itself, not its spectrum or a text.")
-    return x
-
-
-def _scaled(file: _File, key: str, x: np.ndarray) -> np.ndarray:
-    factor = file.given.scale.get(key)
-    if factor is None:
-        factor = _unit(file, key)[1] if key in (*SIGNALS, "q", "t") else 1.0
-        return x if factor == 1.0 else x * factor
-    channels = 1 if x.ndim == 0 else x.shape[-1]
-    if np.size(factor) not in (1, channels):
-        raise file.error(
-            key,
-            f"{np.size(factor)} factors in --scale for {channels} channels",
-            "one, or one each",
-            "Correct --scale.",
-        )
-    return x * np.asarray(factor, np.float64)
-
-
-def _cut(file: _File, key: str, x: np.ndarray | None) -> np.ndarray | None:
+def _cut(file: File, key: str, x: np.ndarray | None) -> np.ndarray | None:
     """The part of the record that `samples` keeps."""
     kept = file.given.values.get("samples")
     if x is None or kept is None:
@@ -374,118 +293,8 @@ def _cut(file: _File, key: str, x: np.ndarray | None) -> np.ndarray | None:
     return x[..., start:stop, :]
 
 
-def _scalar(file: _File, key: str, default: float | None) -> float | None:
-    value = file.get(key)
-    if value is None:
-        return default
-    x = _numbers(file, key, value)
-    if x.size != 1:
-        raise file.error(key, f"an array of shape {x.shape}", "one number", f"Set it: --set {key}=NUMBER.")
-    return float(_scaled(file, key, x.reshape(())))
-
-
-def _text(file: _File, key: str, default: str) -> str:
-    value = file.get(key)
-    if value is not None and not isinstance(value, str):
-        choices = " or ".join(QUANTITIES)
-        raise file.error(key, f"numbers of shape {np.shape(value)}", choices, f"Set it: --set {key}=velocity.")
-    return default if value is None else value.strip()
-
-
-def _sampling_frequency(file: _File, n_time: int) -> tuple[float, list[str]]:
-    """fs from the file, the caller or the time vector, and remarks on it; all that is known must agree."""
-    fs = _scalar(file, "fs", None)
-    time = file.get("t")
-    named = "t" in file.given.names
-    if fs is not None and not named and not _is_time(time, n_time):
-        return fs, []
-    if time is None or (not named and np.size(time) == 1):
-        raise _no_rate(file, n_time)
-    rate, deviation = _rate(file, _scaled(file, "t", column(_numbers(file, "t", time))), n_time)
-    if fs is None:
-        if deviation > _UNIFORM:
-            raise file.error(
-                "t",
-                f"time stamps up to {deviation:.2g} sample intervals off a uniform grid",
-                "uniform sampling",
-                f"Resample the record, or, if only the stamps jitter, say the rate: --set fs={rate:.6g}.",
-            )
-        return rate, []
-    if fs > 0 and abs(rate / fs - 1) > _RATE:
-        raise file.error(
-            "fs",
-            f"{fs:g} Hz against {rate:g} Hz by the time vector {file.label('t')}",
-            "the same rate by both",
-            _rate_advice(rate / fs, rate),
-        )
-    if deviation > _UNIFORM:
-        return fs, [
-            f"the time stamps {file.label('t')} stand up to {deviation:.2g} sample intervals off a uniform "
-            "grid: samples may be missing or late."
-        ]
-    return fs, []
-
-
-def _is_time(value, n_time: int) -> bool:
-    """Whether a variable that happens to be called `t` is a time vector of the record."""
-    t = np.asarray(value)
-    return t.size == n_time and t.dtype.kind in "biuf" and bool(t.flat[-1] > t.flat[0])
-
-
-def _rate(file: _File, time: np.ndarray, n_time: int) -> tuple[float, float]:
-    """Mean rate of a time vector, Hz, and how far stamps stand off the uniform grid, in sample intervals."""
-    if time.size != n_time or time.shape[-1] != 1 or n_time < 2:
-        raise file.error(
-            "t",
-            f"shape {time.shape}",
-            f"one time stamp for each of the {n_time} samples",
-            "Name another time vector.",
-        )
-    t = time.ravel().astype(np.float64)
-    span = t[-1] - t[0]
-    if not (np.isfinite(t).all() and span > 0):
-        raise file.error("t", f"times from {t[0]:g} to {t[-1]:g}", "finite, increasing times in s", "Correct it.")
-    rate = (n_time - 1) / span
-    deviation = np.max(np.abs((t - t[0]) * rate - np.arange(n_time)))
-    whole = round(rate)
-    return float(whole) if abs(rate - whole) <= _WHOLE * rate else float(rate), float(deviation)
-
-
-def _rate_advice(ratio: float, rate: float) -> str:
-    for unit, factor in (("ms", 1e-3), ("microseconds", 1e-6), ("ns", 1e-9)):
-        if abs(ratio / factor - 1) < _RATE:
-            return f"The time vector looks like {unit}: --scale t={factor:g}."
-    return f"Correct one of them, e.g. --set fs={rate:.6g}."
-
-
-_RATES = ("fs", "f_s", "rate", "samplerate", "sample_rate", "samplingrate", "sampling_rate", "sampling_frequency")
-
-
-def _no_rate(file: _File, n_time: int) -> InputError:
-    like = time_like(file.variables, n_time)
-    named = [n for n, v in file.variables.items() if n.lower() in _RATES and np.size(v) == 1]
-    if named:
-        return file.error(
-            "fs", "no such variable", "the sampling frequency fs (Hz)", f"Is it {named[0]}? --map fs={named[0]}."
-        )
-    if not like:
-        return file.error(
-            "fs",
-            "neither fs nor a time vector",
-            "the sampling frequency fs (Hz)",
-            "Set it, e.g. --set fs=2000, or say what it is called: --map fs=NAME.",
-        )
-    return file.error(
-        "fs",
-        "no such variable",
-        "the sampling frequency fs (Hz), or a time vector t (s)",
-        f"Set it, e.g. --set fs=2000, or name the time vector: --map t={like[0]} (--scale t=1e-6 if it is in "
-        "microseconds).",
-    )
-
-
 @contextlib.contextmanager
-def _naming(file: _File) -> Iterator[None]:
+def _naming(file: File) -> Iterator[None]:
     """Put the file, and its own names, into the messages of `jaxfrf.Experiment`."""
     try:
         yield
@@ -497,10 +306,10 @@ def _naming(file: _File) -> Iterator[None]:
         raise InputError(f"{file.path}: {what}{colon}{rest}") from error
 
 
-def _cut_advice(file: _File) -> str:
+def _cut_advice(file: File) -> str:
     """The cut that keeps all whole periods."""
     kept = file.given.values.get("samples") or slice(0, None)
-    period = int(_scalar(file, "period", 0))
+    period = int(scalar(file, "period", 0))
     n_time = column(np.asarray(file.get("u"))).shape[-2]
     start, stop, _ = kept.indices(n_time)
     whole = (stop - start) // period * period

@@ -7,10 +7,10 @@ import scipy  # its modules load when they are used: scipy.signal alone takes a 
 
 from .._arguments import expect
 from .._errors import input_error
-from ..experiment import Experiment
+from ..experiment import Experiment, rebuilt
 from .lines import strength, where
 from .spectra import Spectra
-from .steady import at_lines
+from .steady import at_lines, said_of
 
 _STRONG, _STRONG_IN_BAND = 1e-4, 1e-24  # power, of the strongest line's, from which a line of a whole record counts
 
@@ -28,7 +28,7 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     expect("data", data, Experiment)
     n = data.n_time
     k = np.arange(1, (n - 1) // 2 + 1)
-    whole = _rebuild_whole(data)
+    whole = rebuilt(data, period=n, lines=None, transient_periods=0)
     power = strength(whole, k)
     strong = power >= (_STRONG if band is None else _STRONG_IN_BAND) * power.max()
     if band is None:
@@ -87,14 +87,10 @@ def segment_spectra(
         lines=k,
         frequency=k * data.fs / length,
         noise=None,
-        q=data.q,
-        fs=data.fs,
         period=length,
         periodic=False,
         segments=(n - length) // hop + 1,
-        y_quantity=data.y_quantity,
-        sources=data.sources,
-        warnings=data.warnings,
+        **said_of(data),
     )
 
 
@@ -110,21 +106,4 @@ def _what_it_can_give(data: Experiment, spectra: Spectra) -> str:
         f"{spectra.frequency[0]:.3g} and {spectra.frequency[-1]:.3g} Hz lies below {below}. Above that, and between "
         "lines that carry little, look at the standard deviation before the FRF; no noise level can be told apart from "
         "distortion."
-    )
-
-
-def _rebuild_whole(data: Experiment) -> Experiment:
-    return Experiment(
-        data.u,
-        data.y,
-        data.fs,
-        data.n_time,
-        r=data.r,
-        q=data.q,
-        r_quantity=data.r_quantity,
-        y_quantity=data.y_quantity,
-        u_unit=data.u_unit,
-        y_unit=data.y_unit,
-        sources=data.sources,
-        warnings=data.warnings,
     )

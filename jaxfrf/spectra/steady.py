@@ -111,16 +111,16 @@ def at_lines(data: Experiment, lines, robust: bool = False) -> Spectra:
         lines=lines,
         frequency=lines * data.fs / data.period,
         noise=noise,
-        q=data.q,
-        fs=data.fs,
         period=data.period,
         n_periods=data.n_periods,
-        y_quantity=data.y_quantity,
-        u_unit=data.u_unit,
-        y_unit=data.y_unit,
-        sources=data.sources,
-        warnings=data.warnings,
+        **said_of(data),
     )
+
+
+def said_of(data: Experiment) -> dict:
+    """What spectra say as their record does."""
+    names = ("q", "fs", "y_quantity", "u_unit", "y_unit", "sources", "warnings")
+    return {name: getattr(data, name) for name in names}
 
 
 def silent_lines(data: Experiment, spectra: Spectra) -> np.ndarray:

@@ -1,0 +1,103 @@
+"""The sampling frequency of a record, from what the file, the caller and the time vector say."""
+
+import numpy as np
+
+from .._errors import InputError
+from ._select import column, time_like
+from ._variables import File, numbers, scalar, scaled
+
+_RATE = 1e-3  # relative difference of fs and the time vector that counts as a contradiction
+_UNIFORM = 0.05  # sample intervals that a time stamp may stand off the uniform grid
+_WHOLE = 1e-6  # a rate this close to a whole number of Hz is that number (time stamps are rounded)
+
+
+def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
+    """fs from the file, the caller or the time vector, and remarks on it; all that is known must agree."""
+    fs = scalar(file, "fs", None)
+    time = file.get("t")
+    named = "t" in file.given.names
+    if fs is not None and not named and not _is_time(time, n_time):
+        return fs, []
+    if time is None or (not named and np.size(time) == 1):
+        raise _no_rate(file, n_time)
+    rate, deviation = _rate(file, scaled(file, "t", column(numbers(file, "t", time))), n_time)
+    if fs is None:
+        if deviation > _UNIFORM:
+            raise file.error(
+                "t",
+                f"time stamps up to {deviation:.2g} sample intervals off a uniform grid",
+                "uniform sampling",
+                f"Resample the record, or, if only the stamps jitter, say the rate: --set fs={rate:.6g}.",
+            )
+        return rate, []
+    if fs > 0 and abs(rate / fs - 1) > _RATE:
+        raise file.error(
+            "fs",
+            f"{fs:g} Hz against {rate:g} Hz by the time vector {file.label('t')}",
+            "the same rate by both",
+            _rate_advice(rate / fs, rate),
+        )
+    if deviation > _UNIFORM:
+        return fs, [
+            f"the time stamps {file.label('t')} stand up to {deviation:.2g} sample intervals off a uniform "
+            "grid: samples may be missing or late."
+        ]
+    return fs, []
+
+
+def _is_time(value, n_time: int) -> bool:
+    """Whether a variable that happens to be called `t` is a time vector of the record."""
+    t = np.asarray(value)
+    return t.size == n_time and t.dtype.kind in "biuf" and bool(t.flat[-1] > t.flat[0])
+
+
+def _rate(file: File, time: np.ndarray, n_time: int) -> tuple[float, float]:
+    """Mean rate of a time vector, Hz, and how far stamps stand off the uniform grid, in sample intervals."""
+    if time.size != n_time or time.shape[-1] != 1 or n_time < 2:
+        raise file.error(
+            "t",
+            f"shape {time.shape}",
+            f"one time stamp for each of the {n_time} samples",
+            "Name another time vector.",
+        )
+    t = time.ravel().astype(np.float64)
+    span = t[-1] - t[0]
+    if not (np.isfinite(t).all() and span > 0):
+        raise file.error("t", f"times from {t[0]:g} to {t[-1]:g}", "finite, increasing times in s", "Correct it.")
+    rate = (n_time - 1) / span
+    deviation = np.max(np.abs((t - t[0]) * rate - np.arange(n_time)))
+    whole = round(rate)
+    return float(whole) if abs(rate - whole) <= _WHOLE * rate else float(rate), float(deviation)
+
+
+def _rate_advice(ratio: float, rate: float) -> str:
+    for unit, factor in (("ms", 1e-3), ("microseconds", 1e-6), ("ns", 1e-9)):
+        if abs(ratio / factor - 1) < _RATE:
+            return f"The time vector looks like {unit}: --scale t={factor:g}."
+    return f"Correct one of them, e.g. --set fs={rate:.6g}."
+
+
+_RATES = ("fs", "f_s", "rate", "samplerate", "sample_rate", "samplingrate", "sampling_rate", "sampling_frequency")
+
+
+def _no_rate(file: File, n_time: int) -> InputError:
+    like = time_like(file.variables, n_time)
+    named = [n for n, v in file.variables.items() if n.lower() in _RATES and np.size(v) == 1]
+    if named:
+        return file.error(
+            "fs", "no such variable", "the sampling frequency fs (Hz)", f"Is it {named[0]}? --map fs={named[0]}."
+        )
+    if not like:
+        return file.error(
+            "fs",
+            "neither fs nor a time vector",
+            "the sampling frequency fs (Hz)",
+            "Set it, e.g. --set fs=2000, or say what it is called: --map fs=NAME.",
+        )
+    return file.error(
+        "fs",
+        "no such variable",
+        "the sampling frequency fs (Hz), or a time vector t (s)",
+        f"Set it, e.g. --set fs=2000, or name the time vector: --map t={like[0]} (--scale t=1e-6 if it is in "
+        "microseconds).",
+    )

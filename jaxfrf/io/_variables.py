@@ -1,0 +1,112 @@
+"""A file's variables under the names that the caller says, as numbers and texts."""
+
+import dataclasses
+import pathlib
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from .._errors import InputError, input_error
+from ..units import QUANTITIES, known_unit
+from ._container import Variables
+from ._select import select
+from .record_arguments import SIGNALS
+
+
+@dataclasses.dataclass(frozen=True)
+class Given:
+    """What the caller says about the files."""
+
+    names: Mapping[str, str]
+    values: Mapping[str, object]
+    scale: Mapping[str, float | tuple[float, ...]]
+    anyway: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class File:
+    """One file, and what the caller says about it."""
+
+    path: pathlib.Path
+    variables: Variables
+    given: Given
+
+    def get(self, key: str):
+        """Value of a name of the experiment file, or `None`; what the caller sets goes first."""
+        if key in self.given.values:
+            return self.given.values[key]
+        if key in self.given.names or key in self.variables:
+            return select(self.path, self.variables, key, self.given.names.get(key, key))
+        return None
+
+    def label(self, key: str) -> str:
+        """`u`, or `u (iq_adx)` where the file has another name for it."""
+        name = self.given.names.get(key, key)
+        return key if name == key else f"{key} ({name})"
+
+    def error(self, key: str, found: str, expected: str, do: str) -> InputError:
+        return input_error(f"{self.path}: {self.label(key)}", found, expected, do)
+
+
+def numbers(file: File, key: str, value) -> np.ndarray:
+    x = np.asarray(value)
+    if x.dtype.kind not in "biuf":
+        kind = {"c": "complex numbers", "U": "text", "S": "text", "O": "objects"}.get(x.dtype.kind, f"{x.dtype} data")
+        raise file.error(key, kind, "real numbers", "Store the time record itself, not its spectrum or a text.")
+    return x
+
+
+def unit_of(file: File, key: str) -> tuple[str, float]:
+    """The SI unit of a record, "" if nothing is known, and the factor to it."""
+    said = file.given.values.get(f"{key}_unit")
+    if said is not None:
+        return known_unit(said) or (said, 1.0)
+    name = file.given.names.get(key, key)
+    parts = re.split(r"\s*;\s*", name.strip("[]")) if name.startswith("[") else [name]
+    said = {file.variables.units.get(re.sub(r"'?(\[[^\[\]]*\])?$", "", part), "") for part in parts}
+    found = {known_unit(text) or (text, 1.0) for text in said}
+    if len(found) == 1:
+        return found.pop()
+    if key not in file.given.scale and len({factor for _, factor in found}) > 1:
+        raise file.error(
+            key,
+            f"channels in {', '.join(sorted(said))}",
+            "one unit for all",
+            f"Say one factor for each: --scale {key}=[...].",
+        )
+    return "", 1.0
+
+
+def scaled(file: File, key: str, x: np.ndarray) -> np.ndarray:
+    factor = file.given.scale.get(key)
+    if factor is None:
+        factor = unit_of(file, key)[1] if key in (*SIGNALS, "q", "t") else 1.0
+        return x if factor == 1.0 else x * factor
+    channels = 1 if x.ndim == 0 else x.shape[-1]
+    if np.size(factor) not in (1, channels):
+        raise file.error(
+            key,
+            f"{np.size(factor)} factors in --scale for {channels} channels",
+            "one, or one each",
+            "Correct --scale.",
+        )
+    return x * np.asarray(factor, np.float64)
+
+
+def scalar(file: File, key: str, default: float | None) -> float | None:
+    value = file.get(key)
+    if value is None:
+        return default
+    x = numbers(file, key, value)
+    if x.size != 1:
+        raise file.error(key, f"an array of shape {x.shape}", "one number", f"Set it: --set {key}=NUMBER.")
+    return float(scaled(file, key, x.reshape(())))
+
+
+def text(file: File, key: str, default: str) -> str:
+    value = file.get(key)
+    if value is not None and not isinstance(value, str):
+        choices = " or ".join(QUANTITIES)
+        raise file.error(key, f"numbers of shape {np.shape(value)}", choices, f"Set it: --set {key}=velocity.")
+    return default if value is None else value.strip()
