@@ -63,6 +63,12 @@ def test_what_becomes_of_a_method():
     assert adapted(jf.H1(), whole) == jf.H1()
 
 
+def test_segments_keep_the_units_of_their_record():
+    u, y = np.random.default_rng(1).standard_normal((2, 2000))
+    spectra = jf.segment_spectra(jf.Experiment(u, y, FS, u_unit="A", y_unit="m"), 256)
+    assert (spectra.u_unit, spectra.y_unit, spectra.fs) == ("A", "m", FS)
+
+
 def test_segments_are_experiments(noise_record):
     u, y = noise_record
     data = jf.segments(jf.Experiment(u, y, FS), 1900)
