@@ -18,7 +18,7 @@ _STYLE = """
 :root { --ink: #1b1f24; --soft: #5c6670; --line: #d8dde2; --paper: #ffffff; --wash: #f5f7f9; --bad: #b3400a;
   --good: #0a6b4b; }
 * { box-sizing: border-box; }
-body { margin: 0; background: var(--paper); color: var(--ink);
+body { margin: 0; background: var(--paper); color: var(--ink); overflow-wrap: break-word;
   font: 15px/1.5 "Source Sans 3", "Helvetica Neue", "Segoe UI", Arial, sans-serif; }
 main { max-width: 1060px; margin: 0 auto; padding: 36px 28px 60px; }
 h1 { font-size: 27px; line-height: 1.2; font-weight: 600; margin: 0 0 4px; }
@@ -39,7 +39,8 @@ td.flag { color: var(--bad); white-space: normal; }
 figure { margin: 8px 0 18px; }
 figure img { max-width: 100%; height: auto; display: block; }
 figcaption { color: var(--soft); font-size: 13.5px; max-width: 92ch; margin-top: 4px; }
-@media (max-width: 640px) { figure { overflow-x: auto; } figure img { max-width: 720px; } }
+@media (max-width: 640px) { table { display: block; overflow-x: auto; }
+  figure { overflow-x: auto; } figure img { max-width: 720px; } }
 .beside { display: flex; flex-wrap: wrap; gap: 8px 36px; align-items: flex-start; }
 .beside > div { max-width: 100%; } .beside figure { display: table; }
 .beside figcaption { display: table-caption; caption-side: bottom; }
