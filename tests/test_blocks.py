@@ -343,7 +343,14 @@ rms = 1.0
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("command", ["estimate", "simulate", "each", "identify", "diagnose", "study"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "estimate",
+        "simulate",
+        *(pytest.param(x, marks=pytest.mark.long) for x in ("each", "identify", "diagnose", "study")),
+    ],
+)
 def test_killed_at_any_moment_it_goes_on_to_the_same_result(tmp_path, command):
     """Ten times, by SIGKILL and SIGTERM in turn; no half file stands there in between."""
     words, output, read = _prepared(command, tmp_path)
