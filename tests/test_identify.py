@@ -145,7 +145,7 @@ class TestThroughTheExperiment:
         assert "--resume" in stopped.value.__notes__[0]
         assert run(folder, *arguments, "--resume", out=out) == 0
         says = capsys.readouterr().err
-        assert "1 finished part taken over" in says and "round 1:" not in says and "round 2:" in says
+        assert "1 finished part taken over" in says and "round 1:" not in says
         first, second = strict(whole / "fit.json"), strict(out)
         for name, p in first["parameters"].items():
             assert abs(p["value"] - second["parameters"][name]["value"]) < 0.1 * p["std"], name
