@@ -187,6 +187,7 @@ def _of_drive(robot: Robot, kind: str, axis: int) -> float:
 
 def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "number"]) -> Robot:
     """The robot with these numbers where x says; the others as they are."""
+    fields = {kind: parameter_field(robot, kind) for kind in {n.kind for n in these} & set(PARAMETER_UNITS)}
     arrays: dict[str, np.ndarray] = {}
     drives: list[tuple[str, str, float]] = []
     for number, at in zip(these, x, strict=True):
@@ -201,11 +202,11 @@ def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "nu
         elif number.kind == "smoothing":
             robot = eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(value, float))
         else:
-            where, joints = parameter_field(robot, number.kind)
+            where, joints = fields[number.kind]
             rows = arrays.setdefault(number.kind, np.array(where(robot), float))
             rows[(joints.index(joint), *number.element)] = value
     for kind, rows in arrays.items():
-        robot = eqx.tree_at(parameter_field(robot, kind)[0], robot, jnp.asarray(rows))
+        robot = eqx.tree_at(fields[kind][0], robot, jnp.asarray(rows))
     return _with_drives(robot, drives)
 
 

@@ -10,7 +10,7 @@ from ..trajectory.remainder import remainder
 from ..trajectory.ripple import Order, find_orders, order_columns
 from .least_squares import Posterior
 
-_TRIED = {"torque": np.arange(1, 51), "resolver": np.arange(1, 13)}  # whole orders of the motor's turn
+TRIED = {"torque": np.arange(1, 51), "resolver": np.arange(1, 13)}  # whole orders of the motor's turn
 _AT_ONCE = {"torque": 3, "resolver": 2}  # of every motor, in a round
 _CHANCE = 1e-3  # of an order that is kept without being there
 
@@ -26,15 +26,16 @@ def with_found_orders(
     left = remainder(evidence, weighed, change)
     new: list[Order] = []
     for axis in range(evidence.robot.n_axes):
-        for kind, tried in _TRIED.items():
+        for kind, tried in TRIED.items():
             had = [o.order for o in orders if (o.kind, o.axis) == (kind, axis)]
             new += find_orders(scenes, left, evidence.floor, kind, axis, np.setdiff1d(tried, had), most=_AT_ONCE[kind])
     return (*orders, *new), weigh(evidence, order_columns(new), weighed)
 
 
-def sure_orders(orders: Sequence[Order], posterior: Posterior) -> list[bool]:
-    """Which orders are there beyond chance, by the scatter of the data."""
-    waves = posterior.change[-2 * len(orders) :].reshape(-1, 2) if orders else np.zeros((0, 2))
+def sure_orders(orders: Sequence[Order], posterior: Posterior, inside=0.0) -> list[bool]:
+    """Which orders are there beyond chance, by the scatter of the data; `inside`: what of them the robot has, (order,
+    2)."""
+    waves = posterior.change[-2 * len(orders) :].reshape(-1, 2) + inside if orders else np.zeros((0, 2))
     spread = np.sqrt(np.diag(posterior.covariance))[-2 * len(orders) :].reshape(-1, 2) if orders else waves
     size = np.sum((waves / np.where(spread > 0, spread, np.inf)) ** 2, axis=1)
     return list(size > scipy.stats.chi2.isf(_CHANCE, 2))

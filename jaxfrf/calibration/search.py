@@ -49,12 +49,21 @@ class Look(eqx.Module):
 
 class Search:
     """What stays the same from round to round, and the floor, which follows what is left; `beside`: columns that stand
-    beside those of the numbers."""
+    beside those of the numbers. `inside`: orders of ripple that the robot has, whose columns correct them."""
 
-    def __init__(self, robot: Robot, record: Measured, these: Sequence[Number], say: Say, beside: Sequence[Column]):
+    def __init__(
+        self,
+        robot: Robot,
+        record: Measured,
+        these: Sequence[Number],
+        say: Say,
+        beside: Sequence[Column] = (),
+        inside: Sequence[Order] = (),
+    ):
         self.robot, self.record, self.these, self.say = robot, record, these, say
         self.floor: np.ndarray | None = None
         self.beside = tuple(beside)
+        self.inside = {(o.kind, o.axis, o.order) for o in inside}
 
     def run(self, rounds: int, kept: Rounds) -> tuple[Look, bool]:
         """The last look, and whether the numbers stay; from where an earlier run was interrupted."""
@@ -116,13 +125,14 @@ class Search:
     def further(self, look: Look, more: bool) -> Look | None:
         """The next robot, by a step that is short enough to leave less."""
         sure = sure_orders(look.orders, look.posterior)
+        sure = [
+            is_sure or (o.kind, o.axis, o.order) in self.inside for o, is_sure in zip(look.orders, sure, strict=True)
+        ]
         orders = tuple(o for o, is_sure in zip(look.orders, sure, strict=True) if is_sure)
         # Orders that go take nothing away any more: what they took is no reason to refuse a step.
         kept = np.flatnonzero(np.concatenate([np.ones(len(self.beside), bool), np.repeat(sure, 2)]))
         before = _misfit(look.evidence, look.weighed, len(self.these) + kept)
-        step = look.posterior.change[: len(self.these)]
-        longest = max((abs(n.size * s) for n, s in zip(self.these, step, strict=True) if n.positive), default=0.0)
-        part = min(1.0, _LONGEST / longest) if longest > 0 else 1.0
+        step, part, longest = self._step(look)
         for _ in range(_HALVINGS):
             try:
                 found = self.look(look.x + part * step, orders, more)
@@ -133,6 +143,16 @@ class Search:
                     return found
             part /= 2
         return None
+
+    def next(self, look: Look) -> Float[np.ndarray, "number"]:
+        """Where the step goes, no further than columns hold."""
+        step, part, _ = self._step(look)
+        return look.x + part * step
+
+    def _step(self, look: Look):
+        step = look.posterior.change[: len(self.these)]
+        longest = max((abs(n.size * s) for n, s in zip(self.these, step, strict=True) if n.positive), default=0.0)
+        return step, min(1.0, _LONGEST / longest) if longest > 0 else 1.0, longest
 
     def stays(self, look: Look) -> bool:
         """Whether the next step would be small beside what is known of every number, and take little off the misfit.

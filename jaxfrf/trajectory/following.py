@@ -23,6 +23,7 @@ from .measured import mean_period
 
 _BEYOND = 4.0  # times the highest line: up to there the motion is followed, friction that turns over is in it
 _PER_CYCLE = 12  # samples of the highest line, at least, in which it is followed
+_TOGETHER = 12  # runs: few and many of them share what is compiled
 
 
 def why_followed(robot: Robot, data: Experiment) -> str:
@@ -57,7 +58,7 @@ def moved(
     Where motors follow (`why_followed`), `u` is what the robot's own controller would have had to command.
     """
     if not why_followed(robot, data):
-        return replay_motion(robot, data, steps=steps, progress=progress)
+        return replay_motion(robot, data, steps=steps, chunk=_TOGETHER, progress=progress)
     finer = max(1, math.ceil(_PER_CYCLE * highest / data.fs))
     rate = data.fs * finer
     freed = dataclasses.replace(
@@ -65,7 +66,7 @@ def moved(
         effects=tuple(e for e in robot.effects if not isinstance(e, AbstractActuator)),
         sampling_frequency=rate,
     )
-    motion = imposed_motion(freed, *courses(data, highest, finer), data, progress=progress)
+    motion = imposed_motion(freed, *courses(data, highest, finer), data, chunk=_TOGETHER, progress=progress)
     frequency = np.arange(data.period // 2 + 1) * data.fs / data.period
     path = mean_ahead(frequency, rate)[:, None] * torque_path(robot, frequency, torque_rate(robot, data))
     log = slice(None, None, finer)

@@ -1,5 +1,6 @@
 """Ripple over the motor's angle: which orders a residual holds, of torque, of the resolver, of the gear."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -75,7 +76,21 @@ def strength(
     step = scene.period / count
     some = np.round(np.arange(count) * step).astype(int)
     angle = scene.reading[:, some, axis]
-    return np.array([np.vdot(np.exp(1j * h * angle), course) for h in orders])
+    return np.array([np.vdot(turned, course) for turned in _turning(angle, np.asarray(orders, float))])
+
+
+def _turning(angle, orders):
+    """e^{j h angle} of one order h after the other; on a grid each from the one before, which is quicker."""
+    step = np.min(np.diff(orders), initial=1.0)
+    places = np.round((orders - orders[0]) / step).astype(int)
+    if not np.allclose(orders[0] + step * places, orders, atol=1e-9):
+        yield from (np.exp(1j * h * angle) for h in orders)
+        return
+    now, turn, at = np.exp(1j * orders[0] * angle), np.exp(1j * step * angle), 0
+    for place in places:
+        while at < place:
+            now, at = now * turn, at + 1
+        yield now
 
 
 def find_orders(scenes, residuals, floor, kind: str, axis: int, orders=_ORDERS, most: int = 6) -> list[Order]:
@@ -132,3 +147,17 @@ def ripple_effects(names: Sequence[str], orders: Sequence[Order], waves) -> list
                 phase = np.arctan2(waves[rows, 1], waves[rows, 0])
                 found.append(make(joint, amplitude, [int(orders[i].order) for i in rows], phase))
     return found
+
+
+def without_silent_orders(robot: Robot) -> Robot:
+    """The same robot, without orders of ripple whose amplitude is nothing."""
+    kept = []
+    for effect in robot.effects:
+        if not isinstance(effect, TorqueRipple | ResolverRipple):
+            kept.append(effect)
+            continue
+        heard = np.flatnonzero(np.asarray(effect.amplitude))
+        amplitude, phase = (np.asarray(x)[heard] for x in (effect.amplitude, effect.phase))
+        if len(heard):
+            kept.append(type(effect)(effect.joint, amplitude, [effect.order[i] for i in heard], phase))
+    return dataclasses.replace(robot, effects=tuple(kept))

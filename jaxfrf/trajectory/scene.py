@@ -60,6 +60,17 @@ class Scene:
     def _s(self):
         return (2j * np.pi * np.arange(self.period // 2 + 1) * self.fs / self.period)[:, None]
 
+    @cached_property
+    def _springs(self) -> Float[np.ndarray, "dof spring"]:
+        return np.asarray(spring_directions(self.robot))
+
+    @cached_property
+    def _bent(self) -> np.ndarray:
+        """Which springs are not linear."""
+        if not isinstance(self.robot.springs, Spring):
+            return np.zeros(self._springs.shape[1], bool)
+        return np.asarray(self.robot.springs.stiffness_ratio) != 1.0
+
     # The motors, at every sample: friction turns with the sign of their speed
 
     @cached_property
@@ -115,11 +126,11 @@ class Scene:
 
     @cached_property
     def deflection(self) -> Float[np.ndarray, "exp sample spring"]:
-        return self._coarse_z @ np.asarray(spring_directions(self.robot))
+        return self._coarse_z @ self._springs
 
     @cached_property
     def deflection_rate(self) -> Float[np.ndarray, "exp sample spring"]:
-        return self._coarse_rate @ np.asarray(spring_directions(self.robot))
+        return self._coarse_rate @ self._springs
 
     @cached_property
     def spring_torque(self) -> Float[np.ndarray, "exp sample spring"]:
@@ -154,9 +165,9 @@ class Scene:
 
     def _settled(self, force: Float[np.ndarray, "exp dof"]) -> Signature:
         """What a steady force does by moving the springs' points of rest: their stiffness there is another."""
-        shift = force @ self.still.compliance[0].real @ np.asarray(spring_directions(self.robot))
+        shift = force @ self.still.compliance[0].real @ self._springs
         total = np.zeros((len(force), self.lines, self.robot.n_axes), complex)
-        bent = np.asarray(self.robot.springs.stiffness_ratio) != 1.0 if self._bends else np.zeros(shift.shape[1], bool)
+        bent = self._bent
         if not np.any(np.abs(shift[:, bent]) > 1e-9):
             return total
         runs = len(force)
@@ -164,12 +175,8 @@ class Scene:
         more = np.asarray(self.robot.springs.torque(moved, self.deflection_rate[:runs])) - self.spring_torque[:runs]
         more -= more.mean(axis=1, keepdims=True)
         for spring in np.flatnonzero(bent & np.any(np.abs(shift) > 1e-9, axis=0)):
-            total += self._along(-np.asarray(spring_directions(self.robot))[:, spring], more[..., spring])
+            total += self._along(-self._springs[:, spring], more[..., spring])
         return total
-
-    @property
-    def _bends(self) -> bool:
-        return isinstance(self.robot.springs, Spring)
 
     def by_motor(self, axis: int, signal: Signal) -> Signature:
         """A torque against one motor."""
@@ -185,7 +192,7 @@ class Scene:
 
     def by_spring(self, spring: int, signal: Signal) -> Signature:
         """More torque in one spring."""
-        return self.by_direction(-np.asarray(spring_directions(self.robot))[:, spring], signal)
+        return self.by_direction(-self._springs[:, spring], signal)
 
     def by_command(self, axis: int, more: Complex[np.ndarray, "exp line"]) -> Signature:
         """More of one command."""
