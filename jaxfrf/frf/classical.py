@@ -22,8 +22,9 @@ class H1(AbstractLeastSquares):
     """G = Y U^H (U U^H)^-1 over all experiments: least squares with the noise in y.
 
     Biased low by noise in u; in closed loop biased by the noise that the controller feeds back, however many
-    experiments there are. Needs n_exp >= n_in. With n_exp = n_in there is no residual, and `cov` is NaN; with several
-    periods `cov_noise` still shows the measurement noise (Guillaume 1998; Zimmermann & Moberg, Eq. (G_H1)).
+    experiments there are. Needs n_exp >= n_in. With n_exp = n_in there is no residual: `cov` is then the
+    measurement noise between the periods, and NaN where there is one only (Guillaume 1998; Zimmermann & Moberg,
+    Eq. (G_H1)).
     """
 
     @property

@@ -7,38 +7,23 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from .._files import check_room
-from .._memory import check_memory
-from ._container import Attributes, Later, Leaf, Put, Variable, Variables, text
+from ._container import Attributes, Later, Leaf, Put, Variable
 from ._hdf5 import check_walkable, surviving
 from ._optional import require
+from ._xarray import load_dataset
 
 KIND = "a NetCDF-4 file"
 
 _OVERHEAD = 2**20  # bytes of names, attributes and tables
 _CHUNK = 2**26  # bytes that are read and checked at once
-_LEADING = ("position", "experiment", "time")  # the order of axes in memory; what is left is the channel
 
 
 def load(path: pathlib.Path, part: slice | None = None, without: str | None = None) -> dict[str, Leaf]:
-    """Variables and attributes; arrays that name `position`, `experiment`, `time` get them in this order.
-
-    `part`: these positions only, of what has such an axis. `without`: only what has no such axis.
-    """
+    """As `_xarray.load_dataset`."""
     require("h5netcdf", "io")
     if part is None:
         check_walkable(path)
-    # Times stay numbers: decoding would turn seconds into timedelta64.
-    options = {"engine": "h5netcdf", "decode_times": False, "decode_timedelta": False}
-    with require("xarray", "io").open_dataset(path, **options) as dataset:
-        if part is not None:
-            dataset = dataset.isel(position=part)
-        if without is not None:
-            dataset = dataset.drop_dims(without, errors="ignore")
-        check_memory(str(path), dataset.nbytes, "Split the record into several files.")
-        attributes = {str(name): plain_value(np.asarray(value)) for name, value in dataset.attrs.items()}
-        arrays = {str(name): ordered(variable) for name, variable in dataset.variables.items()}
-        units = {str(name): str(x.attrs.get("units", "")) for name, x in dataset.variables.items()}
-        return Variables(attributes | arrays, units)
+    return load_dataset(path, part, without, engine="h5netcdf")
 
 
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
@@ -120,21 +105,3 @@ def chunks(shape: tuple[int, ...], dtype: np.dtype) -> tuple[int, ...]:
     row = max(dtype.itemsize * int(np.prod(found[leading + 1 :])), 1)
     found[leading] = max(min(found[leading], _CHUNK // row), 1)
     return tuple(found)
-
-
-def ordered(variable) -> Leaf:
-    """An array of xarray with its leading axes in order, those that are missing among them of length one."""
-    dims = variable.dims
-    known = [d for d in _LEADING if d in dims]
-    others = [d for d in dims if d not in _LEADING]
-    value = plain_value(variable.transpose(*known, *others).values)
-    if "time" not in dims or len(dims) == 1 or len(others) > 1:
-        return value
-    channel = value if others else value[..., None]
-    missing = tuple(i for i, d in enumerate(_LEADING) if d not in dims)
-    return np.expand_dims(channel, missing)
-
-
-def plain_value(value: np.ndarray) -> Leaf:
-    """An array, or the text that it is."""
-    return text(value) if value.dtype.kind in "USO" and value.size == 1 else value

@@ -6,35 +6,18 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from .._memory import check_memory
-from ._container import Attributes, Later, Leaf, Put, Variable, Variables
-from ._netcdf import chunks, ordered, plain_value
+from ._container import Attributes, Later, Leaf, Put, Variable
+from ._netcdf import chunks
 from ._optional import require
+from ._xarray import load_dataset
 
 KIND = "a Zarr folder"
 
 
 def load(path: pathlib.Path, part: slice | None = None, without: str | None = None) -> dict[str, Leaf]:
-    """As `_netcdf.load`."""
+    """As `_xarray.load_dataset`."""
     require("zarr", "zarr")
-    # Times stay numbers: decoding would turn seconds into timedelta64.
-    options = {
-        "engine": "zarr",
-        "decode_times": False,
-        "decode_timedelta": False,
-        "consolidated": False,
-        "chunks": None,
-    }
-    with require("xarray", "io").open_dataset(path, **options) as dataset:
-        if part is not None:
-            dataset = dataset.isel(position=part)
-        if without is not None:
-            dataset = dataset.drop_dims(without, errors="ignore")
-        check_memory(str(path), dataset.nbytes, "Split the record into several files.")
-        attributes = {str(name): plain_value(np.asarray(value)) for name, value in dataset.attrs.items()}
-        arrays = {str(name): ordered(variable) for name, variable in dataset.variables.items()}
-        units = {str(name): str(x.attrs.get("units", "")) for name, x in dataset.variables.items()}
-        return Variables(attributes | arrays, units)
+    return load_dataset(path, part, without, engine="zarr", consolidated=False, chunks=None)
 
 
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
