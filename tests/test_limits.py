@@ -1,5 +1,6 @@
 """Sizes, wrong arguments and impossible machines: one message each, before memory or time is spent."""
 
+import importlib
 import os
 import pathlib
 import tomllib
@@ -12,6 +13,7 @@ import two_axes
 import jaxfrf as jf
 from jaxfrf.__main__ import main
 from jaxfrf._memory import available_memory, check_memory
+from jaxfrf.io import _container
 from jaxfrf.simulation.checks import at_limits
 
 
@@ -147,6 +149,35 @@ def test_a_full_disk_is_an_error_and_no_signal():
     with pytest.raises(OSError, match="No space left"):
         with surviving(pathlib.Path("/dev/full")) as disk, h5py.File(disk, "w") as file:
             file["x"] = np.zeros(300_000)
+
+
+def test_what_is_read_apart_is_what_is_read_here(tmp_path, monkeypatch):
+    """Numbers bit for bit, texts, units, and what no reader opens; with a file that ends the other process between."""
+    import h5py
+
+    from jaxfrf.io import _matlab, _netcdf
+    from jaxfrf.io._apart import _READER, load_apart
+
+    (tmp_path / "of_a_test.py").write_text("import os\n\ndef end(path):\n    os.abort()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    _READER.stop()  # the next one has this path
+    end = importlib.import_module("of_a_test").end
+
+    x = np.random.default_rng(0).standard_normal((200, 2)) * [1, np.nan]
+    one, two = tmp_path / "a.nc", tmp_path / "a.mat"
+    _netcdf.save(one, {"u": _container.Variable(("time", "in"), x, "N m")}, {"fs": 10.0, "y_quantity": "velocity"})
+    with h5py.File(two, "w") as file:
+        file["z"] = x + 1j
+        file["words"] = np.array([b"a", b"bc"], dtype=object)
+    for path, read in ((one, _netcdf._load), (two, _matlab._load_v73)):
+        here, apart = read(path), load_apart(path, read)
+        with pytest.raises(jf.InputError, match="ends the process that opens it \\(signal 6\\)"):
+            load_apart(path, end)
+        assert list(here) == list(apart) and getattr(here, "units", {}) == apart.units
+        for name, leaf in here.items():
+            assert type(leaf) is type(apart[name])
+            np.testing.assert_array_equal(leaf, apart[name])
 
 
 def test_a_damaged_sample_is_noticed(tmp_path):

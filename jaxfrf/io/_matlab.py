@@ -16,8 +16,9 @@ import scipy  # scipy.io and scipy.sparse load when a file needs them
 
 from .._files import check_room
 from .._memory import check_memory
+from ._apart import load_apart
 from ._container import Attributes, Leaf, Unreadable, Variable, text
-from ._hdf5 import check_walkable, surviving
+from ._hdf5 import surviving
 from ._mat5 import check_whole
 from ._optional import require
 
@@ -45,8 +46,8 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
     of a time series as (time, channel). Objects and functions stay closed.
     """
     if _is_hdf5(path):
-        check_walkable(path)
-        found = _load_v73(path)
+        require("h5py", "io")
+        found = load_apart(path, _load_v73)
     else:
         check_whole(path)
         found = _load_v5(path)

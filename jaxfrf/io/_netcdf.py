@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from .._files import check_room
+from ._apart import check_walkable, load_apart
 from ._container import Attributes, Later, Leaf, Put, Variable
-from ._hdf5 import check_walkable, surviving
+from ._hdf5 import surviving
 from ._optional import require
 from ._xarray import load_dataset
 
@@ -21,8 +22,10 @@ _CHUNK = 2**26  # bytes that are read and checked at once
 def load(path: pathlib.Path, part: slice | None = None, without: str | None = None) -> dict[str, Leaf]:
     """As `_xarray.load_dataset`."""
     require("h5netcdf", "io")
-    if part is None:
-        check_walkable(path)
+    return load_apart(path, _load) if part is None else _load(path, part, without)
+
+
+def _load(path: pathlib.Path, part: slice | None = None, without: str | None = None) -> dict[str, Leaf]:
     return load_dataset(path, part, without, engine="h5netcdf")
 
 
