@@ -18,6 +18,8 @@ _HEAP = 3.2  # a sine has 2.4
 _HEAP_FLOOR = 0.004  # of the samples: tails hold too few to compare
 _HEAP_SHARE = 0.01
 _HEAP_BESIDE, _HEAP_OF_REFERENCE = 2.5, 1.3  # where the reference has so little; multisines have less than 1
+_HEAP_OF_LINES = 1.5  # over that of the same lines at other phases: a limit has its phases of its own, a slow sine none
+_SURROGATES = 8
 _EDGE_BINS = 300  # of the range: fine enough for a limit with noise of a third of a percent behind it
 _EDGE, _EDGE_SURE = 2.0, 5.0  # at the end over beside it; standard deviations of the count
 _EDGE_FINE = 1.6  # that ratio over the same at four times the scale: 1 for sines, which crowd at every scale
@@ -84,7 +86,7 @@ def saturated(record: Record) -> Iterator[Finding]:
         if c.signal == "r" or len(np.unique(c.x[: 10 * _MANY_LINES])) <= _MANY_LINES:
             continue
         ratio, share = _heap(c.x[c.first :])
-        sharp = not (calm and ratio > least and share > _HEAP_SHARE)
+        sharp = not (calm and ratio > least and share > _HEAP_SHARE and ratio > _HEAP_OF_LINES * _heap_of_lines(c))
         if sharp:
             ratio, share = _sharp_edge(c)
         if ratio:
@@ -107,6 +109,14 @@ def _heap(x: np.ndarray) -> tuple[float, float]:
         top, beside = max(heaps, key=lambda h: h[0] / (h[1] + 1 + _HEAP_FLOOR * len(x)))
         best = max(best, (top / (beside + 1 + _HEAP_FLOOR * len(x)), top / len(x)))
     return best
+
+
+def _heap_of_lines(c: Channel) -> float:
+    """The heap that the same amplitudes at random phases have (Theiler et al. 1992, surrogate data)."""
+    rng = np.random.default_rng(0)
+    X = np.abs(np.fft.rfft(c.x[c.first :]))
+    turned = lambda: np.exp(2j * np.pi * rng.random(len(X))) * np.where(np.arange(len(X)), 1, 0)
+    return float(np.median([_heap(np.fft.irfft(X * turned(), len(c.x) - c.first))[0] for _ in range(_SURROGATES)]))
 
 
 def _sharp_edge(c: Channel) -> tuple[float, float]:
