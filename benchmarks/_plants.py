@@ -76,13 +76,14 @@ def paper_lines() -> np.ndarray:
 
 
 def experiment(
-    plants: list[Axes], n_exp: int, disturbance: float, rng: np.random.Generator, lines=None
+    plants: list[Axes], n_exp: int, disturbance: float, rng: np.random.Generator, lines=None, at: str = "output"
 ) -> tuple[jf.Spectra, np.ndarray]:
     """Spectra of one operating point per plant, and their true FRFs (pos, freq, out, in).
 
     y = G u + v, u = C (r - y): the disturbance v is circular, white, independent between channels, its rms
     `disturbance` times that of the undisturbed output of its channel (over lines and experiments); the controller
-    feeds it back, so that u holds it too.
+    feeds it back, so that u holds it too. `at` "input" it is a torque w beside u, v = G w, each channel's w of the same
+    rms, and u = C (r - y).
     """
     lines = paper_lines() if lines is None else np.asarray(lines)
     frequency = lines * FS / PERIOD
@@ -94,6 +95,9 @@ def experiment(
     clean = _apply(G @ to_u, R)
     level = np.sqrt(np.mean(np.abs(clean) ** 2, axis=(1, 2), keepdims=True))
     V = disturbance * level * (rng.standard_normal(R.shape) + 1j * rng.standard_normal(R.shape)) / np.sqrt(2)
+    if at == "input":
+        torque = V / level / np.sqrt(np.mean(np.abs(G) ** 2, axis=(1, 2, 3)))[:, None, None, None]
+        V = _apply(G, torque * np.sqrt(np.mean(level**2, axis=-1, keepdims=True)))
     U = _apply(to_u, R - V)
     Y = _apply(G, U) + V
     return jf.Spectra(U=U, Y=Y, R=R, lines=lines, frequency=frequency, noise=None, fs=FS, period=PERIOD), G

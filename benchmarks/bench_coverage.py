@@ -1,6 +1,6 @@
 """Whether the intervals hold: the share of 95 % regions that contain the true FRF, for every method.
 
-    python benchmarks/bench_coverage.py [--tuning] [--methods auto jio] [--seeds 8] [--write FILE]
+    python benchmarks/bench_coverage.py [--tuning] [--methods auto jio] [--seeds 8] [--disturbance-at input]
 
 Three simulated closed loops (one axis with three flexible modes, two coupled axes, six coupled axes), 1, 6 and 24
 experiments, on plants, lines and seeds on which nothing was chosen; `--tuning` shows those on which it was. Counted are
@@ -72,11 +72,11 @@ class Case:
         mass = rng.uniform(0.2, 0.8, 3)
         return Chain(1.0, mass, hertz, self.damping, 2 * np.pi * 2.0 * (1 + mass.sum()))
 
-    def data(self, seed: int, n_exp: int):
+    def data(self, seed: int, n_exp: int, at: str):
         rng = np.random.default_rng([self.start, seed])
         plant = self.plant(rng)
         lines = _plants.paper_lines() if self.lines == "log" else np.arange(113, 2240, 6)
-        spectra, G = _plants.experiment([plant], n_exp, self.disturbance, rng, lines)
+        spectra, G = _plants.experiment([plant], n_exp, self.disturbance, rng, lines, at)
         return spectra, G, at_resonances(plant, spectra.frequency, self.damping)
 
 
@@ -117,10 +117,10 @@ def methods(n_exp: int, n: int) -> dict:
     }
 
 
-def evaluate(case: Case, n_exp: int, method, seeds) -> dict[str, float]:
+def evaluate(case: Case, n_exp: int, method, seeds, at: str) -> dict[str, float]:
     found = []
     for chunk in (list(seeds)[i : i + CHUNK] for i in range(0, len(seeds), CHUNK)):
-        parts = [case.data(seed, n_exp) for seed in chunk]
+        parts = [case.data(seed, n_exp, at) for seed in chunk]
         join = lambda name, parts=parts: np.concatenate([getattr(p[0], name) for p in parts])
         spectra = dataclasses.replace(parts[0][0], U=join("U"), Y=join("Y"), R=join("R"))
         frf = jf.estimate(spectra, method)
@@ -148,12 +148,13 @@ def main() -> None:
     cases = [case for case in (TUNING if arguments.tuning else CASES) if arguments.case in case.name]
     for case in cases:
         for n_exp in arguments.experiments:
-            head = f"{case.name}, damping {case.damping:g}, disturbance {100 * case.disturbance:g} %, n_e = {n_exp}"
+            disturbance = f"disturbance {100 * case.disturbance:g} % at the {arguments.at}"
+            head = f"{case.name}, damping {case.damping:g}, {disturbance}, n_e = {n_exp}"
             _say(text, f"\n{head}, {arguments.seeds} seeds")
             _say(text, f"  {'':20}{'all':>8}{'at resonances':>15}{'error':>9}{'at res.':>9}{'width':>7}{'s':>7}")
             for name, method in methods(n_exp, case.n).items():
                 if not arguments.methods or name in arguments.methods:
-                    _say(text, _row(case, n_exp, name, method, range(arguments.seeds)))
+                    _say(text, _row(case, n_exp, name, method, range(arguments.seeds), arguments.at))
     _say(text, f"\n{time.perf_counter() - began:.0f} s")
     if arguments.write:
         temporary = arguments.write.with_name(arguments.write.name + ".part")
@@ -161,10 +162,10 @@ def main() -> None:
         temporary.replace(arguments.write)
 
 
-def _row(case: Case, n_exp: int, name: str, method, seeds) -> str:
+def _row(case: Case, n_exp: int, name: str, method, seeds, at: str) -> str:
     start = time.perf_counter()
     try:
-        x = evaluate(case, n_exp, method, seeds)
+        x = evaluate(case, n_exp, method, seeds, at)
     except jf.InputError as error:
         return f"  {name:20}  cannot: {str(error).splitlines()[0][:60]}"
     return (
@@ -184,6 +185,8 @@ def _arguments():
     parser.add_argument("--methods", nargs="+", choices=tuple(METHODS), help="only these")
     parser.add_argument("--case", default="", help="only plants whose name holds this, e.g. 'six axes'")
     parser.add_argument("--experiments", nargs="+", type=int, default=EXPERIMENTS)
+    where = "white noise of the output, or of a torque beside the input"
+    parser.add_argument("--disturbance-at", dest="at", choices=("output", "input"), default="output", help=where)
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--write", type=pathlib.Path, help="also write the table to this file")
     return parser.parse_args()

@@ -56,9 +56,9 @@ class Auto(AbstractMethod):
     - `widths`: windows to choose from, in lines; by default at least six from the narrowest useful one to a third of
       the band.
     - `use_reference`: estimate through r where it is recorded.
-    - `stages`: 2 suits noise that y has beside the response. Disturbances that enter where the input does (torques,
-      friction and its distortion) come through the poles as the response does, and 1 suits them: R3X with friction is
-      a seventh to a fifth nearer to the truth by it (`notebooks/paper.md`).
+    - `stages`: 2 errs less and has intervals that hold, for noise in y as for random torques
+      (`benchmarks/bench_coverage.py --disturbance-at input`). R3X, whose error is friction's distortion and an arm that
+      moves, is a seventh to a fifth nearer to the truth with 1 (`notebooks/paper.md`); its intervals are too narrow.
     """
 
     method: AbstractLocal = LRM(variable="frequency")
