@@ -75,12 +75,13 @@ def candidates(settings: Settings) -> np.ndarray:
 
 
 def fit_positions(settings: Settings) -> tuple[int, ...]:
-    """Numbers of the D-optimal positions, from the model at its true parameters."""
+    """Numbers of the D-optimal positions, from the model as it is known before anything is fitted."""
     if settings.fit_positions >= settings.positions:
         return tuple(range(settings.positions))
     plan = design(1, 0)
     frequency = np.asarray(plan.lines) * plan.fs / plan.period
-    information = position_information(RobotModel(r3x()), frequency, candidates(settings), FRF_NOISE)
+    before = RobotModel(start_robot(settings.position_seed))
+    information = position_information(before, frequency, candidates(settings), FRF_NOISE)
     return d_optimal(information, settings.fit_positions)
 
 
