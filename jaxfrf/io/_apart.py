@@ -16,6 +16,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping
+from typing import IO
 
 import numpy as np
 
@@ -63,9 +64,9 @@ def _ask(path: pathlib.Path, read: str) -> tuple[dict, bytes] | None:
         if error.args[0] >= 0:  # it could not start, or was told to end: nothing is known about the file
             return None
         raise _damaged(path, f"an HDF5 file that ends the process that opens it (signal {-error.args[0]})") from None
-    for kind, error in _AS_THEY_ARE.items():
+    for kind, make in _AS_THEY_ARE.items():
         if kind in said:
-            raise error(said[kind])
+            raise make(said[kind])
     if "error" in said:
         raise _damaged(path, f"an HDF5 file that cannot be read ({said['error'].splitlines()[0][:200]})")
     return said, sent
@@ -79,7 +80,7 @@ def _damaged(path: pathlib.Path, found: str) -> InputError:
 class _Reader:
     """The other process; it is started when the first file comes, and again after it ended."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._process: subprocess.Popen | None = None
         self._answers: queue.Queue[tuple[dict, bytes] | None] = queue.Queue()
@@ -90,8 +91,9 @@ class _Reader:
         with self._lock:
             process = self._running()
             try:
-                process.stdin.write(json.dumps(question).encode() + b"\n")
-                process.stdin.flush()
+                questions = _piped(process.stdin)
+                questions.write(json.dumps(question).encode() + b"\n")
+                questions.flush()
                 answer = self._answers.get(timeout=limit)
             except queue.Empty:
                 self.stop()
@@ -124,7 +126,13 @@ class _Reader:
         if process is not None and self._owner == os.getpid():
             process.kill()
             process.wait()
-            process.stdin.close()
+            _piped(process.stdin).close()
+
+
+def _piped(stream: IO[bytes] | None) -> IO[bytes]:
+    """A stream of a process that was started with pipes."""
+    assert stream is not None
+    return stream
 
 
 def _listen(answers, to: queue.Queue) -> None:
@@ -207,9 +215,10 @@ def _packed(found: dict[str, Leaf]) -> tuple[dict, bytes]:
 
 def _unpacked(said: dict, sent: bytes) -> Variables:
     arrays = io.BytesIO(sent)
-    make = {
-        "text": str,
-        "unreadable": Unreadable,
-        "array": lambda _: np.lib.format.read_array(arrays, allow_pickle=False),
-    }
-    return Variables({name: make[kind](value) for name, kind, value in said["leaves"]}, said["units"])
+
+    def leaf(kind: str, value: str) -> Leaf:
+        if kind == "array":
+            return np.lib.format.read_array(arrays, allow_pickle=False)
+        return value if kind == "text" else Unreadable(value)
+
+    return Variables({name: leaf(kind, value) for name, kind, value in said["leaves"]}, said["units"])

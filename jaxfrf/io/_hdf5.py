@@ -14,7 +14,8 @@ class Disk(io.RawIOBase):
 
     def __init__(self, path: pathlib.Path):
         self._file = open(path, "w+b", buffering=0)
-        self._path, self._error = path, None
+        self._path = path
+        self._error: OSError | None = None
 
     def check(self) -> None:
         """**Raises:** the `OSError` of the first write that failed."""
