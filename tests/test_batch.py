@@ -208,8 +208,8 @@ class Hung:
     def processing(self):
         return {"one": ["a"], "two": ["b", "c"], "idle": []}
 
-    def restart_workers(self, addresses, **more):
-        self.restarted += addresses
+    def run_on_scheduler(self, function, address):
+        self.restarted.append(address)
 
 
 def test_workers_without_a_sign_are_replaced_and_what_they_hang_at_fails_in_the_end(monkeypatch):

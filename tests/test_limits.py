@@ -27,6 +27,19 @@ def test_memory():
         check_memory("x", 1e18, "Cut it.")
 
 
+@pytest.mark.parametrize("command", ["identify", "diagnose"])
+@pytest.mark.parametrize("suffix", [".nc", ".npz"])
+def test_records_that_are_held_whole_and_do_not_fit_are_refused_unread(tmp_path, capsys, command, suffix):
+    x = np.zeros((1, 1, 250_000, 2))
+    jf.io.write(tmp_path / f"run{suffix}", jf.Experiment(x, x, 500.0, r=x))
+    (tmp_path / "robot.toml").write_text(two_axes.ROBOT)
+    options = ["--robot", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "x.json"), "--memory", "1GB"]
+    assert main([command, str(tmp_path / f"run{suffix}"), *options]) == 2
+    error = capsys.readouterr().err
+    assert f"run{suffix}: found 12 MB of records, for which `{command}` takes some " in error, error
+    assert "expected at most --memory 1 GB. Give fewer" in error and not (tmp_path / "x.json").exists()
+
+
 def test_a_header_that_lies(tmp_path):
     path = tmp_path / "a.npz"
     with zipfile.ZipFile(path, "w") as archive:

@@ -19,7 +19,7 @@ _RETRIES = 2  # of a piece whose worker died or hung, on other workers
 _AHEAD = 4  # pieces of every worker that wait at the scheduler: it is told of thousands as others end
 _PATIENCE = 1800.0  # s without a sign of a worker
 _LOOKS = 10  # at the workers, in the time that they are given
-_RESTART = 60.0  # s for a worker to come back
+_RESTART = 30.0  # s for a worker to end
 
 
 class Done(eqx.Module):
@@ -222,7 +222,7 @@ class _Watch:
             self._say(
                 f"no sign of the worker at {address} for {self._patience:g} s: it is replaced, its work done again"
             )
-            self._replace(address)
+            self._client.run_on_scheduler(_replaced, address=address)
             self._last.pop(address, None)
             if number is not None:
                 self._ended[number] = self._ended.get(number, 0) + 1
@@ -230,15 +230,12 @@ class _Watch:
                     too_often.append(number)
         return too_often
 
-    def _replace(self, address: str) -> None:
-        try:
-            self._client.restart_workers([address], timeout=_RESTART, raise_for_error=False)
-        except ValueError:  # it has no nanny that would start it again: others do its work
-            self._client.run_on_scheduler(_dismissed, address=address)
 
-
-async def _dismissed(address: str, dask_scheduler=None) -> None:
-    await dask_scheduler.remove_worker(address, stimulus_id="jaxfrf: no sign of it")
+async def _replaced(address: str, dask_scheduler=None) -> None:
+    """End a worker; its nanny starts another one. Where there is none, others do its work."""
+    await dask_scheduler.restart_workers(
+        [address], timeout=_RESTART, wait_for_workers=False, on_error="return", stimulus_id="jaxfrf: no sign of it"
+    )
 
 
 @contextlib.contextmanager

@@ -29,6 +29,7 @@ from .engine import outcomes, positions_text, raised
 
 PART_FILES = ("[0-9]" * 5 + ".npz",)
 _TOGETHER = 64  # runs: as many keep the cores busy
+_EACH = 32  # runs that a worker takes at a time: it has one core
 _COPIES = 3  # of a block's signals, while it is simulated and written
 
 
@@ -88,7 +89,8 @@ def simulate_to(
     each = 8.0 * design.n_exp * samples * design.n_in
     _check_size(pathlib.Path(path), len(positions), each)
     study = study_of_design(robot, design, positions, key, run_in, noise, None)
-    blocks = _blocks(study, each, memory)
+    here = workers == 1 and cluster is None and client is None
+    blocks = _blocks(study, each, memory, math.ceil(_TOGETHER / design.n_exp) if here else _EACH // design.n_exp)
     parts.begin(
         {
             "numbers of the robot": numbers_text(*jax.tree.leaves(robot)),
@@ -108,7 +110,7 @@ def simulate_to(
         if progress is not None:
             progress((done + share) / len(blocks))
 
-    if workers == 1 and cluster is None and client is None:
+    if here:
         work = functools.partial(_simulated, study, parts.folder, advanced)
     else:
         work = functools.partial(_work, _job(robot, design, positions, key, run_in, noise, parts))
@@ -133,10 +135,10 @@ def _check_size(path: pathlib.Path, positions: int, each: float) -> None:
     check_space(path, 5 * positions * each)  # u and y in parts; u, y and r in the file
 
 
-def _blocks(study: Study, each: float, memory: float | None) -> list[range]:
+def _blocks(study: Study, each: float, memory: float | None, wanted: int) -> list[range]:
     n_pos = len(study.point.z)
     most = int(block_memory(memory) / (2 * _COPIES * each))
-    size = max(1, min(math.ceil(_TOGETHER / study.n_exp), most, n_pos))
+    size = max(1, min(wanted, most, n_pos))
     return [range(first, min(first + size, n_pos)) for first in range(0, n_pos, size)]
 
 
