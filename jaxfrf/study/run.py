@@ -48,7 +48,15 @@ class Task(eqx.Module):
 
 
 def run_study(
-    settings: Settings, output: str | pathlib.Path, say: Say | None = None, *, parts: Parts | None = None, **shared
+    settings: Settings,
+    output: str | pathlib.Path,
+    say: Say | None = None,
+    *,
+    parts: Parts | None = None,
+    workers: int = 1,
+    cluster: str | None = None,
+    client=None,
+    patience: float | None = None,
 ) -> dict:
     """Make the whole study and write it to a folder: `index.html`, `study.json`, both figures.
 
@@ -59,6 +67,7 @@ def run_study(
     **Raises:** `jaxfrf.InputError` if the folder holds something else than a study, and where it cannot be written;
     `ImportError` without matplotlib.
     """
+    shared = {"workers": workers, "cluster": cluster, "client": client, "patience": patience}
     require_x64("A study")
     require("matplotlib.figure", "plot")
     if parts is None:
@@ -72,7 +81,7 @@ def run_study(
 
 def _made(settings: Settings, folder: pathlib.Path, parts: pathlib.Path, say: Say, shared: dict) -> dict:
     began = time.monotonic()
-    if shared.get("workers", 1) == 1 and shared.get("cluster") is None and shared.get("client") is None:
+    if shared["workers"] == 1 and shared["cluster"] is None and shared["client"] is None:
         _work(study_tasks(settings, parts, say), settings.together, say)
     else:
         _share(settings, parts, say, shared)
