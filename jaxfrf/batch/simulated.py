@@ -1,9 +1,11 @@
 """A simulated data set of any size: some positions at a time, here or on workers, each kept until the file stands."""
 
 import functools
+import importlib.util
 import math
 import os
 import pathlib
+import pickle
 import sys
 from collections.abc import Callable
 
@@ -18,7 +20,6 @@ from .._errors import InputError
 from .._files import check_space, replacing
 from .._memory import block_memory, check_memory
 from ..excitation import Multisine
-from ..io._optional import require
 from ..io.records import writing
 from ..parts import Parts, numbers_text
 from ..robot import Robot
@@ -44,10 +45,11 @@ class Simulated(eqx.Module):
 
 
 class _Job(eqx.Module):
-    """All that a worker needs to know: its study is made there, whose references are large. `robot`: pickled with the
-    classes of effects that only this process knows. `about`: one text for one job."""
+    """All that a worker needs to know: its study is made there, whose references are large. `robot`: pickled, with
+    names and files of the modules that define effects of the user's own. `about`: one text for one job."""
 
     robot: bytes
+    modules: tuple[tuple[str, str], ...]
     design: Multisine
     positions: np.ndarray
     key: np.ndarray
@@ -157,22 +159,24 @@ def _simulated(study: Study, folder: pathlib.Path, advanced: Progress, block: ra
 
 
 def _job(robot: Robot, design: Multisine, positions, key: PRNGKeyArray, run_in, noise: float, parts: Parts) -> _Job:
-    pickled, key = _pickled(robot), np.asarray(jr.key_data(key))
+    pickled, key = pickle.dumps(robot), np.asarray(jr.key_data(key))
     about = numbers_text(np.frombuffer(pickled, np.uint8), positions, key, *jax.tree.leaves(design))
-    return _Job(pickled, design, positions, key, run_in, noise, parts.folder.absolute(), about)
+    return _Job(pickled, _own_modules(robot), design, positions, key, run_in, noise, parts.folder.absolute(), about)
 
 
-def _pickled(robot: Robot) -> bytes:
-    cloudpickle = require("cloudpickle", "batch")
-    modules = {type(effect).__module__ for effect in robot.effects}
-    own = [sys.modules[name] for name in modules if name.split(".")[0] not in ("jaxfrf", "__main__")]
-    for module in own:
-        cloudpickle.register_pickle_by_value(module)
-    try:
-        return cloudpickle.dumps(robot)
-    finally:
-        for module in own:
-            cloudpickle.unregister_pickle_by_value(module)
+def _own_modules(robot: Robot) -> tuple[tuple[str, str], ...]:
+    modules = [sys.modules[name] for name in {type(effect).__module__ for effect in robot.effects}]
+    files = {x.__name__: getattr(x, "__file__", None) for x in modules if x.__name__.split(".")[0] != "jaxfrf"}
+    return tuple((name, str(pathlib.Path(file).absolute())) for name, file in sorted(files.items()) if file)
+
+
+def _robot_of(job: _Job) -> Robot:
+    for name, file in job.modules:
+        if name not in sys.modules:
+            spec = importlib.util.spec_from_file_location(name, file)
+            sys.modules[name] = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(sys.modules[name])
+    return pickle.loads(job.robot)
 
 
 _studies: dict[str, Study] = {}  # of this process, the last one
@@ -180,8 +184,7 @@ _studies: dict[str, Study] = {}  # of this process, the last one
 
 def _work(job: _Job, block: range) -> InputError | None:
     if job.about not in _studies:
-        robot = require("cloudpickle", "batch").loads(job.robot)
-        key = jr.wrap_key_data(job.key)
+        robot, key = _robot_of(job), jr.wrap_key_data(job.key)
         _studies.clear()
         _studies[job.about] = study_of_design(robot, job.design, job.positions, key, job.run_in, job.noise, None)
     return _simulated(_studies[job.about], job.folder, lambda share: alive(), block)
