@@ -43,7 +43,7 @@ def _give_memory_back() -> None:
         return  # the user says how
     try:
         library = ctypes.CDLL(None)
-        for option, value in ((_OWN_PAGES, _LARGE), (_TRIM, 4 * _LARGE), (_ARENAS, 2)):
+        for option, value in ((_OWN_PAGES, _LARGE), (_TRIM, 4 * _LARGE), (_ARENAS, max(2, os.cpu_count() or 1))):
             library.mallopt(option, value)
     except (OSError, TypeError, AttributeError):  # another C library
         return

@@ -10,6 +10,7 @@ import pytest
 import two_axes
 
 import jaxfrf as jf
+from jaxfrf import _environment
 from jaxfrf.__main__ import main
 from jaxfrf._memory import available_memory, check_memory
 from jaxfrf.simulation.checks import at_limits
@@ -38,6 +39,30 @@ def test_records_that_are_held_whole_and_do_not_fit_are_refused_unread(tmp_path,
     error = capsys.readouterr().err
     assert f"run{suffix}: found 12 MB of records, for which `{command}` takes some " in error, error
     assert "expected at most --memory 1 GB. Give fewer" in error and not (tmp_path / "x.json").exists()
+
+
+class Glibc:
+    def __init__(self, _=None):
+        self.asked = []
+
+    def mallopt(self, option, value):
+        self.asked.append((option, value))
+        return 1
+
+
+def test_memory_goes_back_unless_the_user_says_otherwise(monkeypatch):
+    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+    monkeypatch.delenv("MALLOC_ARENA_MAX", raising=False)
+    library = Glibc()
+    monkeypatch.setattr(_environment.ctypes, "CDLL", lambda name: library)
+    _environment._give_memory_back()
+    assert dict(library.asked)[-3] == 4 * 2**20  # M_MMAP_THRESHOLD
+    monkeypatch.setenv("MALLOC_ARENA_MAX", "4")
+    _environment._give_memory_back()
+    assert len(library.asked) == 3
+    monkeypatch.delenv("MALLOC_ARENA_MAX")
+    monkeypatch.setattr(_environment.ctypes, "CDLL", lambda name: object())  # another C library
+    _environment._give_memory_back()
 
 
 def test_a_header_that_lies(tmp_path):
