@@ -1,16 +1,22 @@
-"""Large data sets: memory, time and processor time of `simulate` and `estimate`, with one worker and with several.
+"""Large data sets and many small ones: memory, time and processor time of `simulate` and `estimate`.
 
     python benchmarks/bench_scale.py                         # 0.2 GB: a minute or two
-    python benchmarks/bench_scale.py --gigabytes 10 --folder /data --workers 1 2    # an hour
+    python benchmarks/bench_scale.py --gigabytes 10 --folder /data --workers 1 2    # half an hour of two idle cores
+    python benchmarks/bench_scale.py --files 500             # one --each call beside each file's work alone
 
 Every step is a command of its own, as a user gives it; its peak of resident memory and its times are what the system
 says of that process (of the largest of all, where there are workers). Data that are there already are not made again.
+The clock compares numbers of workers only where nobody else works: the machine's load is told with every step.
 """
 
 import argparse
+import contextlib
+import io
+import json
 import os
 import pathlib
 import platform
+import resource
 import subprocess
 import sys
 import tempfile
@@ -29,11 +35,16 @@ def main() -> None:
     parser.add_argument("--method", default="auto")
     parser.add_argument("--memory", default="2GB")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--files", type=int, help="so many small files and one --each call instead")
+    parser.add_argument("--alone", nargs="+", help=argparse.SUPPRESS)
     parser.add_argument("--results", type=pathlib.Path, help="file to append the table to")
     given = parser.parse_args()
+    if given.alone:
+        print(json.dumps(alone([pathlib.Path(name) for name in given.alone], given.method)))
+        return
     with tempfile.TemporaryDirectory() as temporary:
         folder = given.folder or pathlib.Path(temporary)
-        lines = measured(given, folder)
+        lines = many(given, folder) if given.files else measured(given, folder)
     text = "\n".join([heading(given), *lines, ""])
     print(text)
     if given.results:
@@ -74,9 +85,56 @@ def measured(given, folder: pathlib.Path) -> list[str]:
     return lines
 
 
+def many(given, folder: pathlib.Path) -> list[str]:
+    """One call for many small files, beside what each of them takes in a process that has compiled all there is."""
+    from jaxfrf import _environment
+
+    _environment.prepare()
+    from jaxfrf.examples import example
+    from jaxfrf.io import write
+
+    runs = folder / "runs"
+    runs.mkdir(exist_ok=True)
+    paths = [runs / f"{seed:04d}.nc" for seed in range(given.files)]
+    for seed, path in enumerate(paths):
+        if not path.exists():
+            write(path, example(blocks=1, seed=seed))
+    each = run("estimate", runs / "*.nc", "--each", "--method", given.method, "-o", folder / "each")
+    words = (__file__, "--method", given.method, "--alone", *paths)
+    by_itself = json.loads(subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True).stdout)
+    ratio = {kind: each[kind] / by_itself[kind] for kind in ("wall", "cpu")}
+    return [
+        row(f"estimate --each of {given.files} files", each),
+        row("their work alone, after compilation", by_itself),
+        f"  {ratio['wall']:.2f} times by the clock, {ratio['cpu']:.2f} times the processor time",
+    ]
+
+
+def alone(paths: list[pathlib.Path], method: str) -> dict[str, float]:
+    """Times of the command for every file by itself, with what --each writes beside it, the first one made before."""
+    from jaxfrf.__main__ import main as command
+
+    def made(path: pathlib.Path, folder: str) -> None:
+        target = pathlib.Path(folder) / path.stem
+        words = ["estimate", path, "--method", method, "-o", f"{target}.nc"]
+        words += ["--plot", f"{target}.png", "--report", f"{target}.html"]
+        with contextlib.redirect_stdout(io.StringIO()):
+            if command([*map(str, words)]):
+                raise SystemExit(f"{path} failed")
+
+    with tempfile.TemporaryDirectory() as folder:
+        made(paths[0], folder)
+        load, began, spent = os.getloadavg()[0], time.monotonic(), time.process_time()
+        for path in paths:
+            made(path, folder)
+        times = {"wall": time.monotonic() - began, "cpu": time.process_time() - spent}
+    return times | {"peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9, "load": load}
+
+
 def run(*words) -> dict[str, float]:
-    """A command in a process of its own: seconds, seconds of processor time, and the peak of resident memory, GB."""
-    began = time.monotonic()
+    """A command in a process of its own: seconds, seconds of processor time, the peak of resident memory, GB, and how
+    many programs the machine had to run before it."""
+    load, began = os.getloadavg()[0], time.monotonic()
     with tempfile.TemporaryFile() as said:
         process = subprocess.Popen([sys.executable, "-m", "jaxfrf", *map(str, words)], stdout=said, stderr=said)
         _, status, used = os.wait4(process.pid, 0)
@@ -88,11 +146,13 @@ def run(*words) -> dict[str, float]:
         "wall": time.monotonic() - began,
         "cpu": used.ru_utime + used.ru_stime,
         "peak": used.ru_maxrss * 1024 / 1e9,
+        "load": load,
     }
 
 
 def row(what: str, made: dict[str, float]) -> str:
-    return f"{what:40} {made['wall']:8.1f} s {made['cpu']:8.1f} s of processor {made['peak']:6.2f} GB at most"
+    times = f"{made['wall']:8.1f} s {made['cpu']:8.1f} s of processor"
+    return f"{what:40} {times} {made['peak']:6.2f} GB at most, load {made['load']:.1f} before"
 
 
 def equal(one: pathlib.Path, two: pathlib.Path) -> bool:

@@ -12,7 +12,8 @@ import pytest
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
-from jaxfrf.batch import each, outcomes
+from jaxfrf._alive import alive
+from jaxfrf.batch import each, engine, outcomes
 from jaxfrf.examples import example
 
 
@@ -196,3 +197,51 @@ def test_a_cluster_that_runs(tmp_path, logs):
         assert {n: o.get("summary", {}).get("twice") for n, o in batch.outcomes.items()} == {
             n: o.get("summary", {}).get("twice") for n, o in here.outcomes.items()
         }
+
+
+class Hung:
+    """A client of two workers, of which the second never gives a sign."""
+
+    def __init__(self):
+        self.restarted = []
+
+    def processing(self):
+        return {"one": ["a"], "two": ["b", "c"], "idle": []}
+
+    def run_on_scheduler(self, function, address):
+        self.restarted.append(address)
+
+
+def test_workers_without_a_sign_are_replaced_and_what_they_hang_at_fails_in_the_end(monkeypatch):
+    now, client, said = [0.0], Hung(), []
+    monkeypatch.setattr(engine.time, "monotonic", lambda: now[0])
+    watch, failed = engine._Watch(client, 100.0, said.append), []
+    for now[0] in np.arange(0.0, 400.0, 10.0):
+        watch.sign((0, {"worker": "one", "number": 0}))
+        if now[0] % 110.0 == 0:  # it begins, and is heard of no more
+            watch.sign((0, {"worker": "two", "number": 1}))
+        failed.append(watch.replace_hung())
+    assert client.restarted == ["two"] * 3 and [x for x in failed if x] == [[1]]
+    assert said[0] == "no sign of the worker at two for 100 s: it is replaced, its work done again"
+
+
+def hanging(piece):
+    """Sleeps the first time that it comes to a marked piece, for longer than anyone waits."""
+    number, marker = piece
+    if marker is not None and not os.path.exists(marker):
+        pathlib.Path(marker).write_text("")
+        time.sleep(1000)
+    for _ in range(30 if number == 4 else 0):  # long, and heard of
+        time.sleep(1.0)
+        alive()
+    return number**2
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_a_worker_that_hangs_is_replaced(tmp_path):
+    pytest.importorskip("distributed")
+    said, pieces = [], [(n, str(tmp_path / "hung") if n == 3 else None) for n in range(6)]
+    done = {x.number: x.result for x in outcomes(hanging, pieces, workers=2, patience=20.0, say=said.append)}
+    assert (tmp_path / "hung").exists() and done == {n: n**2 for n in range(6)}
+    assert sum("it is replaced, its work done again" in text for text in said) == 1

@@ -190,6 +190,52 @@ def test_a_simulation_in_blocks_is_that_of_all_at_once(tmp_path, monkeypatch):
     assert not (tmp_path / "run.nc.parts").exists()
 
 
+OWN = """
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxfrf.effects import AbstractFriction
+
+
+class Quadratic(AbstractFriction):
+    name: ClassVar = "quadratic_friction"
+    units: ClassVar = {"level": "N m s^2"}
+    bounds: ClassVar = {"level": (0.0, 1.0)}
+    signature: ClassVar = "grows with the square of the speed"
+    confusable: ClassVar = {}
+
+    joint: int | str = eqx.field(static=True)
+    level: float
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 1e-5)
+
+    def torque(self, speed, load):
+        return self.level * speed * jnp.abs(speed)
+"""
+
+
+@pytest.mark.slow
+def test_workers_simulate_the_same(tmp_path, monkeypatch):
+    """A robot with an effect that only a user's file knows, its positions shared by two processes."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(simulated, "_EACH", 2)
+    effect = '\n[[effect]]\nname = "quadratic_friction"\njoint = "elbow"\nlevel = 1e-5\n'
+    for name, text in {"robot.toml": two_axes.ROBOT + effect, "design.toml": DESIGN, "own.py": OWN}.items():
+        (tmp_path / name).write_text(text)
+    given = [str(tmp_path / "robot.toml"), str(tmp_path / "design.toml"), "--effects", str(tmp_path / "own.py")]
+    for name, workers in {"one.nc": "1", "two.nc": "2"}.items():
+        more = ["--positions", "3", "--workers", workers, "-o", str(tmp_path / name)]
+        assert main(["simulate", *given, *more]) == 0
+    one, two = _simulated(tmp_path / "one.nc"), _simulated(tmp_path / "two.nc")
+    for name in one:
+        np.testing.assert_allclose(two[name], one[name], atol=1e-9, err_msg=name)
+    assert not (tmp_path / "two.nc.parts").exists()
+
+
 class TestProgress:
     class Screen:
         def __init__(self, terminal):

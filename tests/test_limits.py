@@ -11,6 +11,7 @@ import pytest
 import two_axes
 
 import jaxfrf as jf
+from jaxfrf import _environment
 from jaxfrf.__main__ import main
 from jaxfrf._memory import available_memory, check_memory
 from jaxfrf.io import _container
@@ -27,6 +28,43 @@ def test_memory():
     assert 0 < available_memory() < 2**50
     with pytest.raises(jf.InputError, match="found 1e\\+06 TB to hold; expected at most"):
         check_memory("x", 1e18, "Cut it.")
+
+
+@pytest.mark.parametrize("command", ["identify", "diagnose"])
+@pytest.mark.parametrize("suffix", [".nc", ".npz"])
+def test_records_that_are_held_whole_and_do_not_fit_are_refused_unread(tmp_path, capsys, command, suffix):
+    x = np.zeros((1, 1, 250_000, 2))
+    jf.io.write(tmp_path / f"run{suffix}", jf.Experiment(x, x, 500.0, r=x))
+    (tmp_path / "robot.toml").write_text(two_axes.ROBOT)
+    options = ["--robot", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "x.json"), "--memory", "1GB"]
+    assert main([command, str(tmp_path / f"run{suffix}"), *options]) == 2
+    error = capsys.readouterr().err
+    assert f"run{suffix}: found 12 MB of records, for which `{command}` takes some " in error, error
+    assert "expected at most --memory 1 GB. Give fewer" in error and not (tmp_path / "x.json").exists()
+
+
+class Glibc:
+    def __init__(self, _=None):
+        self.asked = []
+
+    def mallopt(self, option, value):
+        self.asked.append((option, value))
+        return 1
+
+
+def test_memory_goes_back_unless_the_user_says_otherwise(monkeypatch):
+    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+    monkeypatch.delenv("MALLOC_ARENA_MAX", raising=False)
+    library = Glibc()
+    monkeypatch.setattr(_environment.ctypes, "CDLL", lambda name: library)
+    _environment._give_memory_back()
+    assert dict(library.asked)[-3] == 4 * 2**20  # M_MMAP_THRESHOLD
+    monkeypatch.setenv("MALLOC_ARENA_MAX", "4")
+    _environment._give_memory_back()
+    assert len(library.asked) == 3
+    monkeypatch.delenv("MALLOC_ARENA_MAX")
+    monkeypatch.setattr(_environment.ctypes, "CDLL", lambda name: object())  # another C library
+    _environment._give_memory_back()
 
 
 def test_a_header_that_lies(tmp_path):

@@ -190,7 +190,7 @@ def test_names_open_no_device_and_change_no_setting():
 
 # --- directions of the imports
 
-BASE = {"errors", "types", "status", "environment", "files", "arguments", "memory", "compile", "units"}
+BASE = {"alive", "errors", "types", "status", "environment", "files", "arguments", "memory", "compile", "units"}
 EXCITATION = BASE | {"excitation", "periodic"}
 EXPERIMENT = EXCITATION | {"experiment"}
 SPECTRA = EXPERIMENT | {"spectra"}
@@ -225,7 +225,7 @@ MAY_IMPORT = {
     "pipeline": IO,
     "identification": WHOLE | {"identification"},
     "report": WHOLE | {"plot", "identification", "report"},
-    "study": WHOLE | {"plot", "identification", "report", "gap", "study"},
+    "study": WHOLE | {"plot", "identification", "report", "gap", "batch", "study"},
     "batch": WHOLE | {"report", "batch"},
     "cli": WHOLE | {"examples", "plot", "identification", "report", "study", "gap", "batch", "cli"},
 }

@@ -7,6 +7,8 @@ import pytest
 
 import jaxfrf as jf
 from jaxfrf import parts as parts_module
+from jaxfrf.__main__ import main
+from jaxfrf.cli.study import _settings
 from jaxfrf.parts import Parts
 from jaxfrf.robot import parameters, r3x
 from jaxfrf.study import DEMO, MEDIUM, PAPER, claims as claims_module, run as run_module
@@ -327,6 +329,27 @@ def test_a_step_that_fails_ends_the_study(tmp_path, together):
     with pytest.raises(jf.InputError, match="no such step"):
         run_module._work(tasks, together, lambda text: None)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["step-0.json", "step-1.json"]
+
+
+def test_steps_that_workers_share_are_made_by_their_names(tmp_path, monkeypatch):
+    made, said = [], []
+
+    def tasks(settings, parts, say):
+        work = lambda i: lambda: made.append(i) or {"i": i}
+        return [Task(parts / f"step-{i}.json", f"step {i}", 1.0, work(i)) for i in range(3)]
+
+    monkeypatch.setattr(run_module, "study_tasks", tasks)
+    (tmp_path / "step-1.json").write_text('{"seconds": 1.0, "result": {"i": 1}}')
+    run_module._share(DEMO, tmp_path, said.append, {"workers": 1})
+    assert made == [0, 2] and json.loads((tmp_path / "step-2.json").read_text())["result"] == {"i": 2}
+    assert said == ["1 of 3 steps are done already", "[1/2] step 0", "[2/2] step 2"]
+
+
+def test_a_study_at_fewer_positions(tmp_path, capsys):
+    assert _settings(PAPER, 4).positions == _settings(PAPER, 4).fit_positions == 4
+    assert _settings(PAPER, None) == PAPER and _settings(PAPER, 20).fit_positions == 7
+    assert main(["study", "--positions", "1", "-o", str(tmp_path / "study")]) == 2
+    assert "--positions: found 1; expected 2 to 2" in capsys.readouterr().err
 
 
 def test_a_folder_of_someone_else_is_left_alone(tmp_path):

@@ -20,7 +20,7 @@ from .engine import outcomes
 from .overview import write_page, write_table
 
 _NEITHER = (  # changes a result
-    "data", "output", "json", "resume", "restart", "each", "workers", "cluster", "memory", "run"
+    "data", "output", "json", "resume", "restart", "each", "workers", "cluster", "patience", "memory", "run"
 )  # fmt: skip
 _FILES = ("robot", "effects")  # options that name files, whose contents count
 
@@ -65,6 +65,7 @@ def each(
     workers: int = 1,
     cluster: str | None = None,
     client=None,
+    patience: float | None = None,
     say: Say | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> Batch:
@@ -76,8 +77,8 @@ def each(
     tries again what did not fail by bad input; with `given.restart`, everything. Files that fail stop no others.
 
     **Arguments:** `given`: a command's options as the command line parses them, `data` its files or patterns
-    (`logs/*.mat`), `output` the folder. `workers`, `cluster`, `client`: as of `jaxfrf.batch.outcomes`; on other
-    machines paths must mean the same files. `progress`: called with the part that is done, and a few words.
+    (`logs/*.mat`), `output` the folder. `workers`, `cluster`, `client`, `patience`: as of `jaxfrf.batch.outcomes`; on
+    other machines paths must mean the same files. `progress`: called with the part that is done, and a few words.
 
     **Raises:** `jaxfrf.InputError` where there is no file, or the folder is someone else's.
     """
@@ -90,7 +91,7 @@ def each(
     made = results.standing({name: (pathlib.Path(job.given.output), job.made_from) for name, job in jobs.items()})
     todo = [name for name in names if name not in made]
     pieces = [jobs[name] for name in todo]
-    shared = {"workers": workers, "cluster": cluster, "client": client, "say": say}
+    shared = {"workers": workers, "cluster": cluster, "client": client, "patience": patience, "say": say}
     try:
         for count, done in enumerate(outcomes(_work, pieces, **shared), 1):
             name = todo[done.number]

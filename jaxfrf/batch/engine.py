@@ -1,17 +1,25 @@
 """Pieces of work that know nothing of each other: one after the other, or on a Dask cluster."""
 
 import contextlib
+import itertools
 import logging
+import queue
+import time
+import uuid
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
 
-from .._errors import input_error
+from .._alive import telling
+from .._errors import InputError, input_error
 from ..io._optional import require
 
-_RETRIES = 2  # of a piece whose worker died, on other workers
+_RETRIES = 2  # of a piece whose worker died or hung, on other workers
 _AHEAD = 4  # pieces of every worker that wait at the scheduler: it is told of thousands as others end
+_PATIENCE = 1800.0  # s without a sign of a worker
+_LOOKS = 10  # at the workers, in the time that they are given
+_RESTART = 30.0  # s for a worker to end
 
 
 class Done(eqx.Module):
@@ -34,25 +42,30 @@ def outcomes(
     workers: int = 1,
     cluster: str | None = None,
     client=None,
+    patience: float | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Iterator[Done]:
     """`work(piece)` of every piece, in the order in which they end.
 
     `work` catches what it can: an exception that it lets through ends the piece, not the others. On a cluster, `work`
-    and the pieces are pickled, workers that die are replaced and their pieces done again on others.
+    and the pieces are pickled; workers that die or hang are replaced and their pieces done again, twice at most.
 
     **Arguments:**
 
     - `workers`: processes on this machine; 1: this one.
     - `cluster`: address of a Dask scheduler that runs, e.g. `tcp://host:8786`. `client`: a `dask.distributed.Client`
       of one's own, before both.
-    - `say`: told where the work can be watched.
+    - `patience`: seconds after which a worker that has given no sign (`jaxfrf._alive.alive`, or the end of a piece) is
+      taken for hung; half an hour by default. Nobody can tell so in one process.
+    - `say`: told where the work can be watched, and of workers that hang.
 
-    **Raises:** `jaxfrf.InputError` for a number of workers below 1, or a cluster that does not answer; `ImportError`
-    where Dask is needed and not installed.
+    **Raises:** `jaxfrf.InputError` for a number of workers below 1, no patience, or a cluster that does not answer;
+    `ImportError` where Dask is needed and not installed.
     """
     if workers != int(workers) or workers < 1:
         raise input_error("workers", f"{workers}", "a whole number, 1 or more", "One for each core is a good start.")
+    if patience is not None and not patience > 0:
+        raise input_error("patience", f"{patience:g} s", "more than 0", "Take longer than a piece of work lasts.")
     if not pieces:
         return
     if client is None and cluster is None and workers == 1:
@@ -63,7 +76,29 @@ def outcomes(
             client = stack.enter_context(_client(min(workers, len(pieces)), cluster))
             if say is not None:
                 say(f"watch the work at {client.dashboard_link}")
-        yield from _there(client, work, pieces)
+        yield from _there(client, work, pieces, _PATIENCE if patience is None else patience, say or (lambda text: None))
+
+
+def raised(outcome: Done, piece: str) -> Any:
+    """What came of a piece of work, named in words.
+
+    **Raises:** what `work` returned as an `InputError`, or let through; `OSError` where no worker survived it.
+    """
+    if isinstance(outcome.result, InputError):
+        raise outcome.result
+    if outcome.error is None:
+        return outcome.result
+    if isinstance(outcome.exception, TimeoutError):
+        why = str(outcome.exception)
+    elif type(outcome.exception).__name__ == "KilledWorker":
+        why = "the processes that worked on it died one after the other. Was the memory too small?"
+    else:
+        raise outcome.exception
+    raise OSError(f"{piece}: {why}")
+
+
+def positions_text(piece: range) -> str:
+    return f"position {piece.start}" if len(piece) == 1 else f"positions {piece.start} to {piece.stop - 1}"
 
 
 def _here(work, number: int, piece) -> Done:
@@ -116,25 +151,98 @@ def _prepared(distributed, workers: int | None):
     return Prepared()
 
 
-def _there(client, work, pieces) -> Iterator[Done]:
-    distributed = require("distributed", "batch")
-    waiting = iter(enumerate(pieces))
+def _there(client, work, pieces, patience: float, say) -> Iterator[Done]:
+    waiting, under_way, ended = iter(enumerate(pieces)), {}, queue.SimpleQueue()
     ahead = _AHEAD * max(1, len(client.scheduler_info()["workers"]))
-    number_of = {}
 
-    def submitted():
-        for number, piece in waiting:
-            future = client.submit(work, piece, pure=False, retries=_RETRIES)
-            number_of[future.key] = number
-            return future
-        return None
+    def submit() -> None:
+        for number, piece in itertools.islice(waiting, ahead - len(under_way)):
+            future = client.submit(_telling, work, piece, number, watch.topic, pure=False, retries=_RETRIES)
+            under_way[future.key] = number, future
+            future.add_done_callback(ended.put)
 
-    under_way = distributed.as_completed([f for f in (submitted() for _ in range(ahead)) if f is not None])
-    for future in under_way:
-        error = future.exception()
-        number = number_of.pop(future.key)
-        yield _failed(number, error) if error else Done(number, future.result())
-        future.release()
-        following = submitted()
-        if following is not None:
-            under_way.add(following)
+    with _watching(client, patience, say) as watch:
+        submit()
+        while under_way:
+            with contextlib.suppress(queue.Empty):
+                future = ended.get(timeout=patience / _LOOKS)
+                if future.key in under_way:
+                    number, _ = under_way.pop(future.key)
+                    error = future.exception()
+                    yield _failed(number, error) if error else Done(number, future.result())
+                    future.release()
+            for number in watch.replace_hung():
+                yield from _given_up(number, under_way, patience)
+            submit()
+
+
+def _telling(work, piece, number: int, topic: str):
+    """On a worker: the work, with signs that it advances."""
+    worker = require("distributed", "batch").get_worker()
+    with telling(lambda: worker.log_event(topic, {"worker": worker.address, "number": number})):
+        return work(piece)
+
+
+def _given_up(number: int, under_way: dict, patience: float) -> Iterator[Done]:
+    for key, (which, future) in list(under_way.items()):
+        if which == number:
+            del under_way[key]
+            future.cancel()
+            yield _failed(number, TimeoutError(f"{_RETRIES + 1} workers gave no sign for {patience:g} s each"))
+
+
+class _Watch:
+    """When every worker that has something to do last gave a sign."""
+
+    def __init__(self, client, patience: float, say):
+        self.topic = f"jaxfrf-{uuid.uuid4().hex}"
+        self._client, self._patience, self._say = client, patience, say
+        self._last: dict[str, float] = {}
+        self._doing: dict[str, int] = {}
+        self._ended: dict[int, int] = {}  # workers, by the piece that they hung at
+        self._next = 0.0
+
+    def sign(self, event) -> None:
+        _, about = event
+        self._last[about["worker"]], self._doing[about["worker"]] = time.monotonic(), about["number"]
+
+    def replace_hung(self) -> list[int]:
+        """Numbers of pieces that workers have hung at too often; looks now and then."""
+        now, too_often = time.monotonic(), []
+        if now < self._next:
+            return []
+        self._next = now + self._patience / _LOOKS
+        busy = {address for address, keys in self._client.processing().items() if keys}
+        for address in set(self._last) - busy:
+            self._last.pop(address, None)
+        for address in busy:
+            if now - self._last.setdefault(address, now) < self._patience:
+                continue
+            number = self._doing.pop(address, None)
+            self._say(
+                f"no sign of the worker at {address} for {self._patience:g} s: it is replaced, its work done again"
+            )
+            self._client.run_on_scheduler(_replaced, address=address)
+            self._last.pop(address, None)
+            if number is not None:
+                self._ended[number] = self._ended.get(number, 0) + 1
+                if self._ended[number] > _RETRIES:
+                    too_often.append(number)
+        return too_often
+
+
+async def _replaced(address: str, dask_scheduler=None) -> None:
+    """End a worker; its nanny starts another one. Where there is none, others do its work."""
+    await dask_scheduler.restart_workers(
+        [address], timeout=_RESTART, wait_for_workers=False, on_error="return", stimulus_id="jaxfrf: no sign of it"
+    )
+
+
+@contextlib.contextmanager
+def _watching(client, patience: float, say) -> Iterator[_Watch]:
+    watch = _Watch(client, patience, say)
+    client.subscribe_topic(watch.topic, watch.sign)
+    try:
+        yield watch
+    finally:
+        client.unsubscribe_topic(watch.topic)

@@ -10,6 +10,7 @@ import equinox as eqx
 import numpy as np
 
 from .. import __version__
+from .._alive import alive
 from .._errors import InputError, OutputError
 from .._files import check_space, replacing
 from .._memory import block_memory
@@ -27,7 +28,7 @@ from ..io.uff import write_uff
 from ..parts import Parts, files_text
 from ..screening import Finding, Looked, Severity, across_all
 from ..spectra import Spectra, added_power, check_power, lines_in, select_positions, silent_lines, weighed_power
-from .engine import Done, outcomes
+from .engine import Done, outcomes, positions_text, raised
 
 PART_FILES, BESIDE_PARTS = ("[0-9]" * 5 + ".npz",), ("[0-9]" * 5 + ".json",)
 _BLOCK = 3.2e7  # bytes of signals: fewer positions at a time cost more in opening files than they save
@@ -86,6 +87,7 @@ def estimate_to(
     workers: int = 1,
     cluster: str | None = None,
     client=None,
+    patience: float | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Estimated:
@@ -98,13 +100,16 @@ def estimate_to(
 
     - `data`: of `jaxfrf.io.data_set`. `about`: what the caller read it by, for `parts`, which keep what is finished.
     - `memory`: bytes that every process may take, `None`: by what is free.
-    - `workers`, `cluster`, `client`: as of `jaxfrf.batch.outcomes`; on other machines paths must mean the same files.
+    - `workers`, `cluster`, `client`, `patience`: as of `jaxfrf.batch.outcomes`; on other machines paths must mean
+      the same files.
 
     **Raises:** `jaxfrf.InputError` as `jaxfrf.io.read` and `jaxfrf.estimate` do; nothing is kept then.
     """
+    shared = {"workers": workers, "cluster": cluster, "client": client, "patience": patience, "say": say}
+    here = workers == 1 and cluster is None and client is None
     pieces = _pieces(data, chosen, memory)
-    first = data.read(pieces[0])
-    head, lines = _head(data, chosen, pieces, first.data)
+    first = data.read(pieces[0]) if here else None
+    head, lines = _head(data, chosen, pieces, first.data) if here else _unscreened_head(data, chosen, pieces)
     method = adapted(chosen.method, head)
     method.check(head)
     parts.begin(_about(data, head, method, about), PART_FILES, BESIDE_PARTS)
@@ -120,10 +125,9 @@ def estimate_to(
         if progress is not None:
             progress(done / data.n_pos)
 
-    here = workers == 1 and cluster is None and client is None
     work = functools.partial(_work, job, **({"read": [first], "advanced": advanced} if here else {}))
     del first  # nobody else holds its memory
-    for outcome in outcomes(work, waiting, workers=workers, cluster=cluster, client=client, say=say):
+    for outcome in outcomes(work, waiting, **shared):
         piece = waiting[outcome.number]
         told[piece.start] = _checked(outcome, piece, parts)
         if not here:
@@ -151,6 +155,15 @@ def _head(data: DataSet, chosen: Chosen, pieces, first: Experiment) -> tuple[Spe
         others = others[1:]
     check_power(first, spectra, silent)
     return spectra, lines
+
+
+def _unscreened_head(data: DataSet, chosen: Chosen, pieces) -> tuple[Spectra, np.ndarray | None]:
+    """The same where workers screen the record; what screening says of one that is refused comes first."""
+    try:
+        return _head(data, chosen, pieces, data.unscreened(pieces[0]))
+    except InputError:
+        data.read(pieces[0])
+        raise
 
 
 def _silent(chosen: Chosen, data: Experiment) -> tuple[np.ndarray, Spectra]:
@@ -221,6 +234,7 @@ def _work(job: _Job, piece: range, read: list[Block] | None = None, advanced=Non
             if not place.is_file():
                 one, record = (spectra, data) if len(piece) == 1 else _position(spectra, data, i)
                 write_frf(place, with_distortion(estimate(one, method), record))
+            alive()
             if advanced is not None:
                 advanced(1)
     except InputError as error:
@@ -264,16 +278,9 @@ def _read_told(path: pathlib.Path) -> Block:
 
 def _checked(outcome: Done, piece: range, parts: Parts) -> Block:
     """What came of a piece. Bad input leaves nothing: it would be refused again."""
-    if isinstance(outcome.result, InputError):
-        if not isinstance(outcome.result, OutputError):
-            parts.discard()
-        raise outcome.result
-    if outcome.error is None:
-        return outcome.result
-    if type(outcome.exception).__name__ != "KilledWorker":
-        raise outcome.exception
-    where = f"position {piece.start}" if len(piece) == 1 else f"positions {piece.start} to {piece.stop - 1}"
-    raise OSError(f"{where}: the processes that worked on it died one after the other. Was the memory too small?")
+    if isinstance(outcome.result, InputError) and not isinstance(outcome.result, OutputError):
+        parts.discard()
+    return raised(outcome, positions_text(piece))
 
 
 def _assembled(path, data: DataSet, parts: Parts, told: Sequence[Block]) -> FRF:

@@ -65,8 +65,29 @@ def add_resume_option(parser: argparse.ArgumentParser) -> None:
 
 def add_memory_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--memory", type=_bytes, metavar="SIZE", help="that the command may take, e.g. 2GB (default: by what is free)"
+        "--memory", type=_bytes, metavar="SIZE", help="that a process may take, e.g. 2GB (default: by what is free)"
     )
+
+
+def check_whole(given: argparse.Namespace, program: float, copies: float) -> None:
+    """Refuse records that are read whole and take more than `--memory` says, or, without it, more than is free.
+
+    **Arguments:** `program`: bytes that the command takes beside them. `copies`: of the records, that it holds."""
+    from .._memory import available_memory, size_text
+    from ..io._container import size_in
+
+    size = sum(size_in(path) for path in given.data)
+    needed = copies * size + (0.0 if given.memory is None else program)
+    limit = available_memory() if given.memory is None else given.memory
+    if needed > limit:
+        allowed = f"the {size_text(limit)} that are free" if given.memory is None else f"--memory {size_text(limit)}"
+        names, held = [pathlib.Path(path).name for path in given.data], f"it holds them whole, {copies:g} times"
+        raise input_error(
+            ", ".join(names[:3]) + (" ..." if len(names) > 3 else ""),
+            f"{size_text(size)} of records, for which `{given.command}` takes some {size_text(needed)} ({held})",
+            f"at most {allowed}",
+            "Give fewer positions or experiments at a time, or more memory; `estimate` takes any size.",
+        )
 
 
 _UNITS = {"": 1.0, "B": 1.0, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "MIB": 2.0**20, "GIB": 2.0**30}

@@ -6,10 +6,12 @@ from .._errors import InputError, OutputError, input_error
 from . import own_effects
 from .arguments import (
     add_anyway_option,
+    add_memory_option,
     add_resume_option,
     add_tolerance_option,
     check_result,
     check_target,
+    check_whole,
     check_x64,
     command,
     kept_parts,
@@ -19,6 +21,8 @@ from .arguments import (
 )
 from .each import add_each_options
 from .progress import Progress
+
+_PROGRAM, _COPIES = 1.2e9, 22.0  # bytes beside the records, and how often these are held: R3X, friction missing, 193 MB
 
 EXAMPLES = (
     "jaxfrf diagnose run1.nc run2.nc --robot robot.toml -o gap.json --report gap.html --robot-out extended.toml",
@@ -50,6 +54,7 @@ def add(commands) -> None:
     parser.add_argument("--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1")
     parser.add_argument("--scale", help="factors to SI units: y=0.0174532925")
     add_anyway_option(parser)
+    add_memory_option(parser)
     add_resume_option(parser)
     add_each_options(parser)
 
@@ -60,6 +65,7 @@ def run(given) -> dict:
 
     check_x64("jaxfrf diagnose")
     _check_outputs(given)
+    check_whole(given, _PROGRAM, _COPIES)
     own = own_effects.own_effects(given.effects) if given.effects else ()
     robot = with_tolerances(read_robot(given.robot, own), given.tolerance)
     with kept_parts(given, own_effects.about(given)) as parts:

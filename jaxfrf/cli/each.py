@@ -18,8 +18,18 @@ def add_each_options(parser: argparse.ArgumentParser) -> None:
         help="every file by itself ('logs/*.mat' too), OUTPUT a folder: a result, a picture or a page for each, "
         "table.csv and index.html; run again, it makes what is new",
     )
+    add_worker_options(parser)
+
+
+def add_worker_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes that share the work")
     parser.add_argument("--cluster", metavar="ADDRESS", help="a running Dask scheduler instead, tcp://host:8786")
+    parser.add_argument(
+        "--patience",
+        type=float,
+        metavar="S",
+        help="seconds without a sign of a worker until it is replaced and its work done again (default 1800)",
+    )
 
 
 def run_each(given) -> dict:
@@ -32,15 +42,20 @@ def run_each(given) -> dict:
     from ..batch import each
 
     with Progress(f"{given.command} --each", given.json) as progress:
-        batch = each(given, workers=given.workers, cluster=given.cluster, say=say, progress=progress)
+        batch = each(given, **sharing(given), say=say, progress=progress)
     return {"text": batch.lines(), "json": batch.as_dict(), "code": 1 if batch.failed else 0}
 
 
+def sharing(given) -> dict:
+    """Who shares the work, as `jaxfrf.batch` takes it."""
+    return {"workers": given.workers, "cluster": given.cluster, "patience": given.patience}
+
+
 def check_alone(given) -> None:
-    """Refuse what belongs to `--each` without it; the positions of one data set are shared by `estimate` alone."""
-    if given.command == "estimate":
+    """Refuse what belongs to `--each` without it; positions are shared by `estimate` and `simulate` alone."""
+    if given.command in ("estimate", "simulate", "study"):
         return
-    for option, default in (("workers", 1), ("cluster", None)):
+    for option, default in (("workers", 1), ("cluster", None), ("patience", None)):
         if getattr(given, option, default) != default:
             raise input_error(f"--{option}", "no --each", "--each beside it", "Add --each, or leave it out.")
 

@@ -21,7 +21,7 @@ from .arguments import (
     range_of,
     say,
 )
-from .each import add_each_options
+from .each import add_each_options, sharing
 from .progress import Progress
 
 _READ_BY = ("map", "set", "scale", "anyway", "periods", "band", "robust", "segment")  # options
@@ -70,8 +70,7 @@ def run(given) -> dict:
                 parts=parts,
                 about={f"--{name}": getattr(given, name) for name in _READ_BY},
                 memory=given.memory,
-                workers=given.workers,
-                cluster=given.cluster,
+                **sharing(given),
                 progress=progress,
                 say=say,
             )

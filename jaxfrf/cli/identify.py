@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from .._errors import InputError, input_error
 from . import own_effects
 from .arguments import (
+    add_memory_option,
     add_record_options,
     add_resume_option,
     add_tolerance_option,
     check_picture,
     check_result,
     check_target,
+    check_whole,
     check_x64,
     command,
     kept_parts,
@@ -29,6 +31,8 @@ _RECORDS_ONLY = ("method", "option", "map", "set", "scale", "periods")
 _SPRINGS_ONLY = (
     "starts", "seed", "guess", "direct", "fix", "free", "share", "weights", "method", "option", "band", "plot"
 )  # fmt: skip
+
+_PROGRAM, _COPIES = 1.3e9, 15.0  # bytes beside the records, and how often these are held: R3X, 48 and 194 MB of them
 
 EXAMPLES = (
     "jaxfrf identify run1.nc run2.nc --robot robot.toml -o fit.json --report fit.html --robot-out found.toml",
@@ -87,6 +91,7 @@ def add(commands) -> None:
         "--weights", metavar="KEY=VALUE,...", help="off_diagonal=0.2, focus=4, floor=0.03, reject=0.25 (the defaults)"
     )
     add_record_options(parser, method=None, default="lrm-jio-stacked, auto where there is no reference")
+    add_memory_option(parser)
     add_resume_option(parser)
     add_each_options(parser)
 
@@ -97,6 +102,7 @@ def run(given) -> dict:
 
     check_x64("jaxfrf identify")
     _check_outputs(given)
+    check_whole(given, _PROGRAM, _COPIES)
     about = own_effects.about(given)
     with kept_parts(given, about) as parts, Progress("identify", given.json) as progress:
         robot, data, method = _read(given)

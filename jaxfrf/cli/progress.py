@@ -4,6 +4,8 @@ import json
 import sys
 import time
 
+from .._alive import alive
+
 _EVERY = 0.2  # s between two changes of the line
 _EVENTS = 1.0  # s between two events
 _under_way: "Progress | None" = None
@@ -40,6 +42,7 @@ class Progress:
 
     def __call__(self, done: float, says: str = "") -> None:
         """A part from 0 to 1 is done."""
+        alive()
         now = time.monotonic()
         left = self._left(done, now)
         if done < 1 and now - self._told < (_EVENTS if self._json else _EVERY):
@@ -50,6 +53,7 @@ class Progress:
 
     def say(self, text: str) -> None:
         """Where the work has come to, in words."""
+        alive()
         self._show({"done": None, "seconds_left": None, "says": text}, text)
 
     def wipe(self) -> None:

@@ -12,7 +12,9 @@ from .arguments import (
     check_target,
     command,
     kept_parts,
+    say,
 )
+from .each import add_worker_options, sharing
 from .progress import Progress
 
 _MOST = 100_000  # positions
@@ -20,6 +22,7 @@ _MOST = 100_000  # positions
 EXAMPLES = (
     "jaxfrf simulate robot.toml design.toml --positions 3 -o run.nc",
     "jaxfrf simulate robot.toml design.toml --configurations positions.csv --noise 1e-5 -o run.nc",
+    "jaxfrf simulate robot.toml design.toml --positions 49 --workers 4 -o run.nc",
 )
 
 
@@ -41,6 +44,7 @@ def add(commands) -> None:
     parser.add_argument("--transient", action="store_true", help="record the transient periods of the design too")
     parser.add_argument("--noise", type=float, default=5e-5, help="rms of the position noise, rad (default 5e-5)")
     add_memory_option(parser)
+    add_worker_options(parser)
     add_resume_option(parser)
 
 
@@ -66,7 +70,9 @@ def run(given) -> dict:
             run_in=None if given.transient else given.run_in,
             noise=given.noise,
             memory=given.memory,
+            **sharing(given),
             progress=progress,
+            say=say,
         )
     for text in made.warnings:
         print(f"warning: {text}", file=sys.stderr)

@@ -100,6 +100,18 @@ def positions_in(path: str | os.PathLike) -> int | None:
         return None
 
 
+def size_in(path: str | os.PathLike) -> float:
+    """Bytes of the arrays in a file as its header states them; of other formats, and of a broken file, those on the
+    disk."""
+    path = pathlib.Path(path)
+    reader = _format(path, tuple(_FORMATS), "read")
+    check_file(path)
+    if hasattr(reader, "size"):
+        with contextlib.suppress(Exception):  # reading it says what is wrong
+            return reader.size(path)
+    return path.stat().st_size
+
+
 def load(path: str | os.PathLike, part: slice | None = None, without: str | None = None) -> dict[str, Leaf]:
     """All variables of a file by name, fields of structs as `rec.vel`; see `_FORMATS` for its kinds.
 

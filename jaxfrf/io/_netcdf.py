@@ -94,6 +94,14 @@ def positions(path: pathlib.Path) -> int | None:
         return file.dimensions["position"].size if "position" in file.dimensions else None
 
 
+def size(path: pathlib.Path) -> int:
+    """Bytes of its arrays in memory."""
+    require("h5netcdf", "io")
+    check_walkable(path)
+    with require("h5netcdf", "io").File(path, "r") as file:
+        return sum(x.dtype.itemsize * int(np.prod(x.shape)) for x in file.variables.values())
+
+
 def _stored(shape: tuple[int, ...], dtype: np.dtype) -> dict:
     found = chunks(shape, dtype)
     return {"fletcher32": True, "chunksizes": found} if found else {}

@@ -37,6 +37,12 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
         return {name: _leaf(archive, name) for name in archive.files}
 
 
+def size(path: pathlib.Path) -> int:
+    """Bytes of its arrays in memory."""
+    with zipfile.ZipFile(path) as members:
+        return sum(x.file_size for x in members.infolist())
+
+
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
     np.savez(path, **{k: v.value for k, v in variables.items()}, **attributes)
 

@@ -59,6 +59,11 @@ def positions(path: pathlib.Path) -> int | None:
     return None
 
 
+def size(path: pathlib.Path) -> int:
+    """As `_netcdf.size`."""
+    return sum(x.nbytes for _, x in require("zarr", "zarr").open_group(str(path), mode="r").arrays())
+
+
 def _plain(x):
     """As JSON has it."""
     return x.tolist() if isinstance(x, np.generic | np.ndarray) else x

@@ -1,5 +1,6 @@
 """The steps of a study, one file each, so that an interrupted one goes on where it stopped."""
 
+import functools
 import json
 import pathlib
 import threading
@@ -10,7 +11,9 @@ import equinox as eqx
 import numpy as np
 
 from .. import __version__
+from .._alive import alive
 from .._types import require_x64
+from ..batch.engine import outcomes, raised
 from ..experiment import Experiment
 from ..io._container import replacing
 from ..io._json import write_json
@@ -45,30 +48,43 @@ class Task(eqx.Module):
 
 
 def run_study(
-    settings: Settings, output: str | pathlib.Path, say: Say | None = None, *, parts: Parts | None = None
+    settings: Settings,
+    output: str | pathlib.Path,
+    say: Say | None = None,
+    *,
+    parts: Parts | None = None,
+    workers: int = 1,
+    cluster: str | None = None,
+    client=None,
+    patience: float | None = None,
 ) -> dict:
     """Make the whole study and write it to a folder: `index.html`, `study.json`, both figures.
 
     Every finished step is kept in `parts` (`jaxfrf.parts.Parts`; by default in `<output>.parts`, until the study
-    stands).
+    stands). `workers`, `cluster`, `client`, `patience`, as of `jaxfrf.batch.outcomes`: who shares the steps; on other
+    machines paths must mean the same files.
 
     **Raises:** `jaxfrf.InputError` if the folder holds something else than a study, and where it cannot be written;
     `ImportError` without matplotlib.
     """
+    shared = {"workers": workers, "cluster": cluster, "client": client, "patience": patience}
     require_x64("A study")
     require("matplotlib.figure", "plot")
     if parts is None:
         with Parts(output, "study", say=say) as parts:
-            return run_study(settings, output, say, parts=parts)
+            return run_study(settings, output, say, parts=parts, **shared)
     folder = prepared(pathlib.Path(output))
     say = say or (lambda text: None)
     parts.begin(settings.as_dict(), PART_FILES)
-    return _made(settings, folder, parts.folder, say)
+    return _made(settings, folder, parts.folder.absolute(), say, shared)
 
 
-def _made(settings: Settings, folder: pathlib.Path, parts: pathlib.Path, say: Say) -> dict:
+def _made(settings: Settings, folder: pathlib.Path, parts: pathlib.Path, say: Say, shared: dict) -> dict:
     began = time.monotonic()
-    _work(study_tasks(settings, parts, say), settings.together, say)
+    if shared["workers"] == 1 and shared["cluster"] is None and shared["client"] is None:
+        _work(study_tasks(settings, parts, say), settings.together, say)
+    else:
+        _share(settings, parts, say, shared)
     results = collect(settings, parts)
     results["minutes"] = _minutes(parts, time.monotonic() - began, settings.together)
     # Only now, so that plain numbers never wait for pictures.
@@ -224,6 +240,32 @@ def _work(tasks: list[Task], together: int, say: Say) -> None:
         thread.join()
     if failed:
         raise failed[0]
+
+
+def _share(settings: Settings, parts: pathlib.Path, say: Say, shared: dict) -> None:
+    """The same on workers, each step by its name: what it is made of is known there."""
+    tasks = study_tasks(settings, parts, say)
+    waiting = [t for t in tasks if not _finished(t.path)]
+    if len(waiting) < len(tasks):
+        say(f"{len(tasks) - len(waiting)} of {len(tasks)} steps are done already")
+    work = functools.partial(_step, settings, parts)
+    for count, outcome in enumerate(outcomes(work, [t.path.name for t in waiting], **shared, say=say), 1):
+        label = waiting[outcome.number].label
+        raised(outcome, label)
+        say(f"[{count}/{len(waiting)}] {label}")
+
+
+def _step(settings: Settings, parts: pathlib.Path, name: str) -> None:
+    (task,) = (t for t in _tasks_of(settings, parts) if t.path.name == name)
+    start = time.monotonic()
+    result = task.work()
+    write_json(task.path, {"seconds": time.monotonic() - start, "result": result})
+
+
+@functools.lru_cache(maxsize=1)
+def _tasks_of(settings: Settings, parts: pathlib.Path) -> list[Task]:
+    """Of a worker, which keeps the records."""
+    return study_tasks(settings, parts, lambda text: alive())
 
 
 def _finished(path: pathlib.Path) -> bool:
