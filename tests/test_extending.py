@@ -162,7 +162,7 @@ def test_an_effect_that_is_hidden(drag):
     off = {"stiffness": 1.02, "damping": 0.95, "mass": 1.006, "viscous_friction": 1.02}
     built = {n: f * x for kind, f in off.items() for n, x in jf.robot.parameters(small_robot(), [kind]).items()}
     machine = jf.robot.with_parameters(small_robot(), built).with_effects(drag("elbow", 1e-4))
-    found = jf.diagnose(small_robot(), record(machine))
+    found = jf.gap.diagnose(small_robot(), record(machine))
     assert found.verdict == "named", found.says
     assert (found.effects[0].name, found.effects[0].joint) == ("drag", "elbow")
     assert found.effects[0].parameters["coefficient"].value == pytest.approx(1e-4, rel=0.1)
