@@ -61,8 +61,8 @@ class Looked:
         return investigate(self._robot, self._record)
 
     def shrink(self, effects: list[AbstractEffect]) -> float | None:
-        """Shrink of the gap on the held-out positions once these effects, started from these values, are fitted with the
-        robot's own parameters; `None` where that cannot be told."""
+        """Shrink of the gap on the held-out positions once these effects, started from these values, are fitted with
+        the robot's own parameters; `None` where that cannot be told."""
         return shrink_with(self.search, effects)
 
     def linear_shrink(self, effects: list[AbstractEffect]) -> float:

@@ -32,7 +32,7 @@ class StiffnessHardening(AbstractStructure):
     rad, arm side. They take the place of the robot's own; k stays.
 
     In data: mode frequencies rise with load and amplitude. In the linearised robot: exactly, by the tangent at the
-    point of rest (or its mean over a `swing`).
+    point of rest (or its mean over a `deflections`).
     """
 
     name: ClassVar = "stiffness_hardening"

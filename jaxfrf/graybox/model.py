@@ -104,12 +104,12 @@ def _spread(robot: Robot, name: str, value: float, asked: float | None) -> float
 
 
 class RobotPoint(eqx.Module):
-    """An operating point of a robot: `q`, arm angles (*pos, axis), rad; `swing`: deflections of the springs about their
-    rest during the experiment, (*pos, sample, spring), rad, over which a nonlinear spring's stiffness is averaged.
+    """An operating point of a robot: `q`, arm angles (*pos, axis), rad; `deflections`: of the springs about their rest
+    during the experiment, (*pos, sample, spring), rad, over which a nonlinear spring's stiffness is averaged.
     `jaxfrf.graybox.robot_points` finds them in the records."""
 
     q: Float[Array, "*pos axis"]
-    swing: Float[Array, "*pos sample spring"]
+    deflections: Float[Array, "*pos sample spring"]
 
 
 class RobotModel(AbstractModel):
@@ -184,9 +184,9 @@ class RobotModel(AbstractModel):
     def _inner(self, frequency, values, point):
         springs = [n for n in values if n.rpartition(".")[2] in ("stiffness", "damping")]
         robot = with_parameters(self.robot, {n: values[n] for n in springs})
-        q, swing = (point.q, point.swing) if isinstance(point, RobotPoint) else (point, None)
+        q, deflections = (point.q, point.deflections) if isinstance(point, RobotPoint) else (point, None)
         friction = self._by_axis(values, "effective_friction")
-        return frf_and_jacobian(robot, q, frequency, self.quantity, self.hold, 0.0, friction, swing)
+        return frf_and_jacobian(robot, q, frequency, self.quantity, self.hold, 0.0, friction, deflections)
 
     def _columns(self, frequency, values, point, names):
         """G, its derivative in these values, (freq, out, in, column), and their names in the order of the columns."""

@@ -9,8 +9,8 @@ from jaxtyping import Complex, Float
 from ..experiment import Experiment
 from ..robot import Robot, operating_point
 from ..robot.quantity import derivatives
+from .deflections import deflections, gear_torque, motion, robot_points
 from .model import RobotModel, RobotPoint
-from .swing import deflections, gear_torque, motion, robot_points
 
 _PLACES = 89  # of the slow motion: a number of Fibonacci's, with which the golden section is even
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
@@ -80,9 +80,9 @@ def moving_response(
     robot = model.at(values)
     held = operating_point(robot, np.asarray(q))
     held = np.asarray(robot.springs.torque(held.deflection, jnp.zeros_like(held.deflection)))
-    swing = deflections(robot, held[:, None], slow.torque[:, :, None] + slow.fast[:, None])
+    x = deflections(robot, held[:, None], slow.torque[:, :, None] + slow.fast[:, None])
     rest = np.asarray(operating_point(robot, slow.q).deflection)
-    points = RobotPoint(slow.q, swing - rest[:, :, None])
+    points = RobotPoint(slow.q, x - rest[:, :, None])
     feedback = _feedback(robot, np.asarray(frequency), model.quantity)
     return np.asarray(_mean_response(model, _arrays(values), jnp.asarray(frequency), feedback, points))
 
