@@ -68,8 +68,8 @@ def run(given) -> dict:
             memory=given.memory,
             progress=progress,
         )
-    for text in made.warnings:
-        print(f"warning: {text}", file=sys.stderr)
+    for warning in made.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
     text = [
         f"{robot.name}: {made.positions * made.experiments} runs ({made.positions} positions, {made.experiments} "
         f"experiments) of {made.samples / design.fs:g} s, {made.periods} steady period(s) of "

@@ -266,7 +266,7 @@ class AbstractGearError(AbstractGear):
         """
         spring = own_spring(robot, self.joint)
         lead = self.lead(angle)
-        leading = jnp.gradient(lead, step, axis=0)
+        leading = jnp.asarray(jnp.gradient(lead, step, axis=0))
         return spring.torque(deflection + lead, rate + leading) - spring.torque(deflection, rate)
 
 

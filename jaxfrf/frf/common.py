@@ -1,6 +1,7 @@
 """Local rational method with one scalar denominator shared by all outputs."""
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -68,7 +69,7 @@ class _SharedDenominator(eqx.Module):
 
     order: int = eqx.field(static=True)
     joint: bool = eqx.field(static=True)
-    combine: object = eqx.field(static=True)
+    combine: Callable = eqx.field(static=True)
 
     def __call__(self, solution: Solution, of_target, dof):
         terms, n_target = self.order + 1, solution.G.shape[0] // (self.order + 1)

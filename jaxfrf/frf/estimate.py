@@ -139,7 +139,7 @@ def _groups(spectra: Spectra) -> list[np.ndarray]:
 def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray]) -> Iterator[Estimate]:
     """The estimate of every group of operating points, in threads of their own once the program is compiled."""
 
-    device = jax.config.jax_default_device
+    device = jax.config.read("jax_default_device")
 
     def estimated(group):
         with jax.enable_x64(True), jax.default_device(device):  # settings of a thread are not those of the next
@@ -161,8 +161,8 @@ def _threads() -> int:
     A batched LAPACK call waits in a thread of the pool for others of the pool, and estimates that run at the same time
     can have some calls each: where there are as many as threads, they wait for ever."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    pool = os.environ.get("NPROC", "")
-    pool = int(pool) if pool.isdigit() else os.cpu_count() or 1
+    stated = os.environ.get("NPROC", "")
+    pool = int(stated) if stated.isdigit() else os.cpu_count() or 1
     return max(1, min(cores, pool // _CALLS))
 
 

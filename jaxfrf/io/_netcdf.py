@@ -128,7 +128,7 @@ def ordered(variable) -> Leaf:
     known = [d for d in _LEADING if d in dims]
     others = [d for d in dims if d not in _LEADING]
     value = plain_value(variable.transpose(*known, *others).values)
-    if "time" not in dims or len(dims) == 1 or len(others) > 1:
+    if not isinstance(value, np.ndarray) or "time" not in dims or len(dims) == 1 or len(others) > 1:
         return value
     channel = value if others else value[..., None]
     missing = tuple(i for i, d in enumerate(_LEADING) if d not in dims)

@@ -4,6 +4,7 @@ import math
 import pathlib
 import zipfile
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,8 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
 
 
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
-    np.savez(path, **{k: v.value for k, v in variables.items()}, **attributes)
+    contents: dict[str, Any] = {name: v.value for name, v in variables.items()}
+    np.savez(path, **contents, **attributes)
 
 
 def _check_header(path: pathlib.Path, members: zipfile.ZipFile, info: zipfile.ZipInfo) -> None:

@@ -304,7 +304,7 @@ def _write_nc(path: pathlib.Path, names: Mapping) -> None:
     write_dataset(path, xarray.Dataset(arrays, attrs=texts))
 
 
-def _notes(names: Mapping) -> dict[str, dict]:
+def _notes(names: Mapping[str, Any]) -> dict[str, dict]:
     """Attributes of the variables."""
     return {
         "G": {"units": names["unit"], "long_name": "frequency response function"},

@@ -346,6 +346,6 @@ def _legend(frfs, labels, radii, confidence, position: int) -> list:
             look = {"color": _style.DOUBTFUL, "lw": 0.8, "ls": style}
             handles.append(lines.Line2D([], [], label=f"{label} (std)", **look))
     if any((np.asarray(f.status[position]) & int(SERIOUS)).any() for f in frfs):
-        style = {"ls": "none", "marker": "o", "ms": 3.4, "mfc": "white", "mec": _style.DOUBTFUL}
-        handles.append(lines.Line2D([], [], **style, label="doubtful (status)"))
+        mark = {"ls": "none", "marker": "o", "ms": 3.4, "mfc": "white", "mec": _style.DOUBTFUL}
+        handles.append(lines.Line2D([], [], **mark, label="doubtful (status)"))
     return handles

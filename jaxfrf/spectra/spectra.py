@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -107,7 +108,7 @@ def select_positions(spectra: Spectra, positions) -> Spectra:
     return dataclasses.replace(spectra, **changed_signals(spectra, lambda x: x[positions]), q=q)
 
 
-def changed_signals(spectra: Spectra, change: Callable[[Array], Array]) -> dict[str, Array]:
+def changed_signals(spectra: Spectra, change: Callable[[Array], Array]) -> dict[str, Any]:
     """`change` applied to U, Y, R and the noise covariance, as far as they are there, by field name."""
     names = [name for name in ("U", "Y", "R", "noise") if getattr(spectra, name) is not None]
     return {name: change(getattr(spectra, name)) for name in names}
