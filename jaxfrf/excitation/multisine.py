@@ -1,5 +1,7 @@
 """The design of an experiment: orthogonal multisines for any number of inputs, and the slow sine below."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.random as jr
 import numpy as np
@@ -203,7 +205,11 @@ def _block(design: Multisine, key) -> Complex[np.ndarray, "exp freq in"]:
     return design.amplitude / 2 * np.exp(1j * angle).transpose(1, 2, 0)
 
 
-def shaped_amplitude(frequency: Float[Array, "freq"], corners, levels) -> Float[np.ndarray, "..."]:
+def shaped_amplitude(
+    frequency: Float[Array, "freq"],
+    corners: Sequence[float] | Float[Array, "corner"],
+    levels: Sequence[float] | Float[Array, "*channel corner"],
+) -> Float[np.ndarray, "..."]:
     """An amplitude spectrum through given corners: straight on logarithmic axes, constant beyond the ends.
 
     **Arguments:** `frequency`: Hz, (freq,); `corners`: increasing frequencies, Hz; `levels`: amplitude at

@@ -115,7 +115,7 @@ class Hv(AbstractMethod):
         return _residual_estimate(signals, response, lines)
 
 
-def check_experiments(spectra: Spectra, needed: int) -> None:
+def check_experiments(spectra: Spectra | Signals, needed: int) -> None:
     if spectra.n_exp < needed:
         raise input_error(
             "experiments",

@@ -3,7 +3,7 @@
 import concurrent.futures
 import dataclasses
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import jax
 import numpy as np
@@ -30,7 +30,9 @@ _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are ro
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
 
 
-def estimate(data: Spectra | Experiment, method: AbstractMethod = Auto(), *, progress=None) -> FRF:
+def estimate(
+    data: Spectra | Experiment, method: AbstractMethod = Auto(), *, progress: Callable[[int, int], None] | None = None
+) -> FRF:
     """Estimate the FRF from u to y at every operating point and excited line.
 
     **Arguments:**
@@ -57,12 +59,13 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod = Auto(), *, pro
     method.check(spectra)
     _check_rank(spectra, method)
     groups = _groups(spectra)
-    whole = None
+    stored = None
     for group, part in zip(groups, _estimates(spectra, method, groups), strict=True):
-        whole = _stored(whole, part, group, spectra.n_pos)
+        stored = _stored(stored, part, group, spectra.n_pos)
         if progress is not None:
             progress(int(group[-1]) + 1, spectra.n_pos)
-    whole = with_causes(whole, spectra, method)
+    assert stored is not None  # there is no record without a position
+    whole = with_causes(stored, spectra, method)
     status = whole.status | _excitation_status(spectra)
     status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
     serious = [text for text in describe(status & int(SERIOUS))]
@@ -115,7 +118,7 @@ def _instead(data) -> tuple[str, str]:
     return f"{several}{type(first).__name__}", "Make one: jaxfrf.io.read(path), or jaxfrf.Experiment(u, y, fs, period)."
 
 
-def describe_method(method) -> str:
+def describe_method(method: AbstractMethod) -> str:
     """A `method` and its options as text, e.g. `LogMean(method=LRM(order=2, width=34), elementwise=False)`."""
     if not isinstance(method, AbstractMethod):
         return repr(method)

@@ -89,7 +89,7 @@ class AbstractMethod(eqx.Module):
         """Raise `jaxfrf.InputError` if the method cannot be used on these spectra."""
 
     @abc.abstractmethod
-    def block_size(self, spectra: Spectra) -> int:
+    def block_size(self, spectra: Spectra | Signals) -> int:
         """Experiments that one estimate needs at least: the block over which averaging methods average."""
 
     @abc.abstractmethod

@@ -3,6 +3,7 @@
 import abc
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -259,28 +260,31 @@ def _effective_friction(robot: Robot, amplitude) -> list[float]:
     return [float(x) for x in np.maximum(viscous + 2 * coulomb / (np.pi * amplitude), guess)]
 
 
-def fix(model: AbstractModel, names: Iterable[str]) -> AbstractModel:
+Model = TypeVar("Model", bound=AbstractModel)
+
+
+def fix(model: Model, names: Iterable[str]) -> Model:
     """The same model with these parameters held at their start; `*` in a name stands for any text: `*.damping`."""
     return _changed(model, names, lambda p: dataclasses.replace(p, free=False))
 
 
-def free(model: AbstractModel, names: Iterable[str]) -> AbstractModel:
+def free(model: Model, names: Iterable[str]) -> Model:
     """The same model with these parameters fitted; `*` in a name stands for any text."""
     return _changed(model, names, lambda p: dataclasses.replace(p, free=True))
 
 
-def share(model: AbstractModel, names: Iterable[str]) -> AbstractModel:
+def share(model: Model, names: Iterable[str]) -> Model:
     """The same model with one value for these parameters: that of the first one named."""
     first, *others = matching(model.parameters, names)
     return _changed(model, others, lambda p: dataclasses.replace(p, same_as=first))
 
 
-def _changed(model: AbstractModel, names: Iterable[str], change: Callable[[Parameter], Parameter]) -> AbstractModel:
+def _changed(model: Model, names: Iterable[str], change: Callable[[Parameter], Parameter]) -> Model:
     chosen = matching(model.parameters, names)
     return _replaced(model, {n: change(p) if n in chosen else p for n, p in model.parameters.items()})
 
 
-def starting_at(model: AbstractModel, values: Mapping[str, float]) -> AbstractModel:
+def starting_at(model: Model, values: Mapping[str, float]) -> Model:
     """The same model with its parameters starting at these values.
 
     **Raises:** `jaxfrf.InputError` for a name that the model does not have.
@@ -290,7 +294,7 @@ def starting_at(model: AbstractModel, values: Mapping[str, float]) -> AbstractMo
     return _replaced(model, new)
 
 
-def _replaced(model: AbstractModel, parameters: dict[str, Parameter]) -> AbstractModel:
+def _replaced(model: Model, parameters: dict[str, Parameter]) -> Model:
     return eqx.tree_at(
         lambda m: m.parameters, model, parameters, is_leaf=lambda x: isinstance(x, dict) and x is model.parameters
     )

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from .._types import Array
 from ..experiment import Experiment
 from ..robot import Robot, operating_point
 from ..robot.quantity import derivatives
@@ -65,7 +66,11 @@ def _below(x: Float[np.ndarray, "exp time channel"], step: float, frequency: flo
 
 
 def moving_response(
-    model: RobotModel, values: dict, frequency: Float[np.ndarray, "freq"], q, slow: SlowMotion
+    model: RobotModel,
+    values: dict,
+    frequency: Float[Array, "freq"],
+    q: Float[Array, "pos axis"],
+    slow: SlowMotion,
 ) -> Complex[np.ndarray, "pos freq out in"]:
     """The FRF that an estimator finds of a robot in slow motion.
 
@@ -78,8 +83,8 @@ def moving_response(
     **Arguments:** `values`: of all parameters. `q`: arm angles at rest, (pos, axis).
     """
     robot = model.at(values)
-    held = operating_point(robot, np.asarray(q))
-    held = np.asarray(robot.springs.torque(held.deflection, jnp.zeros_like(held.deflection)))
+    at_rest = operating_point(robot, np.asarray(q)).deflection
+    held = np.asarray(robot.springs.torque(at_rest, jnp.zeros_like(at_rest)))
     x = deflections(robot, held[:, None], slow.torque[:, :, None] + slow.fast[:, None])
     rest = np.asarray(operating_point(robot, slow.q).deflection)
     points = RobotPoint(slow.q, x - rest[:, :, None])

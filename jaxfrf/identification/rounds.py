@@ -24,7 +24,7 @@ def kept_rounds(
 ) -> tuple[list[Correction], Callable[[Correction], None]]:
     """The rounds that an interrupted run finished, and how to keep another."""
     parts.begin(_about(model, data, settings), _PART_FILES)
-    done = []
+    done: list[Correction] = []
     while (found := parts.read(_name(len(done)), _read_round)) is not None:
         done.append(found)
     count = len(done)

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from typing import IO
 
 from .._errors import InputError, input_error
 
@@ -24,7 +25,8 @@ class Disk(io.RawIOBase):
 
     def __init__(self, path: pathlib.Path):
         self._file = open(path, "w+b", buffering=0)
-        self._path, self._error = path, None
+        self._path = path
+        self._error: OSError | None = None
 
     def check(self) -> None:
         """**Raises:** the `OSError` of the first write that failed."""
@@ -122,7 +124,7 @@ for line in sys.stdin:
 class _Walker:
     """The other process; it is started when the first file comes, and again after it ended."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._process: subprocess.Popen | None = None
         self._answers: queue.Queue[str | None] = queue.Queue()
@@ -136,8 +138,9 @@ class _Walker:
         with self._lock:
             process = self._running()
             try:
-                process.stdin.write(os.fsencode(path.absolute()).hex() + "\n")
-                process.stdin.flush()
+                requests = _piped(process.stdin)
+                requests.write(os.fsencode(path.absolute()).hex() + "\n")
+                requests.flush()
                 answer = self._answers.get(timeout=limit)
             except queue.Empty:
                 self.stop()
@@ -168,7 +171,13 @@ class _Walker:
         if process is not None and self._owner == os.getpid():
             process.kill()
             process.wait()
-            process.stdin.close()
+            _piped(process.stdin).close()
+
+
+def _piped(stream: IO[str] | None) -> IO[str]:
+    """A stream of a process that was started with pipes."""
+    assert stream is not None
+    return stream
 
 
 def _listen(lines, answers: queue.Queue) -> None:

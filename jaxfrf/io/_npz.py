@@ -39,8 +39,8 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
 
 
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
-    contents: dict[str, Any] = {name: v.value for name, v in variables.items()}
-    np.savez(path, **contents, **attributes)
+    contents: dict[str, Any] = {name: v.value for name, v in variables.items()} | dict(attributes)
+    np.savez(path, **contents)
 
 
 def _check_header(path: pathlib.Path, members: zipfile.ZipFile, info: zipfile.ZipInfo) -> None:

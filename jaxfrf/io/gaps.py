@@ -33,7 +33,7 @@ _Z = 1.959964  # of a 95 % interval
 _NEEDED = ("verdict", "effects", "ranking", "where", "gap", "parameters")
 
 
-def write_gap(path: str | os.PathLike, diagnosis) -> None:
+def write_gap(path: str | os.PathLike, diagnosis: Any) -> None:
     """Write a `diagnosis`, what `jaxfrf.gap.diagnose` returned, as JSON, whole or not at all.
 
     **Raises:** `jaxfrf.InputError` if the folder is not there."""
@@ -62,7 +62,7 @@ def read_gap(path: str | os.PathLike) -> dict[str, Any]:
     return found
 
 
-def gap_contents(diagnosis) -> dict[str, Any]:
+def gap_contents(diagnosis: Any) -> dict[str, Any]:
     """What `jaxfrf.gap.diagnose` returned as it stands in gap.json (see above): plain data without NaN."""
     d = diagnosis
     contents = {

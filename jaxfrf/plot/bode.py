@@ -63,7 +63,7 @@ def bode(
     position: int = 0,
     confidence: float | None = 0.95,
     size: tuple[float, float] | None = None,
-    axes=None,
+    axes: _style.Axes | None = None,
     title: str = "",
 ):
     """Draw magnitude (dB) above phase (degrees) of elements of G at one operating point.
@@ -92,7 +92,7 @@ def bode(
     **Raises:** `jaxfrf.InputError` if an element or operating point does not exist, or the estimates do not
     fit together.
     """
-    frfs = list(frfs) if isinstance(frfs, list | tuple) else [frfs]
+    frfs = list(frfs) if isinstance(frfs, Sequence) else [frfs]
     for frf in frfs:
         expect("frfs", frf, FRF)
     labels = _labels(frfs) if labels is None else list(labels)

@@ -1,5 +1,7 @@
 """The picture of an experiment's reference: what it looks like in time, and which lines it excites."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from .._errors import input_error
@@ -7,7 +9,9 @@ from ..excitation import Reference, detection_lines, levels
 from . import _style
 
 
-def multisine(reference: Reference, *, experiment: int = 0, channels=None, axes=None):
+def multisine(
+    reference: Reference, *, experiment: int = 0, channels: Sequence[int] | None = None, axes: _style.Axes | None = None
+):
     """Speed over one steady period, and amplitude per line with the excited, slow and detection lines.
 
     Lines are single points: between excited lines there is nothing. The detection lines stand below the

@@ -11,6 +11,7 @@ import os
 import pathlib
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from .._files import replacing
 
@@ -151,7 +152,7 @@ def facts(pairs: Mapping[str, object]) -> str:
     return f"<dl>{rows}</dl>"
 
 
-def figure(picture, caption: str = "", kind: str = "svg") -> str:
+def figure(picture: Any, caption: str = "", kind: str = "svg") -> str:
     """A matplotlib figure, `picture`, embedded: `svg` for few marks, `png` for many."""
     buffer = io.BytesIO()
     options = {"dpi": 170} if kind == "png" else {"metadata": {"Date": None}}

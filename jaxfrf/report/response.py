@@ -106,7 +106,7 @@ def frf_page(
 
     **Raises:** `jaxfrf.InputError` where the FRFs do not fit together.
     """
-    frfs = list(frfs) if isinstance(frfs, list | tuple) else [frfs]
+    frfs = list(frfs) if isinstance(frfs, Sequence) else [frfs]
     for frf in frfs:
         expect("frfs", frf, FRF)
     if not frfs:

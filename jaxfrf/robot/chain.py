@@ -155,7 +155,9 @@ def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "
     return matrix, _rows(_newton_euler(chain, bodies, rates, jnp.zeros_like(angles)), batch)
 
 
-def mass_and_bias_columns(chain: Chain, q: Float[Array, "joint run"], rate: Float[Array, "joint run"]):
+def mass_and_bias_columns(
+    chain: Chain, q: Float[Array, "joint run"], rate: Float[Array, "joint run"]
+) -> tuple[Float[Array, "joint joint run"], Float[Array, "joint run"]]:
     """As `mass_and_bias`, of many runs with the runs last.
 
     **Returns:** (joint, joint, run) and (joint, run).
@@ -248,7 +250,7 @@ def _bodies(chain: Chain, q) -> _Bodies:
     )
     mass, moment = jnp.asarray(chain.mass), _cross(position, axis)
     if any(chain.slides):
-        slide = chain.sliding[:, None, None]
+        slide = jnp.asarray(chain.sliding[:, None, None])
         axis, moment = (1.0 - slide) * axis, (1.0 - slide) * moment + slide * axis
     return _Bodies(
         axis=axis,

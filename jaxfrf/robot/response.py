@@ -157,7 +157,8 @@ def _held_integrators(s, T: float, delay, count: int):
     z = jnp.exp(s * T)
     whole = jnp.floor(delay / T + 1e-9)
     rest = 1.0 - (delay / T - whole)
-    states, factorial = [], 1.0
+    states: list[Array] = []
+    factorial = 1.0
     powers = [1.0]
     for p in range(1, count + 1):
         factorial *= p

@@ -208,7 +208,9 @@ def arm_inertia(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "
 
 
 @eqx.filter_jit
-def arm_inertia_and_bias(robot: Robot, arm: Float[Array, "*batch arm"], rate: Float[Array, "*batch arm"]):
+def arm_inertia_and_bias(
+    robot: Robot, arm: Float[Array, "*batch arm"], rate: Float[Array, "*batch arm"]
+) -> tuple[Float[Array, "*batch arm arm"], Float[Array, "*batch arm"]]:
     """M_ae and c_ae + g_ae from one pass over the kinematics: what changes slowly within a control sample.
 
     **Returns:** (*batch, arm, arm), kg m^2, and (*batch, arm), N m.
@@ -217,7 +219,9 @@ def arm_inertia_and_bias(robot: Robot, arm: Float[Array, "*batch arm"], rate: Fl
     return _arm_matrix(robot, matrix), bias[..., np.array(robot.arm_joints)]
 
 
-def arm_inertia_and_bias_columns(robot: Robot, arm: Float[Array, "arm run"], rate: Float[Array, "arm run"]):
+def arm_inertia_and_bias_columns(
+    robot: Robot, arm: Float[Array, "arm run"], rate: Float[Array, "arm run"]
+) -> tuple[Float[Array, "arm arm run"], Float[Array, "arm run"]]:
     """As `arm_inertia_and_bias`, of many runs with the runs last: for simulations.
 
     **Returns:** (arm, arm, run) and (arm, run).
@@ -325,7 +329,9 @@ def gear_load(robot: Robot, spring, torque) -> Float[Array, "*batch axis"]:
     return torque.at[..., flexible].set(spring[..., : robot.n_motors] / robot.drives.gear_ratio[flexible])
 
 
-def friction_effects(robot: Robot, speed, load) -> Float[Array, "*batch axis"]:
+def friction_effects(
+    robot: Robot, speed: Float[Array, "*batch axis"], load: Float[Array, "*batch axis"]
+) -> Float[Array, "*batch axis"]:
     """Torque against the motors by the robot's effects, motor side; `speed` in rad/s, `load` as `gear_load`; N m."""
     return _effects_torque(robot, AbstractFriction, speed, load)
 

@@ -1,7 +1,7 @@
 """Fourier coefficients of an experiment, and parts of them."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -97,7 +97,7 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
     return dataclasses.replace(spectra, **signals, lines=spectra.lines[inside], frequency=spectra.frequency[inside])
 
 
-def select_positions(spectra: Spectra, positions) -> Spectra:
+def select_positions(spectra: Spectra, positions: slice | Sequence[int] | Int[Array, "pos"]) -> Spectra:
     """The same spectra at some operating points only (`positions`: a slice or a list of indices).
 
     **Raises:** `jaxfrf.InputError` if `spectra` are none.
@@ -114,11 +114,10 @@ def changed_signals(spectra: Spectra, change: Callable[[Array], Array]) -> dict[
     return {name: change(getattr(spectra, name)) for name in names}
 
 
-def differentiate(X, omega, times: int):
-    """Spectra `X`, (*batch, freq, channel), differentiated `times` times: times (j `omega`)^times, `omega` in rad/s.
-
-    **Returns:** (*batch, freq, channel).
-    """
+def differentiate(
+    X: Complex[Array, "*batch freq channel"], omega: Float[Array, "freq"], times: int
+) -> Complex[Array, "*batch freq channel"]:
+    """Spectra `X` differentiated `times` times: times (j `omega`)^times, `omega` in rad/s."""
     return X * ((1j * np.asarray(omega)) ** times)[:, None]
 
 
