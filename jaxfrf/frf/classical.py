@@ -61,7 +61,7 @@ class H2(AbstractMethod):
     """G = Y Y^H (U Y^H)^-1: least squares with the noise in u. As many outputs as inputs.
 
     Biased high by noise in y; better than `H1` at resonances, where y is large and u small. The covariance is H1's,
-    to first order.
+    to first order (Mitchell, J. Mech. Design 104, 1982).
     """
 
     def block_size(self, spectra: Spectra | Signals) -> int:

@@ -22,7 +22,7 @@ class CommonDenominatorLRM(AbstractLocal):
     Used by `jaxfrf.JointInputOutput` on [y; u] together, where the denominator cancels in the ratio N_y N_u^-1: the
     closed loop has one set of poles. Fewer unknowns than `LRM`: the least width is (R+1) n_in + R/n_out lines
     over n_exp (6 axes, R = 2: 19 instead of 30). Biased where more poles than R matter within one window.
-    Fields: see `AbstractLocal`.
+    Fields: see `AbstractLocal`. Source: Voorhoeve, van der Maas & Oomen, Mech. Syst. Signal Process. 105, 2018.
 
     The numerators are eliminated first; the d_s then solve the normal equations of what is left over all outputs, each
     divided by its rms in the window. Cov

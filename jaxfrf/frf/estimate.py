@@ -4,6 +4,7 @@ import concurrent.futures
 import dataclasses
 import os
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import jax
 import numpy as np
@@ -142,7 +143,8 @@ def _groups(spectra: Spectra) -> list[np.ndarray]:
 def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray]) -> Iterator[Estimate]:
     """The estimate of every group of operating points, in threads of their own once the program is compiled."""
 
-    device = jax.config.read("jax_default_device")
+    settings: Any = jax.config  # its types know no flags
+    device = settings.jax_default_device
 
     def estimated(group):
         with jax.enable_x64(True), jax.default_device(device):  # settings of a thread are not those of the next

@@ -28,7 +28,7 @@ def derived(
     First order in the covariance of the fit (delta method), in the logarithm of quantities that are positive, so that
     their intervals stay so. It fails where a quantity bends over the width of its interval.
 
-    **Arguments:** `function`: from every parameter by name to scalars by name, in `jax.numpy`:
+    **Arguments:** `function`: from every parameter by name, in its unit, to scalars by name, in `jax.numpy`:
     `lambda p: {"antiresonance": jnp.sqrt(p["k"] / p["J2"]) / (2 * jnp.pi)}`.
     """
     x, cov = jnp.asarray(fitted.x), np.asarray(fitted.uncertainty.cov)

@@ -80,7 +80,7 @@ def moving_response(
 
     Biased where the motion is not slow against the width of resonances: it counts the places, not the way between them.
 
-    **Arguments:** `values`: of all parameters. `q`: arm angles at rest, (pos, axis).
+    **Arguments:** `values`: of all parameters. `frequency`: Hz. `q`: arm angles at rest, (pos, axis), rad.
     """
     robot = model.at(values)
     at_rest = operating_point(robot, np.asarray(q)).deflection
@@ -95,7 +95,10 @@ def moving_response(
 def response_in_motion(
     model: RobotModel, values: dict, frequency: Float[np.ndarray, "freq"], data: Experiment
 ) -> Complex[np.ndarray, "pos freq out in"]:
-    """The FRF that these periodic records would show of a robot with these parameters, without simulating them."""
+    """The FRF that these periodic records would show of a robot with these parameters, without simulating them.
+
+    `frequency` is in Hz; see `moving_response` for what it leaves out.
+    """
     slow = slow_motion(model.robot, data, slow_limit(frequency))
     if slow is not None:
         return moving_response(model, values, frequency, data.q, slow)

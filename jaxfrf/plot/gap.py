@@ -168,7 +168,8 @@ def _key(figure, left: float) -> None:
 def gap_dumbbells(before: Numbers, after: Numbers | None, axis_names: Sequence[str], *, marked: Sequence[str] = ()):
     """Rms torque residual over the rms torque, axis by axis, before and after.
 
-    **Arguments:** `before`, `after`: (axis,), parts; `None` where nothing was changed. `marked`: axes in bold.
+    **Arguments:** `before`, `after`: (axis,), parts without a unit; `None` where nothing was changed. `marked`: axes in
+    bold.
 
     **Returns:** the figure and its axes.
     """

@@ -74,9 +74,9 @@ def _frf(model: LinearRobot, frequency, quantity: str, hold: ZeroOrderHold | Non
 def hold_remainder(
     model: LinearRobot, frequency: Float[Array, "freq"], hold: ZeroOrderHold
 ) -> Float[Array, "*batch freq"]:
-    """Size of what `ZeroOrderHold.order` leaves out, over the largest element of G; (*batch, freq).
+    """Size of what `ZeroOrderHold.order` leaves out, over the largest element of G; (*batch, freq), without unit.
 
-    Above a thousandth or so, use `discretise` and `state_space_frf`, or a higher sampling frequency.
+    `frequency` is in Hz. Above a thousandth or so, use `discretise` and `state_space_frf`, or sample faster.
     """
     omega = 2.0 * jnp.pi * jnp.asarray(frequency)
     longer = dataclasses.replace(hold, order=hold.order + 2)

@@ -71,8 +71,8 @@ def _change(X: list[np.ndarray]) -> tuple[float, float, int, int] | None:
     gain = np.real(together @ mean.conj()) / power.sum()
     low, high = sorted((int(np.argmin(gain)), int(np.argmax(gain))))
     k = np.arange(n) - (n - 1) / 2
-    trend = np.tensordot(k / (k @ k) * (n - 1), X, axes=1)
-    for step, a, b in ((X[high] - X[low], low, high), (trend, 0, n - 1)):
+    trend = np.tensordot(k / (k @ k) * (n - 1), together, axes=1)
+    for step, a, b in ((together[high] - together[low], low, high), (trend, 0, n - 1)):
         found = _same_everywhere(step, mean, power)
         if found is not None:
             return *found, a, b

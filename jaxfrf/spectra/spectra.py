@@ -98,7 +98,7 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
 
 
 def select_positions(spectra: Spectra, positions: slice | Sequence[int] | Int[Array, "pos"]) -> Spectra:
-    """The same spectra at some operating points only (`positions`: a slice or a list of indices).
+    """The same spectra at some operating points only (`positions`: a slice or a list of indices, from 0).
 
     **Raises:** `jaxfrf.InputError` if `spectra` are none.
     """
