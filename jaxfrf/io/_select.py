@@ -68,6 +68,8 @@ def missing(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, name: s
     do = [f"Did you mean --map {key}={_quoted(like)}?"] if like else []
     if name.isdigit() and "1" in variables:
         do = ["Columns of a table without headings are counted from 1."]
+    elif name != key and like is None:
+        do = [f"Of another file of the same record: give both, and --map {key}=FILE:NAME."]
     example = propose(variables)
     if example:
         do.append(f'Say which is which, for example --map "{example}".')

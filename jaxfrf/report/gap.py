@@ -4,11 +4,11 @@ import html
 import math
 import os
 import re
+from typing import Any
 
 import numpy as np
 
 from ..effects import library
-from ..gap.result import Diagnosis
 from ..io.gaps import equation
 from ..plot.gap import gap_bode, gap_dumbbells, gap_maps, torque_courses
 from .gap_words import (
@@ -59,14 +59,14 @@ details > summary { cursor: pointer; color: #0a5c96; margin: 4px 0 8px; font-siz
 </style>"""
 
 
-def write_gap_report(path: str | os.PathLike, diagnosis: Diagnosis) -> None:
+def write_gap_report(path: str | os.PathLike, diagnosis: Any) -> None:
     """Write the page about a `diagnosis`, as `jaxfrf.gap.diagnose` returns it, one HTML file that needs nothing else.
 
     **Raises:** `ImportError` without matplotlib; `jaxfrf.InputError` if the folder is not there."""
     write_page(path, gap_page(diagnosis))
 
 
-def gap_page(diagnosis: Diagnosis) -> str:
+def gap_page(diagnosis: Any) -> str:
     """The page about a `diagnosis` as HTML text."""
     d = diagnosis
     names = joined([s.name for s in d.sources]) or "data in memory"
