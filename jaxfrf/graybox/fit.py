@@ -72,7 +72,7 @@ class Fit(eqx.Module):
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviation of the fitted parameters, in their units; NaN where the FRF's covariance is unknown or none."""
+        """Standard deviation of the fitted parameters, in their units; NaN where the FRF has no covariance."""
         return scaled(self.coordinates, self.x, self._known_std)
 
     @property
