@@ -7,7 +7,7 @@ Every case (`_hidden_cases.py`) is a simulated machine that differs from the rob
 everywhere, and by one effect of the library, two, one that the library does not hold, or none. Half of the records are
 MuJoCo's. The diagnosis sees `FOLDER/cases/NNN` (record and nominal robot); what was hidden stands in
 `FOLDER/truth/NNN.json`, what it found in `FOLDER/results/NNN.json`: gap.json with the wall time, and the shrink of the
-gap on the sealed positions if the true effect is refitted ("oracle") or some other one ("placebo").
+gap on the held-out positions if the true effect is refitted ("oracle") or some other one ("placebo").
 
 Data and results that are there are kept, so an interrupted run goes on; a diagnosis that ended in an error is made
 again. `--make-only` makes the data; a case takes half a minute and 83 MB. `--score` prints the tables, and writes
@@ -61,8 +61,8 @@ class Looked:
         return investigate(self._robot, self._record)
 
     def shrink(self, effects: list[AbstractEffect]) -> float | None:
-        """Shrink of the gap on the sealed positions once these effects, started from these values, are fitted with the
-        robot's own parameters; `None` where that cannot be told."""
+        """Shrink of the gap on the held-out positions once these effects, started from these values, are fitted with
+        the robot's own parameters; `None` where that cannot be told."""
         return shrink_with(self.search, effects)
 
     def linear_shrink(self, effects: list[AbstractEffect]) -> float:

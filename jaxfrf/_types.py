@@ -29,7 +29,7 @@ Lines = Int[Array, "freq"]
 
 def require_x64(what: str) -> None:
     """Raise if JAX works in 32 bit: a local least-squares problem squares rounding away in single precision."""
-    if not jax.config.jax_enable_x64:
+    if jax.dtypes.canonicalize_dtype(np.float64) != np.float64:
         raise ValueError(
             f"{what} needs 64-bit numbers, but JAX is set to 32 bit. jaxfrf never changes that setting for you: "
             'set the environment variable JAX_ENABLE_X64=1, or call jax.config.update("jax_enable_x64", True) '

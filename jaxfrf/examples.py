@@ -2,7 +2,9 @@
 
 import numpy as np
 import scipy.linalg
+from jaxtyping import Complex, Float
 
+from ._types import Array
 from .excitation import Multisine, SlowSine, log_odd_lines, reference
 from .experiment import Experiment
 
@@ -51,7 +53,7 @@ def example(*, blocks: int = 2, periods: int = 2, noise: float = 2e-3, seed: int
     )
 
 
-def example_response(frequency) -> np.ndarray:
+def example_response(frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "1 freq out in"]:
     """The true FRF of `example` at `frequency`, (freq,), Hz, from held torque to motor speed: (1, freq, out, in)."""
     A, B, C = _discrete()
     z = np.exp(2j * np.pi * np.asarray(frequency) / FS)

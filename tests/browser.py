@@ -50,12 +50,15 @@ class Seen(NamedTuple):
     answer: object
 
 
-def seen(page: pathlib.Path, width: int = 1100, action: str = "") -> Seen:
-    """Load a page at a width, run an action (JavaScript with `window`, `document` and `later()`), and look."""
+def seen(page: pathlib.Path, width: int = 1100, action: str = "", media: str = "screen") -> Seen:
+    """Load a page at a width, run an action (JavaScript with `window`, `document` and `later()`), and look.
+
+    `media`: "print" takes the rules for paper."""
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if browser is None:
         pytest.skip("no Chromium on this machine: pages are not looked at in a browser.")
     text = page.read_text(encoding="utf-8").replace("<head>", f"<head>{_BEFORE}", 1)
+    text = text.replace("@media print", "@media all") if media == "print" else text
     frame = _FRAME.replace("WIDTH", str(width)).replace("ACTION", action).replace("PAGE", html.escape(text))
     wrapper = page.with_name(f"looked-at-{page.stem}.html")
     wrapper.write_text(frame, encoding="utf-8")
@@ -74,6 +77,27 @@ def seen(page: pathlib.Path, width: int = 1100, action: str = "") -> Seen:
     return Seen(**json.loads(html.unescape(said)))
 
 
+_ON_PAPER = """
+window.dispatchEvent(new window.Event("beforeprint"));
+await later();
+const shown = (x) => x.getClientRects().length > 0;
+const all = (name) => [...document.querySelectorAll(name)];
+return {
+  controls: all("select, button, .tabs > label").filter(shown).length,
+  hidden: all("figure, table").filter((x) => !shown(x) && !x.closest("[hidden]")).length,
+  cut: all(".wide, table, figure").filter((x) => x.scrollWidth > x.clientWidth + 1
+    && window.getComputedStyle(x).overflowX !== "visible").length,
+};
+"""
+_PAPER = 703  # pixels of A4 between margins of 12 mm
+
+
+def assert_prints(page: pathlib.Path) -> None:
+    """On paper nothing is cut, hidden or there to be clicked on."""
+    found = seen(page, _PAPER, _ON_PAPER, "print")
+    assert found.answer == {"controls": 0, "hidden": 0, "cut": 0} and found.overflow <= 0, f"{page.name}: {found}"
+
+
 def assert_fine(page: pathlib.Path) -> None:
     """Below 3 MB, nothing from elsewhere, nothing wrong, everything drawn, no wider than a phone or a screen."""
     assert page.stat().st_size < 3e6
@@ -81,3 +105,4 @@ def assert_fine(page: pathlib.Path) -> None:
         found = seen(page, width)
         assert (found.wrong, found.empty, found.broken, found.outside) == ([], [], 0, []), f"{page.name}, {width} px"
         assert found.overflow <= 0, f"{page.name} is {found.overflow} px wider than {width} px"
+    assert_prints(page)

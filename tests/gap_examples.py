@@ -56,7 +56,7 @@ def _maps(hot: dict[int, np.ndarray], left: dict[int, np.ndarray], steps, positi
 
 
 def _response(shift: float = 0.0, delay: float = 0.0, gain: float = 1.0) -> np.ndarray:
-    """Two sealed positions of six axes with an antiresonance and a resonance each, (2, freq, 6, 6)."""
+    """Two held-out positions of six axes with an antiresonance and a resonance each, (2, freq, 6, 6)."""
     s = 2j * np.pi * FREQUENCY
     G = np.zeros((2, len(FREQUENCY), 6, 6), complex)
     for p in range(2):
@@ -131,7 +131,7 @@ def _diagnosis(verdict, says, *, effects=(), gap, maps, ranking, where, frf=None
     )
 
 
-def _gap(before, after, floor, axes_before, axes_after, on="sealed positions 5 and 6") -> Gap:
+def _gap(before, after, floor, axes_before, axes_after, on="held-out positions 5 and 6") -> Gap:
     shrink = 1 - (after - floor) / (before - floor)
     unit = "over its floor"
     return Gap(before, after, floor, shrink, unit, on, np.array(axes_before), np.array(axes_after))
@@ -182,7 +182,7 @@ def _coulomb() -> Diagnosis:
     maps = _maps({2: curve}, {}, {"speed": {2: lambda v: 0.21 * np.tanh(v / 1.5)}})
     return _diagnosis(
         "named",
-        "Coulomb friction of joint3 is larger than the model's by 0.21 N m. On the sealed positions that closes 97 % "
+        "Coulomb friction of joint3 is larger than the model's by 0.21 N m. On the held-out positions that closes 97 % "
         "of the gap that a model can close.",
         effects=[named],
         gap=_gap(4.82, 1.11, 1.0, [0.021, 0.024, 0.164, 0.031, 0.028, 0.044], [0.02, 0.022, 0.025, 0.03, 0.028, 0.043]),
@@ -329,7 +329,7 @@ def _sufficient() -> Diagnosis:
 
 
 def _inconclusive() -> Diagnosis:
-    """From a single position: nothing is sealed, there is no FRF, and some numbers are not known."""
+    """From a single position: nothing is held out, there is no FRF, and some numbers are not known."""
     each = [0.05, 0.06, np.nan, 0.09, 0.08, 0.1]
     ranking = [
         Ranked("viscous_friction", "joint1", 0.06, 0.21, {"coefficient": 4e-4}, 1.0, "not significant"),
@@ -338,7 +338,7 @@ def _inconclusive() -> Diagnosis:
         "inconclusive",
         "No effect is significant, but these data could not have shown one: a Coulomb friction 4 times the just "
         "visible one would have stayed below the floor.",
-        gap=_gap(1.3, 1.3, 1.2, each, each, on="the positions of the fit (none was sealed)"),
+        gap=_gap(1.3, 1.3, 1.2, each, each, on="the positions of the fit (none was held out)"),
         maps=_maps({}, {}, {}, positions=1),
         ranking=ranking,
         where=[],

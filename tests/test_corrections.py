@@ -6,7 +6,7 @@ import numpy as np
 
 import jaxfrf as jf
 from jaxfrf.graybox import Coordinates, Correction
-from jaxfrf.graybox.corrections import answer, next_point, stays
+from jaxfrf.graybox.corrections import next_point, settled, updated
 
 NAMES = ("k", "l", "m")
 COORDINATES = Coordinates({name: jf.Parameter(2.0) for name in NAMES})
@@ -29,7 +29,7 @@ def corrected(step, x, rounds):
     history = []
     for _ in range(rounds):
         history.append(Correction(x, step(x), 0.0, 0.0))
-        x = next_point(history, COORDINATES, fit_at(history[-1].answer))
+        x = next_point(history, COORDINATES, fit_at(history[-1].update))
     return history
 
 
@@ -55,16 +55,16 @@ class TestNextPoint:
 
 
 class TestLostParameters:
-    def test_answer(self):
-        np.testing.assert_allclose(answer(COORDINATES, fit_at([0.1, 0.2, 0.3])), [0.1, 0.2, 0.3])
+    def test_update(self):
+        np.testing.assert_allclose(updated(COORDINATES, fit_at([0.1, 0.2, 0.3])), [0.1, 0.2, 0.3])
         lost = fit_at([0.1, 0.3], ("k", "m"))
-        np.testing.assert_allclose(answer(COORDINATES, lost), [0.1, np.log(2.0), 0.3])
+        np.testing.assert_allclose(updated(COORDINATES, lost), [0.1, np.log(2.0), 0.3])
 
     def test_it_stays_whatever_is_lost(self):
         x = np.array([0.1, 0.5, 0.3])
         lost = fit_at([0.1 + 5e-4, 0.3 + 5e-3], ("k", "m"))
-        round_ = Correction(x, answer(COORDINATES, lost), 0.0, 0.0)
-        np.testing.assert_array_equal(stays(round_, COORDINATES, lost), [True, True, False])
+        round_ = Correction(x, updated(COORDINATES, lost), 0.0, 0.0)
+        np.testing.assert_array_equal(settled(round_, COORDINATES, lost), [True, True, False])
 
     def test_the_next_round(self):
         """Without the metric of the lost parameter a round is still made."""

@@ -1,4 +1,4 @@
-"""One new file and one line: an estimator and a record format of one's own, from the file to the command line.
+"""One new file and one line: an estimator, an effect and a record format of one's own, up to the command line.
 
 The file is what a person would write into the package; the line is the entry of the table that lists its kind.
 """
@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from two_axes import ROBOT
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
@@ -41,6 +42,37 @@ class RidgeH1(AbstractMethod):
         cov = jnp.full((n, vec, vec), jnp.nan + 0j)
         none, all_lines = jnp.zeros(n, int), jnp.ones(n)
         return Estimate(G, cov, self.residual_dof(signals) * all_lines, none, all_lines, none > 0)
+'''
+
+EFFECT = '''
+"""Drag against a motor."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .effect import AbstractFriction, Joint
+
+
+class Drag(AbstractFriction):
+    """Drag that grows with the square of the speed, tau = coefficient v |v|."""
+
+    name: ClassVar = "drag"
+    units: ClassVar = {"coefficient": "N m s^2/rad^2"}
+    bounds: ClassVar = {"coefficient": (0.0, 1e-2)}
+    signature: ClassVar = "a torque residual that grows with the square of the speed"
+    confusable: ClassVar = {"viscous_friction": "another amplitude of the slow motion"}
+
+    joint: Joint = eqx.field(static=True)
+    coefficient: float
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint, 2e-5)
+
+    def torque(self, speed, load):
+        return self.coefficient * speed * jnp.abs(speed)
 '''
 
 FORMAT = '''
@@ -94,6 +126,46 @@ def test_an_estimator(new_file, tmp_path, monkeypatch, capsys):
     assert "some of ridge" in capsys.readouterr().err
     mean = jf.estimate(data, jf.ArithmeticMean(method("ridge")))
     np.testing.assert_allclose(mean.G, jf.estimate(data, jf.ArithmeticMean()).G, rtol=1e-3)
+
+
+@pytest.fixture
+def drag(new_file, monkeypatch):
+    """An effect that the library holds."""
+    kind = new_file("jaxfrf.effects.drag", EFFECT).Drag
+    monkeypatch.setattr(jf.effects, "Drag", kind, raising=False)  # the line: from .drag import Drag as Drag
+    return kind
+
+
+def test_an_effect(drag, tmp_path):
+    """It is in the library, in files of robots, and a candidate of both comparisons on every joint that can have it."""
+    from jaxfrf.gap.candidates import candidates
+    from jaxfrf.gap.torque_candidates import candidates as of_torques
+
+    path = tmp_path / "robot.toml"
+    path.write_text(ROBOT + '[[effect]]\nname = "drag"\njoint = "elbow"\ncoefficient = 1e-4\n')
+    robot = jf.io.read_robot(path)
+    assert jf.effects.library()["drag"] is drag and isinstance(robot.effects[0], drag)
+    found = [c for c in candidates(robot, np.ones(2)) if c.name == drag.name]
+    assert [c.joint for c in found] == ["shoulder", "elbow"]
+    for c in found:
+        assert (c.low, *c.high) == ((0.0,), pytest.approx(500.0))
+        assert c.make(np.array([3.0])).coefficient == pytest.approx(6e-5)
+    found, _ = of_torques(robot, jf.effects.library(), np.ones(2), np.ones(2))
+    assert [c.joint for c in found if c.name == drag.name] == ["shoulder", "elbow"]
+
+
+@pytest.mark.slow
+def test_an_effect_that_is_hidden(drag):
+    """The diagnosis tries it, names it and tells its size, on a machine whose own numbers are off."""
+    from test_gap import record, small_robot
+
+    off = {"stiffness": 1.02, "damping": 0.95, "mass": 1.006, "viscous_friction": 1.02}
+    built = {n: f * x for kind, f in off.items() for n, x in jf.robot.parameters(small_robot(), [kind]).items()}
+    machine = jf.robot.with_parameters(small_robot(), built).with_effects(drag("elbow", 1e-4))
+    found = jf.gap.diagnose(small_robot(), record(machine))
+    assert found.verdict == "named", found.says
+    assert (found.effects[0].name, found.effects[0].joint) == ("drag", "elbow")
+    assert found.effects[0].parameters["coefficient"].value == pytest.approx(1e-4, rel=0.1)
 
 
 def test_a_record_format(new_file, tmp_path, monkeypatch, capsys):

@@ -103,11 +103,11 @@ class TestWhatIsHandedOver:
         assert given["robot"].axis_names == jf.robot.r3x().axis_names
         assert given["own"] == () and "sealed" not in given
 
-    def test_names_units_and_sealed_positions(self, folder, tmp_path, diagnosing):
+    def test_names_units_and_heldout_positions(self, folder, tmp_path, diagnosing):
         raw = np.load(folder / "run0.npz")
         np.savez(tmp_path / "log.npz", current=raw["u"], speed=raw["y"], wanted=raw["r"], rate=500.0)
         options = ["--map", "u=current,y=speed,r=wanted,fs=rate", "--set", "period=100", "--scale", "y=0.5"]
-        more = ["--positions-sealed", "1"]
+        more = ["--heldout-count", "1"]
         assert run(tmp_path, tmp_path / "gap.json", *options, *more, data=["log.npz"], robot=folder / "robot.toml") == 0
         (data,) = diagnosing.given["data"]
         np.testing.assert_array_equal(data.y, 0.5 * raw["y"])
@@ -135,7 +135,7 @@ class TestWhatIsWritten:
         assert "  payload: mass 1.420 ± 0.098 kg (95 %), p < 1e-6" in out
         assert "  torque_delay joint2: delay 0.360 ± 0.041 ms (95 %), p = 4e-5" in out
         assert "these data cannot tell it from current_loop_lag; A step of torque, or lines above 300 Hz." in out
-        assert "gap on sealed positions 5 and 6: 3.9 before, 1.06 after, floor 1, torque residual (rms), over" in out
+        assert "gap on held-out positions 5 and 6: 3.9 before, 1.06 after, floor 1, torque residual (rms), over" in out
         assert "; 98 % of the reducible gap is gone" in out
         assert "next experiment: Weigh the tool" in out and out.splitlines()[-2].startswith("wrote ")
         assert "fitting" not in error  # nobody watches
@@ -201,13 +201,13 @@ class TestInterrupted:
         [
             ([], r"1 finished part of a run begun .*; expected none, or --resume"),
             (
-                ["--resume", "--positions-sealed", "1"],
-                r"other options or data \(--positions-sealed: none then, 1 now",
+                ["--resume", "--heldout-count", "1"],
+                r"other options or data \(--heldout-count: none then, 1 now",
             ),
             (["--resume", "--effects", "own.py"], r"--effects: none then, own\.py \(sha256 \w{16}\) now"),
             (["--resume", "--robot", "other.toml"], r"--robot: robot\.toml .* then, other\.toml .* now"),
         ],
-        ids=["anew", "sealed", "effects", "robot"],
+        ids=["anew", "heldout", "effects", "robot"],
     )
     def test_another_run_leaves_it(self, folder, tmp_path, monkeypatch, capsys, diagnosing, again, says):
         monkeypatch.chdir(folder)
@@ -232,7 +232,7 @@ REFUSED = {
     "suffix": (["-o", "gap.txt"], r"found the suffix '\.txt'; expected one of \.json"),
     "report": (["--report", "gap.pdf"], r"gap\.pdf: found the suffix '\.pdf'; expected one of \.html"),
     "robot": (["--robot-out", "gap.json"], r"gap\.json: found the suffix '\.json'; expected one of \.toml"),
-    "sealed": (["--positions-sealed", "-1"], r"--positions-sealed: found -1; expected 0 or more"),
+    "heldout": (["--heldout-count", "-1"], r"--heldout-count: found -1; expected 0 or more"),
     "effects": (["--effects", "nobody.py"], r"nobody\.py: found no such file; expected a Python file"),
     "map": (["--map", "u"], r"--map"),
 }

@@ -95,12 +95,12 @@ def test_emps_names_its_friction(emps):
 
 @pytest.mark.slow
 def test_emps_by_the_command(measured, emps, emps_robot, tmp_path):
-    """The same, from the files: `jaxfrf diagnose`, with the pulses sealed and a page."""
+    """The same, from the files: `jaxfrf diagnose`, with the pulses held out and a page."""
     robot, gap, page = tmp_path / "emps.toml", tmp_path / "gap.json", tmp_path / "gap.html"
     jf.io.write_robot(emps_robot, robot)
     files = [str(measured / "emps" / f"{name}.mat") for name in ("DATA_EMPS", "DATA_EMPS_PULSES")]
     options = ["--map", "u=vir,y=qm", "--set", "y_quantity=position", "--scale", f"u={NEWTON_PER_VOLT}"]
-    written = ["-o", str(gap), "--report", str(page), "--positions-sealed", "1"]
+    written = ["-o", str(gap), "--report", str(page), "--heldout-count", "1"]
     assert main(["diagnose", *files, "--robot", str(robot), *options, *written]) == 0
     found = json.loads(gap.read_text())
     assert [e["name"] for e in found["effects"]] == [e.name for e in emps.effects]
@@ -252,7 +252,7 @@ def bench(measured, kind, y="theta_mx"):
 
 @pytest.fixture(scope="module")
 def drives(measured):
-    """A rigid drive against A, sealed on B: by the motor's encoder, and by the recorded speed."""
+    """A rigid drive against A, held out on B: by the motor's encoder, and by the recorded speed."""
     return {
         y: diagnose_drive(*(jf.estimate(jf.dft(bench(measured, kind, y)), jf.LRM(order=2)) for kind in "AB"))
         for y in ("theta_mx", "omega_max")
@@ -261,7 +261,7 @@ def drives(measured):
 
 def test_bench_misses_a_mode(drives):
     """One inertia with a free gain leaves more than 10 dB (rms over both parts of log G); a mode is named first, at
-    the antiresonance (53-54 Hz) and the resonance (76-77 Hz) of the record, and the sealed record agrees."""
+    the antiresonance (53-54 Hz) and the resonance (76-77 Hz) of the record, and the held-out record agrees."""
     found = drives["theta_mx"]
     assert found.verdict == "named" and found.effects[0].name == "extra_flexibility"
     mode = found.effects[0].parameters

@@ -46,6 +46,9 @@ class TestFile:
             assert {"value", "std", "unit", "start", "identifiable"} <= set(x)
         assert read_gap(tmp_path / "gap.json") == found
         assert [p.name for p in tmp_path.iterdir()] == ["gap.json"]
+        older = found | {"positions": {"fitted": found["positions"]["fitted"], "sealed": found["positions"]["heldout"]}}
+        (tmp_path / "older.json").write_text(json.dumps(older))
+        assert read_gap(tmp_path / "older.json") == found
 
     def test_an_effect(self, tmp_path):
         write_gap(tmp_path / "gap.json", example("coulomb"))
@@ -61,7 +64,7 @@ class TestFile:
         np.testing.assert_allclose(effect["parameters"]["level"]["interval95"], [0.19674, 0.22066], atol=1e-5)
         assert effect["equivalent"] == [] and "tau = level tanh" in effect["equation"]
         assert found["gap"]["torque_before"]["joint3"] == 0.164
-        assert found["positions"] == {"fitted": [0, 1, 2, 3, 4], "sealed": [5, 6]}
+        assert found["positions"] == {"fitted": [0, 1, 2, 3, 4], "heldout": [5, 6]}
         assert found["sources"][0] == {"name": "cell4_run1.nc", "sha256": "3f" * 32}
 
     def test_parameters_know_where_they_began(self, tmp_path):
@@ -166,7 +169,7 @@ class TestWords:
 class TestPictures:
     def test_maps_hold_the_residuals_on_one_scale(self):
         maps = example("coulomb").maps
-        _, axes = gap_maps(maps.before, maps.after, maps.bands, AXES, marked=["joint3"], sealed=(5, 6))
+        _, axes = gap_maps(maps.before, maps.after, maps.bands, AXES, marked=["joint3"], heldout=(5, 6))
         assert [a.get_title(loc="left") for a in axes] == ["before", "after"]
         for axis, values in zip(axes, (maps.before, maps.after), strict=True):
             drawn = np.stack([mesh.get_array().reshape(values[:, 0].shape) for mesh in axis.collections], axis=1)
@@ -287,7 +290,7 @@ class TestPage:
         assert not re.search(r"(src|href)=\"(?!data:)|url\(|@import|<script|https?:", page)
 
     def test_pictures(self, written):
-        """Maps, courses, dumbbells; and an FRF for every axis and sealed position."""
+        """Maps, courses, dumbbells; and an FRF for every axis and held-out position."""
         d, page = written
         others = 1 if axes_of(d) else 0
         bodes = 0 if d.frf is None else 2 * min(len(axes_of(d)) or 1, 2)

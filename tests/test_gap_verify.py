@@ -2,7 +2,6 @@
 
 import itertools
 from types import SimpleNamespace
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -170,26 +169,6 @@ def test_ripple_that_is_written_is_what_was_fitted(robot):
     np.testing.assert_allclose(torque.torque(angle), 3.0 * np.sin(6 * angle) + 4.0 * np.cos(6 * angle), atol=1e-12)
     expected = angle - 5.0 * np.sin(2 * angle) + 12.0 * np.cos(2 * angle)
     np.testing.assert_allclose(resolver.measured(angle), expected, atol=1e-12)
-
-
-def test_an_effect_of_the_library_without_a_table(robot, monkeypatch):
-    """It is tried by the range that its class states."""
-    from jaxfrf.gap.candidates import candidates
-
-    class Drag(fx.ViscousFriction):
-        name: ClassVar = "drag"
-        bounds: ClassVar = {"coefficient": (0.0, 0.5)}
-
-    before = {c.name for c in candidates(robot, np.ones(2))}
-    assert "drag" not in before and {"payload", "torque_saturation", "coulomb_friction"} <= before
-    library = fx.library()
-    monkeypatch.setattr(fx, "library", lambda: library | {"drag": Drag})
-    found = [c for c in candidates(robot, np.ones(2)) if c.name == "drag"]
-    assert [c.joint for c in found] == ["shoulder", "elbow"]
-    for candidate in found:
-        value = float(Drag.typical(robot, candidate.joint).coefficient)
-        np.testing.assert_allclose(candidate.high[0] * value, 0.5)
-        assert float(candidate.make(np.array([2.0])).coefficient) == pytest.approx(2 * value)
 
 
 def test_gears_that_are_rigid_take_no_effect_of_a_spring():

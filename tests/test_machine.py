@@ -127,6 +127,6 @@ def test_what_a_machine_misses(record):
     start = machine(m=2.3, d=4.0, k=2400.0)
     found = diagnose_machine(start, record, [CoulombFriction("spring", 0.5), CubicSpring("spring", 1e5)])
     assert found.verdict == "named" and [e.name for e in found.effects] == ["cubic_spring"]
-    assert found.sealed[1] < 0.1 * found.sealed[0]
+    assert found.heldout[1] < 0.1 * found.heldout[0]
     assert abs(float(found.effects[0].stiffness) / CUBIC - 1) < 0.02
     assert diagnose_machine(found.fit.machine, record, []).verdict == "sufficient"

@@ -98,21 +98,45 @@ def test_docstrings_say_what_is_raised():
             assert "**Raises:**" in inspect.getdoc(function), name
 
 
-def test_arguments_and_results_have_shapes_or_words():
-    """What has no annotation, which tells the shape of an array, is told by the docstring."""
+def test_arguments_have_types():
+    """Every argument of a public function; results too, but for pictures."""
     for name, function in functions():
-        text, signature = inspect.getdoc(function), inspect.signature(function)
+        signature = inspect.signature(function)
         for argument in signature.parameters.values():
-            plain = argument.annotation is argument.empty and argument.name not in ("self", "cls")
-            assert not plain or f"`{argument.name}`" in text, f"{name}: {argument.name}"
+            assert argument.annotation is not argument.empty, f"{name}: {argument.name}"
         if signature.return_annotation is signature.empty:
-            assert "**Returns:**" in text or name.startswith("jaxfrf.plot."), f"{name}: what it returns"
+            assert name.startswith("jaxfrf.plot."), f"{name}: what it returns"
+            assert "**Returns:**" in inspect.getdoc(function), name
+
+
+UNITS = (
+    r"\b(Hz|rad|N m|kg|J|SI|units?|dB|degrees?|bytes|inches|samples?|lines?|periods?|indices|relative|tolerances)\b"
+    r"|[0-9. ](m|s)\b"
+)
+
+
+def test_arrays_have_shapes_and_units():
+    """Shapes stand in the annotation; units, or that there is none, in the docstring."""
+    for name, function in functions():
+        signature = inspect.signature(function)
+        told = [str(x.annotation) for x in signature.parameters.values()] + [str(signature.return_annotation)]
+        for text in told:
+            bare = re.sub(r"\w+\[[\w.]+, '[^']+'\]|(Key|UInt32)\[[^]]*\]", "", text)
+            assert not re.search(r"\b(Array|ndarray)\b", bare) or re.search(r"(Mapping|dict)\[str", bare), (
+                f"{name}: {text}"
+            )
+        if any(re.search(r"(Float|Complex)\[", text) for text in told):
+            assert re.search(UNITS, inspect.getdoc(function)), f"{name}: units"
+
+
+SOURCE = r"\b(19|20)\d\d\b|Zimmermann|paper"
 
 
 def test_estimators_say_when_they_are_biased_and_where_they_come_from():
     for name, value in PUBLIC.items():
         if inspect.isclass(value) and issubclass(value, jf.AbstractMethod) and value is not jf.AbstractMethod:
             assert re.search(r"bias|fails|consistent", inspect.getdoc(value), re.IGNORECASE), name
+            assert re.search(SOURCE, inspect.getdoc(value)), f"{name}: source"
 
 
 def test_public_names_have_annotated_arguments_or_speaking_defaults():

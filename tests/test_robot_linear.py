@@ -207,11 +207,11 @@ class TestLinearisation:
             low, high = medians_of_49(at)
             assert np.all((np.array(published) + 0.2 >= low) & (np.array(published) - 0.2 <= high))
 
-    def test_swing_averages_the_local_stiffness(self):
+    def test_deflections_average_the_local_stiffness(self):
         robot = jr.r3x()
         point = jr.operating_point(robot, FEW)
         swing = 4e-4 * np.random.default_rng(0).normal(size=(50, 8))
-        model, wide = jr.linearise(robot, point), jr.linearise(robot, point, swing=swing)
+        model, wide = jr.linearise(robot, point), jr.linearise(robot, point, deflections=swing)
         rho, knee, k = (
             np.asarray(x)[:6]
             for x in (robot.springs.stiffness_ratio, robot.springs.stiffness_knee, robot.springs.stiffness)

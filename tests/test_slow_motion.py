@@ -9,8 +9,8 @@ import pytest
 from two_axes import ROBOT
 
 import jaxfrf as jf
+from jaxfrf.graybox.indirect import measured_frf
 from jaxfrf.graybox.slow_motion import SlowMotion, moving_response, slow_motion
-from jaxfrf.graybox.through import measured_frf
 from jaxfrf.io.robots import read_robot
 from jaxfrf.robot import Controller, with_parameters
 from jaxfrf.simulation.controller import Cascade, ControllerState

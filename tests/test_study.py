@@ -33,7 +33,7 @@ def hidden_example():
         "says": "Missing: coulomb friction on shoulder.",
         "effects": [effect],
         "true": {"name": "coulomb_friction", "joint": "shoulder", "parameters": {"level": 0.06}},
-        "gap": {"before": 8.0, "after": 0.2, "floor": 1.0, "shrink": 1.0, "on": "sealed positions"},
+        "gap": {"before": 8.0, "after": 0.2, "floor": 1.0, "shrink": 1.0, "on": "held-out positions"},
         "torque": {"shoulder": {"before": 0.12, "after": 0.005}},
     }
 
@@ -398,7 +398,7 @@ def test_the_demo_finds_what_is_true(tmp_path):
     assert hidden["verdict"] == "named" and (named["name"], named["joint"]) == (HIDDEN.name, HIDDEN.joint)
     level = named["parameters"]["level"]
     assert level["low"] < HIDDEN.level < level["high"] < 1.2 * HIDDEN.level
-    assert hidden["sealed"] == [2] and hidden["gap"]["after"] < 0.5 * hidden["gap"]["before"]
+    assert hidden["heldout"] == [2] and hidden["gap"]["after"] < 0.5 * hidden["gap"]["before"]
     assert hidden["torque"]["shoulder"]["after"] < 0.5 * hidden["torque"]["shoulder"]["before"]
     text = (tmp_path / "study" / "index.html").read_text()
     assert (

@@ -53,9 +53,9 @@ def _entry(folder: pathlib.Path, name: str, outcome: Mapping) -> str:
 def _flat(tree, name: str = "") -> dict[str, object]:
     """Numbers and words by dotted names; lists of at most six with their places, longer ones left out."""
     if isinstance(tree, Mapping):
-        items = tree.items()
+        items = list(tree.items())
     elif isinstance(tree, list) and len(tree) <= 6 and not any(isinstance(x, Mapping | list) for x in tree):
-        items = ((str(place), x) for place, x in enumerate(tree, 1))
+        items = [(str(place), x) for place, x in enumerate(tree, 1)]
     else:
         return {} if isinstance(tree, list) or name.startswith("output") else {name: tree}
     flat: dict[str, object] = {}

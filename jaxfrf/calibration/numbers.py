@@ -186,7 +186,7 @@ def _of_drive(robot: Robot, kind: str, axis: int) -> float:
 
 
 def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "number"]) -> Robot:
-    """The robot with these numbers where x says; the others as they are."""
+    """The robot with these numbers where their coordinates x, in tolerances, say; the others as they are."""
     fields = {kind: parameter_field(robot, kind) for kind in {n.kind for n in these} & set(PARAMETER_UNITS)}
     arrays: dict[str, np.ndarray] = {}
     drives: list[tuple[str, str, float]] = []

@@ -94,7 +94,7 @@ _UNITS = {"": 1.0, "B": 1.0, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "MIB":
 
 
 def _bytes(text: str) -> float:
-    found = re.fullmatch(r"\s*([0-9.]+)\s*([A-Za-z]*)\s*", text)
+    found = re.fullmatch(r"\s*([0-9.]+)\s*([A-Za-z]*)\s*", text) or ("", "", "")
     try:
         size = float(found[1]) * _UNITS[found[2].upper()]
     except (TypeError, KeyError, ValueError):
@@ -289,7 +289,7 @@ def with_tolerances(robot, text: str | None):
         return robot
     from ..robot.tolerances import tolerances_from
 
-    table = {}
+    table: dict[str, float | str] = {}
     for pair in text.split(","):
         key, equals, value = (part.strip() for part in pair.partition("="))
         if not equals or not key or not value:

@@ -45,7 +45,7 @@ def add(commands) -> None:
     own_effects.add_effects_option(parser)
     add_tolerance_option(parser)
     parser.add_argument(
-        "--positions-sealed",
+        "--heldout-count",
         type=int,
         metavar="N",
         help="positions that are kept to judge the result on (of records without a period: the last N files)",
@@ -87,10 +87,10 @@ def _diagnosed(given, robot, data, own, parts):
     from ..gap.rounds import PART_FILES
 
     parts.begin(_about(given, data), PART_FILES)
-    sealed = {} if given.positions_sealed is None else {"sealed": given.positions_sealed}
+    heldout = {} if given.heldout_count is None else {"sealed": given.heldout_count}
     try:
         with naming(given.data), Progress("diagnose", given.json) as progress:
-            return diagnose(robot, data, own=own, parts=parts, say=progress.say, progress=progress, **sealed)
+            return diagnose(robot, data, own=own, parts=parts, say=progress.say, progress=progress, **heldout)
     except OutputError:
         raise
     except InputError:
@@ -109,7 +109,7 @@ def _about(given, data) -> dict:
         "--map": given.map,
         "--set": given.set,
         "--scale": given.scale,
-        "--positions-sealed": given.positions_sealed,
+        "--heldout-count": given.heldout_count,
     }
 
 
@@ -128,8 +128,8 @@ def _check_outputs(given) -> None:
         require("matplotlib.figure", "plot")
     if given.robot_out:
         check_result(given.robot_out, [given.robot], "robot")
-    if given.positions_sealed is not None and given.positions_sealed < 0:
-        raise input_error("--positions-sealed", f"{given.positions_sealed}", "0 or more", "Say how many, e.g. 2.")
+    if given.heldout_count is not None and given.heldout_count < 0:
+        raise input_error("--heldout-count", f"{given.heldout_count}", "0 or more", "Say how many, e.g. 2.")
 
 
 def _write_more(given, found, own) -> list[str]:

@@ -24,7 +24,7 @@ def run(given) -> dict:
     write(given.output, data)
     text = [
         f"two flexible axes in closed loop: {data.n_exp} experiments, {data.n_periods} steady periods of "
-        f"{data.period / data.fs:g} s, {len(data.lines)} excited lines, seed {given.seed}",
+        f"{data.period / data.fs:g} s, {0 if data.lines is None else len(data.lines)} excited lines, seed {given.seed}",
         f"wrote {given.output}",
         f"next: jaxfrf estimate {given.output} -o frf.nc --report frf.html",
     ]

@@ -3,6 +3,7 @@
 import pathlib
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from .._errors import InputError, input_error
 from . import own_effects
@@ -82,7 +83,7 @@ def add(commands) -> None:
         metavar="FILE:mass=KG,place=X;Y;Z",
         help="carried in this record beside what the robot is given with, in the last link's frame, m; exactly known",
     )
-    names = {"action": "append", "default": []}
+    names: dict[str, Any] = {"action": "append", "default": []}
     parser.add_argument("--fix", **names, metavar="NAME,...", help="hold these at the robot's value: *.damping")
     parser.add_argument("--free", **names, metavar="NAME,...", help="fit these too: joint1.torque_gain (--direct)")
     parser.add_argument("--share", **names, metavar="A=B", help="one value for both: joint5.damping=joint6.damping")
@@ -322,7 +323,7 @@ def _weights(text: str | None):
     from ..graybox import Weights
 
     known = [f.name for f in dataclasses.fields(Weights) if isinstance(f.default, float)]
-    found = {}
+    found: dict[str, Any] = {}
     for pair in text.split(",") if text else ():
         name, _, value = (x.strip() for x in pair.partition("="))
         if name not in known:

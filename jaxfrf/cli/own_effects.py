@@ -7,8 +7,12 @@ import os
 import pathlib
 import sys
 import traceback
+from typing import TYPE_CHECKING
 
 from .._errors import input_error
+
+if TYPE_CHECKING:
+    from ..effects import AbstractEffect
 
 _HELP = "effects of your own, a Python file: it is executed, with all that stands in it"
 _STATED = ("name", "units", "bounds", "signature", "confusable")
@@ -35,7 +39,7 @@ def about(given) -> dict[str, str]:
     return {"--effects": files_text([source(given.effects)])}
 
 
-def own_effects(path: str | os.PathLike) -> tuple[type, ...]:
+def own_effects(path: str | os.PathLike) -> tuple[type["AbstractEffect"], ...]:
     """Every effect (subclass of `jaxfrf.effects.AbstractEffect`) that a Python file defines. The file is executed.
 
     **Raises:** `jaxfrf.InputError` if the file is missing or fails, defines no effect, or one that is not complete or
@@ -68,6 +72,7 @@ def _imported(path: pathlib.Path):
         )
     name = f"jaxfrf_own_effects_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None  # of a file that is there and ends with .py
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # where dataclasses look for the module of a class
     try:
@@ -85,7 +90,7 @@ def _imported(path: pathlib.Path):
 
 def _line(error: Exception, path: pathlib.Path) -> int | str:
     own = [x.lineno for x in traceback.extract_tb(error.__traceback__) if pathlib.Path(x.filename) == path]
-    return own[-1] if own else "?"
+    return own[-1] or "?" if own else "?"
 
 
 def _lacking(kind: type) -> list[str]:
@@ -95,7 +100,7 @@ def _lacking(kind: type) -> list[str]:
     return [*methods, *fields, *(name for name in _STATED if not hasattr(kind, name))]
 
 
-def _check_whole(path: pathlib.Path, kinds: tuple[type, ...]) -> None:
+def _check_whole(path: pathlib.Path, kinds: tuple[type["AbstractEffect"], ...]) -> None:
     from ..effects import library
 
     taken = dict.fromkeys(library(), "the library's")

@@ -74,8 +74,8 @@ def run(given) -> dict:
             progress=progress,
             say=say,
         )
-    for text in made.warnings:
-        print(f"warning: {text}", file=sys.stderr)
+    for warning in made.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
     text = [
         f"{robot.name}: {made.positions * made.experiments} runs ({made.positions} positions, {made.experiments} "
         f"experiments) of {made.samples / design.fs:g} s, {made.periods} steady period(s) of "

@@ -30,6 +30,7 @@ from .effect import (
     AbstractSensor as AbstractSensor,
     AbstractStatelessActuator as AbstractStatelessActuator,
     AbstractStructure as AbstractStructure,
+    Candidate as Candidate,
 )
 from .friction import (
     ArmViscousFriction as ArmViscousFriction,

@@ -1,5 +1,6 @@
 """From the commanded torque to the motor's."""
 
+import functools
 import math
 from typing import ClassVar
 
@@ -13,7 +14,7 @@ from .._errors import input_error
 from .._types import Array
 from ._harmonics import checked, harmonics
 from ._place import axis_of
-from .effect import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator, Joint
+from .effect import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator, Candidate, Joint
 
 Number = Float[Array, ""] | float
 
@@ -135,6 +136,13 @@ class TorqueConstant(AbstractStatelessActuator):
         return (1.0 + self.error) * jnp.ones_like(s)
 
 
+_CLIPPED = (0.9, 0.8, 0.65, 0.5, 0.4)  # of the largest command, where a drive is tried to clip
+
+
+def _as_it_is(effect, c):
+    return effect
+
+
 class TorqueSaturation(AbstractStatelessActuator):
     """The drive clips the torque, clip(u, -limit, limit), below the limit that the controller knows.
 
@@ -156,6 +164,16 @@ class TorqueSaturation(AbstractStatelessActuator):
     @classmethod
     def typical(cls, robot, joint):
         return cls(joint, 0.5 * robot.drives.torque_limit[axis_of(robot, joint)])
+
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        """At parts of the largest command: whatever it is clipped at, its torque is that of the limit."""
+        these = [cls(joint, part * largest) for part in _CLIPPED]
+        label = "limit {:.3g} N m".format
+        return tuple(
+            Candidate(cls.name, joint, (e,), functools.partial(_as_it_is, e), (0.3,), (3.0,), 0.3, label(e.limit))
+            for e in these
+        )
 
     def drive(self, torque):
         return jnp.clip(torque, -self.limit, self.limit)
@@ -193,6 +211,11 @@ class TorqueRipple(AbstractMotorTorque):
     def typical(cls, robot, joint):
         limit = robot.drives.torque_limit[axis_of(robot, joint)]
         return cls(joint, 0.01 * jnp.where(jnp.isfinite(limit), limit, 1.0)[None], (6,))
+
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        """None: the orders are found in the data."""
+        return ()
 
     def torque(self, angle):
         return harmonics(self.amplitude, self.order, self.phase, angle)

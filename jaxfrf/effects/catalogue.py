@@ -2,65 +2,24 @@
 
 import difflib
 import inspect
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from .._errors import input_error
-from .actuator import CurrentLoopLag, TorqueConstant, TorqueDelay, TorqueRipple, TorqueSaturation
 from .effect import AbstractEffect
-from .friction import (
-    ArmViscousFriction,
-    CoulombFriction,
-    FrictionAsymmetry,
-    LoadDependentFriction,
-    StribeckFriction,
-    ViscousFriction,
-)
-from .sensor import EncoderQuantisation, ResolverRipple
-from .structure import (
-    Backlash,
-    Counterbalance,
-    DressPack,
-    ExtraFlexibility,
-    MotorInertia,
-    Payload,
-    StiffnessHardening,
-)
-from .transmission import GearHysteresis, StructuralDamping, TransmissionError, WristCoupling
-
-_ALL: tuple[type[AbstractEffect], ...] = (
-    CoulombFriction,
-    ViscousFriction,
-    ArmViscousFriction,
-    StribeckFriction,
-    FrictionAsymmetry,
-    LoadDependentFriction,
-    TorqueRipple,
-    ResolverRipple,
-    TorqueDelay,
-    CurrentLoopLag,
-    Backlash,
-    StiffnessHardening,
-    TorqueConstant,
-    MotorInertia,
-    Payload,
-    Counterbalance,
-    ExtraFlexibility,
-    TorqueSaturation,
-    EncoderQuantisation,
-    DressPack,
-    TransmissionError,
-    StructuralDamping,
-    GearHysteresis,
-    WristCoupling,
-)
 
 
 def library() -> dict[str, type[AbstractEffect]]:
-    """Every effect by its name; `library()[name].typical(robot, joint)` is one at a just visible magnitude."""
-    return {kind.name: kind for kind in _ALL}
+    """Every effect by its name; `library()[name].typical(robot, joint)` is one at a just visible magnitude.
+
+    It holds what `jaxfrf.effects` exports: the line that exports a class is all that lists it.
+    """
+    exported = vars(sys.modules[__package__]).values()
+    kinds = [x for x in exported if inspect.isclass(x) and issubclass(x, AbstractEffect) and not inspect.isabstract(x)]
+    return {kind.name: kind for kind in kinds}
 
 
 def effect_from_table(

@@ -20,11 +20,15 @@ can be differentiated.
 """
 
 import abc
+import functools
+import math
+from collections.abc import Callable
 from typing import ClassVar, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Complex, Float, PyTree
 
 from .._types import Array
@@ -63,9 +67,67 @@ class AbstractEffect(eqx.Module):
     def typical(cls, robot, joint: Joint) -> Self:
         """The effect on this joint of this robot at a magnitude that is just visible: where a search starts."""
 
+    @classmethod
+    def plausible(cls, robot, joint: Joint) -> tuple[float, float]:
+        """Lowest and highest value of the first parameter on this joint of this robot; by default its `bounds`."""
+        return cls.bounds.get(next(iter(cls.units)), (-math.inf, math.inf))
+
+    @classmethod
+    def candidates(cls, robot, joint: Joint, largest: float) -> tuple["Candidate", ...]:
+        """What a diagnosis tries of the effect on this joint: by default one, linear in the first parameter.
+
+        A class says it itself where a parameter enters nonlinearly (a knee, a width: one candidate for each of some
+        values), and where it is found otherwise, (). Without a direction, where the first parameter is no single number
+        or typically zero, there is none by default.
+
+        **Arguments:** `largest`: command of the joint's motor in the record, N m.
+
+        **Raises:** `jaxfrf.InputError` where the joint cannot have the effect.
+        """
+        typical = cls.typical(robot, joint)
+        robot.with_effects(typical)
+        value = np.asarray(getattr(typical, next(iter(cls.units))))
+        if value.size != 1 or not np.all(value):
+            return ()
+        return (typical.candidate(*cls.plausible(robot, joint)),)
+
+    def candidate(self, low: float, high: float, variant: str = "") -> "Candidate":
+        """This effect, linear in its first parameter from `low` to `high`: a coefficient counts its value here."""
+        first = next(iter(self.units))
+        value = float(np.asarray(getattr(self, first)).item())
+        bounds = sorted((low / value, high / value))
+        make = functools.partial(_times, self, first, value)
+        return Candidate(self.name, str(self.joint), (self,), make, (bounds[0],), (bounds[1],), 1.0, variant)
+
     def check(self, robot) -> None:
         """**Raises:** `jaxfrf.InputError` where the effect cannot act on its joint of this robot."""
         axis_of(robot, self.joint)
+
+
+def _times(effect, first: str, value: float, c):
+    return eqx.tree_at(lambda e: getattr(e, first), effect, float(value * c[0]))
+
+
+class Candidate(eqx.Module):
+    """An effect that may be missing, linear in a few unknowns.
+
+    **Fields:** `name`, `joint`: of the effect. `basis`: effects whose signatures are the columns. `make`: the effect of
+    coefficients, one for each column. `low`, `high`: bounds of the coefficients. `visible`: first coefficient of the
+    effect that is just visible. `variant`: what tells it from others of the same effect and joint.
+    """
+
+    name: str = eqx.field(static=True)
+    joint: str = eqx.field(static=True)
+    basis: tuple[AbstractEffect, ...]
+    make: Callable[[np.ndarray], AbstractEffect] = eqx.field(static=True)
+    low: tuple[float, ...] = eqx.field(static=True)
+    high: tuple[float, ...] = eqx.field(static=True)
+    visible: float = eqx.field(static=True, default=1.0)
+    variant: str = eqx.field(static=True, default="")
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.name, self.joint
 
 
 class AbstractStructure(AbstractEffect):
@@ -155,6 +217,11 @@ class AbstractSensor(AbstractEffect):
 class AbstractGear(AbstractEffect):
     """An effect inside a flexible transmission, whose spring is deflected by x = q_m/n - q_a (arm side, rad)."""
 
+    @classmethod
+    def candidates(cls, robot, joint: Joint, largest: float) -> tuple[Candidate, ...]:
+        spring_of(robot, joint)
+        return super().candidates(robot, joint, largest)
+
     def check(self, robot) -> None:
         spring_of(robot, self.joint)
 
@@ -199,7 +266,7 @@ class AbstractGearError(AbstractGear):
         """
         spring = own_spring(robot, self.joint)
         lead = self.lead(angle)
-        leading = jnp.gradient(lead, step, axis=0)
+        leading = jnp.asarray(jnp.gradient(lead, step, axis=0))
         return spring.torque(deflection + lead, rate + leading) - spring.torque(deflection, rate)
 
 

@@ -12,6 +12,8 @@ from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Join
 
 Number = Float[Array, ""] | float
 
+_WIDTHS = (2.0, 5.0)  # rad/s, of Stribeck's hump, that are tried
+
 
 class CoulombFriction(AbstractStructure):
     """More (or less) Coulomb friction of a motor, tau = level tanh(v/eps); eps is the robot's smoothing.
@@ -35,6 +37,13 @@ class CoulombFriction(AbstractStructure):
     @classmethod
     def typical(cls, robot, joint):
         return cls(joint, 0.2 * own(robot, joint, robot.drives.friction.coulomb, 0.1))
+
+    @classmethod
+    def plausible(cls, robot, joint):
+        """As far below as the robot's own friction, where it states some."""
+        stated = getattr(robot.drives.friction, "coulomb", None)
+        least = cls.bounds["level"][0] if stated is None else -float(stated[axis_of(robot, joint)])
+        return least, cls.bounds["level"][1]
 
     def apply(self, robot):
         axis = axis_of(robot, self.joint)
@@ -124,6 +133,12 @@ class StribeckFriction(AbstractFriction):
     @classmethod
     def typical(cls, robot, joint):
         return cls(joint, 0.3 * own(robot, joint, robot.drives.friction.coulomb, 0.1))
+
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        typical, bounds = cls.typical(robot, joint), cls.plausible(robot, joint)
+        these = [eqx.tree_at(lambda e: e.width, typical, width) for width in _WIDTHS]
+        return tuple(e.candidate(*bounds, f"width {e.width:g} rad/s") for e in these)
 
     def torque(self, speed, load):
         return self.level * jnp.exp(-jnp.square(speed / self.width)) * jnp.tanh(speed / self.smoothing)

@@ -41,6 +41,11 @@ class ResolverRipple(AbstractSensor):
     def typical(cls, robot, joint):
         return cls(joint, [5e-4, 1e-3])
 
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        """None: the orders are found in the data."""
+        return ()
+
     def measured(self, angle):
         return angle + harmonics(self.amplitude, self.order, self.phase, angle)
 
@@ -66,6 +71,11 @@ class EncoderQuantisation(AbstractSensor):
     @classmethod
     def typical(cls, robot, joint):
         return cls(joint, 2 * math.pi / 2**13)
+
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        """None: it is seen in the readings themselves."""
+        return ()
 
     def measured(self, angle):
         return jnp.round(angle / self.resolution) * self.resolution

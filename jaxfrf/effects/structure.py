@@ -1,6 +1,7 @@
 """Changes of the robot itself: springs, masses, joints, and torques on the arm."""
 
 import dataclasses
+import functools
 import math
 from typing import ClassVar
 
@@ -13,9 +14,15 @@ from jaxtyping import Float
 from .._errors import input_error
 from .._types import Array
 from ._place import axis_of, changed, spring_of
-from .effect import AbstractArmTorque, AbstractStructure, Joint
+from .effect import AbstractArmTorque, AbstractStructure, Candidate, Joint
 
 Number = Float[Array, ""] | float
+
+# What is tried of shapes that enter nonlinearly:
+_KNEES = (1e-4, 2.9e-4, 8e-4)  # rad
+_GAPS = (1e-4, 2.9e-4, 6e-4)  # rad
+_HINGES = (1e5, 2.5e5, 6e5, 1.5e6)  # N m/rad
+_LASTING = 5000.0  # 1/s, stiffness over damping of a hinge
 
 
 class StiffnessHardening(AbstractStructure):
@@ -25,7 +32,7 @@ class StiffnessHardening(AbstractStructure):
     rad, arm side. They take the place of the robot's own; k stays.
 
     In data: mode frequencies rise with load and amplitude. In the linearised robot: exactly, by the tangent at the
-    point of rest (or its mean over a `swing`).
+    point of rest (or its mean over a `deflections`).
     """
 
     name: ClassVar = "stiffness_hardening"
@@ -42,10 +49,29 @@ class StiffnessHardening(AbstractStructure):
     def typical(cls, robot, joint):
         return cls(joint, 0.6)
 
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        """By how much softer than the robot's own spring is; at its own knee, where that is bent already."""
+        robot.with_effects(cls.typical(robot, joint))
+        spring = spring_of(robot, joint)
+        own, knee = float(robot.springs.stiffness_ratio[spring]), float(robot.springs.stiffness_knee[spring])
+        found = []
+        for this in _KNEES if own >= 1.0 else (knee,):
+            basis = cls(joint, own - 0.4 if own > 0.5 else own - 0.2, this)
+            change = float(basis.ratio) - own
+            make = functools.partial(_softened, joint, own, change, this)
+            most = (cls.bounds["ratio"][0] - own) / change
+            found.append(Candidate(cls.name, joint, (basis,), make, (0.0,), (most,), 1.0, f"knee {this:g} rad"))
+        return tuple(found)
+
     def apply(self, robot):
         spring = spring_of(robot, self.joint)
         robot = changed(robot, lambda r: r.springs.stiffness_ratio, lambda x: x.at[spring].set(self.ratio))
         return changed(robot, lambda r: r.springs.stiffness_knee, lambda x: x.at[spring].set(self.knee))
+
+
+def _softened(joint, own, change, knee, c):
+    return StiffnessHardening(joint, own + change * float(c[0]), knee)
 
 
 class Backlash(AbstractStructure):
@@ -69,6 +95,15 @@ class Backlash(AbstractStructure):
     @classmethod
     def typical(cls, robot, joint):
         return cls(joint, 2.9e-4)
+
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        """None where the robot states a play of its own."""
+        robot.with_effects(cls.typical(robot, joint))
+        own = robot.springs.backlash
+        if own is not None and float(own[spring_of(robot, joint)]) > 0:
+            return ()
+        return tuple(cls(joint, gap).candidate(0.2 * gap, 3.0 * gap, f"gap {gap:g} rad") for gap in _GAPS)
 
     def apply(self, robot):
         spring = spring_of(robot, self.joint)
@@ -100,6 +135,12 @@ class MotorInertia(AbstractStructure):
     def typical(cls, robot, joint):
         return cls(joint, 0.03 * robot.drives.motor_inertia[axis_of(robot, joint)])
 
+    @classmethod
+    def plausible(cls, robot, joint):
+        """Half to twice the robot's own, or more where motors are small."""
+        own = float(robot.drives.motor_inertia[axis_of(robot, joint)])
+        return -0.5 * own, max(cls.bounds["increase"][1], own)
+
     def apply(self, robot):
         axis = axis_of(robot, self.joint)
         return changed(robot, lambda r: r.drives.motor_inertia, lambda x: x.at[axis].add(self.increase))
@@ -130,6 +171,16 @@ class Payload(AbstractStructure):
     def typical(cls, robot, joint=""):
         return cls(0.05 * jnp.maximum(robot.chain.mass[-1], 1.0), None, joint)
 
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        """One of a robot, on its last link."""
+        if axis_of(robot, joint) != robot.n_axes - 1:
+            return ()
+        low, high = cls.bounds["mass"]
+        low = max(low, -_OF_A_LINK * float(robot.chain.mass[-1]))
+        visible = float(cls.typical(robot).mass)
+        return (Candidate(cls.name, "", (cls(1.0),), _carried, (low,), (high,), visible),)
+
     def apply(self, robot):
         chain = robot.chain
         link = _link_of(robot, self.joint)
@@ -140,6 +191,13 @@ class Payload(AbstractStructure):
         more = mass[link] * _about(com[link] - centre) + self.mass * _about(place - centre)
         values = mass.at[link].set(total), com.at[link].set(centre), inertia.at[link].add(more)
         return eqx.tree_at(lambda r: (r.chain.mass, r.chain.com, r.chain.inertia), robot, values)
+
+
+_OF_A_LINK = 0.9  # that a payload may take away
+
+
+def _carried(c):
+    return Payload(float(c[0]))
 
 
 def _link_of(robot, joint: Joint) -> int:
@@ -184,6 +242,22 @@ class ExtraFlexibility(AbstractStructure):
         across = np.roll(np.abs(np.round(np.asarray(robot.chain.axis[robot.driven_joints[axis_of(robot, joint)]]))), 1)
         return cls(joint, across, 5e5, 100.0)
 
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        """About the axes of the joint's frame that are across its own, at some stiffnesses: as compliances."""
+        robot.with_effects(cls.typical(robot, joint))
+        own = np.asarray(robot.chain.axis)[robot.driven_joints[axis_of(robot, joint)]]
+        found = []
+        for axis in np.eye(3):
+            if np.linalg.norm(np.cross(axis, own)) < 0.5:
+                continue
+            for stiffness in _HINGES:
+                basis = cls(joint, axis, stiffness, stiffness / _LASTING)
+                make = functools.partial(_hinged, joint, tuple(axis), stiffness)
+                label = f"axis {np.round(axis).astype(int).tolist()}, {stiffness:g} N m/rad"
+                found.append(Candidate(cls.name, joint, (basis,), make, (0.3,), (2.0,), 0.3, label))
+        return tuple(found)
+
     def apply(self, robot):
         at = robot.driven_joints[axis_of(robot, self.joint)]
         name = f"{robot.joint_names[at]}_flexibility"
@@ -212,6 +286,11 @@ class ExtraFlexibility(AbstractStructure):
             driven=put(robot.driven, False),
             stiff=put(robot.stiff, False),
         )
+
+
+def _hinged(joint, axis, stiffness, c):
+    k = stiffness / float(c[0])
+    return ExtraFlexibility(joint, axis, k, k / _LASTING)
 
 
 def _check_across(axis, own, name: str) -> None:
@@ -250,6 +329,11 @@ class Counterbalance(AbstractArmTorque):
     def typical(cls, robot, joint):
         return cls(joint, 20.0)
 
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        """Where gravity acts: on the other axes the same law is that of hoses."""
+        return _springs(cls, joint, 20.0) if _carries_weight(robot, joint) else ()
+
     def torque(self, angle, rate):
         return self.stiffness * (angle - self.rest)
 
@@ -277,5 +361,55 @@ class DressPack(AbstractArmTorque):
     def typical(cls, robot, joint):
         return cls(joint, 50.0)
 
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        """Where gravity does not act: on the other axes the same law is that of a counterbalance."""
+        return () if _carries_weight(robot, joint) else _springs(cls, joint, 50.0)
+
     def torque(self, angle, rate):
         return self.stiffness * (angle - self.rest) + self.damping * rate
+
+
+class _Constant(AbstractArmTorque):
+    """A constant torque against a joint: what the rest position of a spring adds."""
+
+    name: ClassVar = "constant"
+    units: ClassVar = {}
+    bounds: ClassVar = {}
+    signature: ClassVar = ""
+    confusable: ClassVar = {}
+    joint: Joint = eqx.field(static=True)
+
+    @classmethod
+    def typical(cls, robot, joint):
+        return cls(joint)
+
+    def torque(self, angle, rate):
+        return 1.0 + 0.0 * angle
+
+
+def _springs(kind, joint, visible) -> tuple[Candidate, ...]:
+    """A spring between the arm and the ground, at rest in zero and somewhere."""
+    low, high = kind.bounds["stiffness"]
+    make, unit, name = functools.partial(_at_rest, kind, joint), kind(joint, 1.0), kind.name
+    return (
+        Candidate(name, joint, (unit,), make, (low,), (high,), visible, "rest 0"),
+        Candidate(
+            name, joint, (unit, _Constant(joint)), make, (low, -math.inf), (high, math.inf), visible, "rest free"
+        ),
+    )
+
+
+def _at_rest(kind, joint, c):
+    stiffness = float(c[0])
+    rest = -float(c[1]) / stiffness if len(c) > 1 and stiffness != 0.0 else 0.0
+    return kind(joint, stiffness, float(np.clip(rest, -np.pi, np.pi)))
+
+
+def _carries_weight(robot, joint) -> bool:
+    """Whether the axis, in the robot's zero position, is across gravity, and not one of the wrist."""
+    axis = axis_of(robot, joint)
+    direction = np.asarray(robot.chain.axis)[robot.driven_joints[axis]]
+    gravity = np.asarray(robot.chain.gravity)
+    across = np.linalg.norm(np.cross(direction, gravity)) > 0.5 * np.linalg.norm(gravity)
+    return bool(across and axis < 3)

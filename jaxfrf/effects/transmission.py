@@ -11,7 +11,7 @@ from jaxtyping import Float
 from .._errors import input_error
 from .._types import Array
 from ._harmonics import checked, harmonics
-from ._place import axis_of
+from ._place import axis_of, spring_of
 from .effect import AbstractGearCoupling, AbstractGearError, AbstractGearTorque, Joint
 
 Number = Float[Array, ""] | float
@@ -55,6 +55,11 @@ class TransmissionError(AbstractGearError):
     def typical(cls, robot, joint):
         """Two errors a turn between motor and output, as of a strain-wave gear: 2 + 2/n per turn of the motor."""
         return cls(joint, [3e-5], 2.0 * (robot.drives.gear_ratio[axis_of(robot, joint)] + 1.0), (1,))
+
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        """None: the orders are found in the data."""
+        return ()
 
     def lead(self, angle):
         return harmonics(self.amplitude, self.order, self.phase, self.teeth * angle)
@@ -120,6 +125,8 @@ class StructuralDamping(AbstractGearTorque):
 
 
 _YIELDS = np.array([0.25, 0.75, 1.25, 1.75])  # of `slip`: where each of the elements slips
+_SLIPS = (3e-5, 1e-4, 3e-4)  # rad, that are tried
+_STRONGEST = 20.0  # times the visible torque
 
 
 class GearHysteresis(AbstractGearTorque):
@@ -156,6 +163,12 @@ class GearHysteresis(AbstractGearTorque):
         axis = axis_of(robot, joint)
         limit, gear = robot.drives.torque_limit[axis], jnp.abs(robot.drives.gear_ratio[axis])
         return cls(joint, 0.02 * jnp.where(jnp.isfinite(limit), limit * gear, 1000.0))
+
+    @classmethod
+    def candidates(cls, robot, joint, largest):
+        spring_of(robot, joint)
+        torque = float(cls.typical(robot, joint).torque)
+        return tuple(cls(joint, torque, s).candidate(0.0, _STRONGEST * torque, f"slip {s:g} rad") for s in _SLIPS)
 
     def start(self, deflection, tension):
         return deflection, jnp.zeros((len(_YIELDS), *deflection.shape), deflection.dtype)

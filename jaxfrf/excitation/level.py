@@ -25,7 +25,7 @@ class Levels(eqx.Module):
 
 
 def rms(x: Float[Array, "*batch time channel"]) -> Float[np.ndarray, "*batch channel"]:
-    """Root mean square over time."""
+    """Root mean square over time, in the unit of x."""
     return np.sqrt(np.mean(np.square(x), axis=-2))
 
 

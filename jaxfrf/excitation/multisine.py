@@ -1,5 +1,7 @@
 """The design of an experiment: orthogonal multisines for any number of inputs, and the slow sine below."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.random as jr
 import numpy as np
@@ -149,8 +151,11 @@ class Multisine(eqx.Module):
             )
 
     def _check_slow(self, top: int) -> None:
-        _check_lines("slow sine lines", self.slow.lines, top)
-        shared = np.intersect1d(self.slow.lines[self.slow.amplitude > 0], self.lines)
+        slow = self.slow
+        if slow is None:
+            return
+        _check_lines("slow sine lines", slow.lines, top)
+        shared = np.intersect1d(slow.lines[slow.amplitude > 0], self.lines)
         if shared.size:
             raise input_error(
                 "slow sine lines",
@@ -200,7 +205,11 @@ def _block(design: Multisine, key) -> Complex[np.ndarray, "exp freq in"]:
     return design.amplitude / 2 * np.exp(1j * angle).transpose(1, 2, 0)
 
 
-def shaped_amplitude(frequency: Float[Array, "freq"], corners, levels) -> Float[np.ndarray, "..."]:
+def shaped_amplitude(
+    frequency: Float[Array, "freq"],
+    corners: Sequence[float] | Float[Array, "corner"],
+    levels: Sequence[float] | Float[Array, "*channel corner"],
+) -> Float[np.ndarray, "..."]:
     """An amplitude spectrum through given corners: straight on logarithmic axes, constant beyond the ends.
 
     **Arguments:** `frequency`: Hz, (freq,); `corners`: increasing frequencies, Hz; `levels`: amplitude at
@@ -233,14 +242,14 @@ def shaped_amplitude(frequency: Float[Array, "freq"], corners, levels) -> Float[
 
 def _agree(n_in, rms, amplitude, slow, velocity_limit) -> int:
     """The number of channels that the arguments tell together; 1 where none does."""
-    told = {
+    stated = {
         "n_in": n_in if n_in is None else _whole_number("n_in", n_in, least=1),
         "rms": np.size(rms) if np.ndim(rms) == 1 else None,
         "amplitude": np.shape(amplitude)[1] if np.ndim(amplitude) == 2 else None,
         "slow": None if slow is None else len(slow.lines),
         "velocity_limit": np.size(velocity_limit) if np.ndim(velocity_limit) == 1 else None,
     }
-    told = {name: n for name, n in told.items() if n is not None}
+    told = {name: n for name, n in stated.items() if n is not None}
     if len(set(told.values())) > 1:
         raise input_error(
             "channels",

@@ -92,7 +92,7 @@ PHASES: dict[str, type[AbstractPhases]] = {
 
 
 def random_phases(shape: tuple[int, ...], key: PRNGKeyArray) -> Float[np.ndarray, "..."]:
-    """Independent phases, uniform on [0, 2 pi)."""
+    """Independent phases of this shape, uniform on [0, 2 pi), rad."""
     return 2 * np.pi * uniform(key, shape)
 
 

@@ -31,7 +31,7 @@ def _without_period(method: AbstractMethod) -> AbstractMethod:
         inner = _with_transient(method.method)
         return JointInputOutput(inner) if inner.width is not None else Auto(inner)
     if isinstance(method, AbstractAverage) and takes_transients(method):
-        return dataclasses.replace(method, method=_without_period(method.inner))
+        return dataclasses.replace(method, **{"method": _without_period(method.inner)})
     return method
 
 

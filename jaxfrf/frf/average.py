@@ -198,8 +198,8 @@ class RobustMean(AbstractAverage):
         weight = _block_weights(own, known)
         total = weight.sum(axis=0)
         G = jnp.sum(weight[..., None, None] * own, axis=0) / total[:, None, None]
-        size = jnp.sqrt(total**2 * jnp.maximum(1 - 1 / total, 0.1))
-        deviation = jnp.swapaxes(own - G, -1, -2).reshape(*each.G.shape[:2], -1) * (weight / size)[..., None]
+        norm = jnp.sqrt(total**2 * jnp.maximum(1 - 1 / total, 0.1))
+        deviation = jnp.swapaxes(own - G, -1, -2).reshape(*each.G.shape[:2], -1) * (weight / norm)[..., None]
         scatter = OuterSum(jnp.moveaxis(deviation, 0, -1))
         status = jnp.bitwise_or.reduce(each.status, axis=0) & ~int(Status.NO_COVARIANCE)
         return Estimate(

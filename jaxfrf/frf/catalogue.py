@@ -115,8 +115,9 @@ def _converted(chosen: AbstractMethod, name: str, value):
         if "float" in annotation:
             return float(text)
     except (ValueError, KeyError):
+        several = " Each option has an --option of its own." if "=" in value else ""
         raise input_error(
-            f"option {name}", repr(value), annotation, f"Give e.g. --option {name}={_sample(annotation)}."
+            f"option {name}", repr(value), annotation, f"Give e.g. --option {name}={_sample(annotation)}.{several}"
         ) from None
     return value.strip()
 

@@ -62,7 +62,7 @@ class H2(AbstractMethod):
     """G = Y Y^H (U Y^H)^-1: least squares with the noise in u. As many outputs as inputs.
 
     Biased high by noise in y; better than `H1` at resonances, where y is large and u small. The covariance is H1's,
-    to first order.
+    to first order (Mitchell, J. Mech. Design 104, 1982).
     """
 
     def block_size(self, spectra: Spectra | Signals) -> int:
@@ -116,7 +116,7 @@ class Hv(AbstractMethod):
         return _residual_estimate(signals, response, lines)
 
 
-def check_experiments(spectra: Spectra, needed: int) -> None:
+def check_experiments(spectra: Spectra | Signals, needed: int) -> None:
     if spectra.n_exp < needed:
         raise input_error(
             "experiments",

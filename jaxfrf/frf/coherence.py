@@ -12,8 +12,8 @@ from .classical import by_line
 def coherence(spectra: Spectra) -> Float[np.ndarray, "pos freq out in"]:
     """Ordinary coherence |S_yu|^2 / (S_yy S_uu) between every output and every input, over experiments.
 
-    Between 0 and 1. Below 1 come noise, nonlinearity, leakage and, with several inputs, the *other* inputs: use
-    `multiple_coherence` then. From few experiments it is biased high: unrelated signals give 1/n_exp.
+    Between 0 and 1, without a unit. Below 1 come noise, nonlinearity, leakage and, with several inputs, the *other*
+    inputs: use `multiple_coherence` then. From few experiments it is biased high: unrelated signals give 1/n_exp.
 
     **Raises:** `jaxfrf.InputError` with fewer than two experiments.
     """

@@ -1,6 +1,7 @@
 """Local rational method with one scalar denominator shared by all outputs."""
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,7 +22,7 @@ class CommonDenominatorLRM(AbstractLocal):
     Used by `jaxfrf.JointInputOutput` on [y; u] together, where the denominator cancels in the ratio N_y N_u^-1: the
     closed loop has one set of poles. Fewer unknowns than `LRM`: the least width is (R+1) n_in + R/n_out lines
     over n_exp (6 axes, R = 2: 19 instead of 30). Biased where more poles than R matter within one window.
-    Fields: see `AbstractLocal`.
+    Fields: see `AbstractLocal`. Source: Voorhoeve, van der Maas & Oomen, Mech. Syst. Signal Process. 105, 2018.
 
     The numerators are eliminated first; the d_s then solve the normal equations of what is left over all outputs, each
     divided by its rms in the window. Cov
@@ -68,7 +69,7 @@ class _SharedDenominator(eqx.Module):
 
     order: int = eqx.field(static=True)
     joint: bool = eqx.field(static=True)
-    combine: object = eqx.field(static=True)
+    combine: Callable = eqx.field(static=True)
 
     def __call__(self, solution: Solution, of_target, dof):
         terms, n_target = self.order + 1, solution.G.shape[0] // (self.order + 1)

@@ -3,7 +3,8 @@
 import concurrent.futures
 import dataclasses
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import jax
 import numpy as np
@@ -30,7 +31,9 @@ _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are ro
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
 
 
-def estimate(data: Spectra | Experiment, method: AbstractMethod = Auto(), *, progress=None) -> FRF:
+def estimate(
+    data: Spectra | Experiment, method: AbstractMethod = Auto(), *, progress: Callable[[int, int], None] | None = None
+) -> FRF:
     """Estimate the FRF from u to y at every operating point and excited line.
 
     **Arguments:**
@@ -57,12 +60,13 @@ def estimate(data: Spectra | Experiment, method: AbstractMethod = Auto(), *, pro
     method.check(spectra)
     _check_rank(spectra, method)
     groups = _groups(spectra)
-    whole = None
+    stored = None
     for group, part in zip(groups, _estimates(spectra, method, groups), strict=True):
-        whole = _stored(whole, part, group, spectra.n_pos)
+        stored = _stored(stored, part, group, spectra.n_pos)
         if progress is not None:
             progress(int(group[-1]) + 1, spectra.n_pos)
-    whole = with_causes(whole, spectra, method)
+    assert stored is not None  # there is no record without a position
+    whole = with_causes(stored, spectra, method)
     status = whole.status | _excitation_status(spectra)
     status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
     serious = [text for text in describe(status & int(SERIOUS))]
@@ -115,7 +119,7 @@ def _instead(data) -> tuple[str, str]:
     return f"{several}{type(first).__name__}", "Make one: jaxfrf.io.read(path), or jaxfrf.Experiment(u, y, fs, period)."
 
 
-def describe_method(method) -> str:
+def describe_method(method: AbstractMethod) -> str:
     """A `method` and its options as text, e.g. `LogMean(method=LRM(order=2, width=34), elementwise=False)`."""
     if not isinstance(method, AbstractMethod):
         return repr(method)
@@ -139,7 +143,8 @@ def _groups(spectra: Spectra) -> list[np.ndarray]:
 def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray]) -> Iterator[Estimate]:
     """The estimate of every group of operating points, in threads of their own once the program is compiled."""
 
-    device = jax.config.jax_default_device
+    settings: Any = jax.config  # its types know no flags
+    device = settings.jax_default_device
 
     def estimated(group):
         with jax.enable_x64(True), jax.default_device(device):  # settings of a thread are not those of the next
@@ -161,8 +166,8 @@ def _threads() -> int:
     A batched LAPACK call waits in a thread of the pool for others of the pool, and estimates that run at the same time
     can have some calls each: where there are as many as threads, they wait for ever."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    pool = os.environ.get("NPROC", "")
-    pool = int(pool) if pool.isdigit() else os.cpu_count() or 1
+    stated = os.environ.get("NPROC", "")
+    pool = int(stated) if stated.isdigit() else os.cpu_count() or 1
     return max(1, min(cores, pool // _CALLS))
 
 

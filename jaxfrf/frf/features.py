@@ -82,7 +82,7 @@ def _peaks(level, prominence: float) -> list[tuple[int, int]]:
         valleys = first + int(np.argmin(level[first : top + 1])), top + int(np.argmin(level[top:last]))
         base = max(valleys, key=lambda k: level[k])
         if level[top] - level[base] >= prominence:
-            found.append((top, base))
+            found.append((int(top), int(base)))
     return found
 
 

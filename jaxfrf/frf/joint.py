@@ -25,7 +25,7 @@ class JointInputOutput(AbstractMethod):
 
     method: AbstractLeastSquares = H1()
 
-    def block_size(self, spectra: Spectra) -> int:
+    def block_size(self, spectra: Spectra | Signals) -> int:
         return self.method.block_size(spectra)
 
     def check(self, spectra: Spectra) -> None:

@@ -43,7 +43,7 @@ class AbstractLeastSquares(AbstractMethod):
     def windows(self, spectra: Spectra | Signals, n_parameters: int) -> Windows:
         """The windows, given the unknowns of one target."""
 
-    def block_size(self, spectra: Spectra) -> int:
+    def block_size(self, spectra: Spectra | Signals) -> int:
         return 1
 
     def check(self, spectra: Spectra) -> None:

@@ -89,7 +89,7 @@ class AbstractMethod(eqx.Module):
         """Raise `jaxfrf.InputError` if the method cannot be used on these spectra."""
 
     @abc.abstractmethod
-    def block_size(self, spectra: Spectra) -> int:
+    def block_size(self, spectra: Spectra | Signals) -> int:
         """Experiments that one estimate needs at least: the block over which averaging methods average."""
 
     @abc.abstractmethod
@@ -125,7 +125,7 @@ def on_host(x):
 
 def flags(**where) -> Int[Array, "freq"]:
     """A status from its bits by name."""
-    return sum(jnp.where(condition, int(Status[name]), 0) for name, condition in where.items())
+    return sum((jnp.where(on, int(Status[name]), 0) for name, on in where.items()), jnp.zeros((), int))
 
 
 def _arrays(spectra: Spectra) -> tuple[dict, Array]:

@@ -212,7 +212,7 @@ def _poles_by_order(frequency, G, std, most: int):
     powers = z[:, None] ** np.arange(most + 1)
     level = np.sqrt(np.mean(np.abs(G) ** 2, axis=0)) + 1e-300
     real = shift == 0.0
-    R, S, T = [], [], 0.0
+    R, S, T = [], [], np.zeros(())
     for out in range(n_out):
         spread = np.abs(G[:, out]) + 1e-2 * level[out] if std is None else std[:, out] + 3e-3 * np.abs(G[:, out])
         weight = 1.0 / np.sqrt(np.mean(spread**2, axis=1))
@@ -294,7 +294,7 @@ def _significant(s, G, std, poles, background, shared: float, keep: bool) -> tup
     """Fit all, leave out the least significant, until all that is left is significant."""
     g = G.reshape(len(s), -1)
     sigma = None if std is None else std.reshape(len(s), -1)
-    dropped = []
+    dropped: list[float] = []
     while True:
         fitted = fit_poles(s, g, sigma, poles, background, shared=shared)
         if keep or not len(fitted.poles):
@@ -318,7 +318,7 @@ def _strength(fitted: PoleFit) -> np.ndarray:
 
 def _modes(fitted: PoleFit, n_out: int, n_in: int) -> tuple[Mode, ...]:
     residue, std = fitted.residues
-    strength = _strength(fitted) if len(fitted.poles) else []
+    strength = _strength(fitted) if len(fitted.poles) else np.zeros(0)
     return tuple(
         Mode(
             frequency=float(abs(pole) / 2 / np.pi),

@@ -94,7 +94,7 @@ def solve_gram(A: Complex[Array, "col col"], equations: Equations) -> Solution:
     """
     n, top = equations.n_common, equations.n_top
     power = jnp.diagonal(A).real
-    L = linalg.cholesky(A[:n, :n], symmetrize_input=False)
+    L = linalg.cholesky(jnp.asarray(A[:n, :n]), symmetrize_input=False)
     B = linalg.triangular_solve(L, A[n:, :n], left_side=False, lower=True, transpose_a=True, conjugate_a=True)
     end = linalg.triangular_solve(L[-top:, -top:], jnp.eye(top, dtype=A.dtype), left_side=True, lower=True)
     T = adjoint(end) @ adjoint(B[:, -top:])  # top coefficients of every other column regressed on the common ones

@@ -182,14 +182,17 @@ class _OneWidth(AbstractMethod):
 def _pilot(method: AbstractMethod, signals: Signals, like: Estimate) -> Estimate:
     """H1 with its noise averaged over some lines, with a covariance of the kind that `like` has."""
     found = method.at_point(signals)
+    assert isinstance(found.cov, KroneckerSum)
     right = _mean(found.cov.right, _neighbours(signals.U.shape[1], _PILOT_LINES))
     lines = 2 * _PILOT_LINES + 1
+    noise = found.cov_noise
+    assert noise is None or isinstance(noise, KroneckerSum)
     return dataclasses.replace(
         found,
         cov=_of_kind(KroneckerSum(found.cov.left, right), like.cov),
         dof=found.dof * min(lines, len(right)),
         doubtful=jnp.zeros_like(found.doubtful),
-        cov_noise=None if like.cov_noise is None else _of_kind(found.cov_noise, like.cov_noise),
+        cov_noise=None if like.cov_noise is None or noise is None else _of_kind(noise, like.cov_noise),
     )
 
 

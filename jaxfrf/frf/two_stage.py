@@ -31,7 +31,7 @@ def has_second_stage(method: AbstractLocal) -> bool:
 def prediction(method: AbstractLocal, signals: Signals, joint: bool) -> Complex[Array, "exp freq target"]:
     """What a first fit with `method` says that the targets (y, or y and u) would be without noise; what was measured
     where it fails."""
-    X = signals.R if joint else signals.U
+    X = signals.U if signals.R is None or not joint else signals.R
     n_exp, n_freq = X.shape[:2]
     if method.transient is not None:
         each = jnp.broadcast_to(jnp.eye(n_exp, dtype=complex)[:, None], (n_exp, n_freq, n_exp))

@@ -77,6 +77,7 @@ class Welch(AbstractMethod):
 
     def at_point(self, signals: Signals, lines=None) -> Estimate:
         found = self.inner.at_point(signals, lines)
+        assert isinstance(found.cov, KroneckerSum)
         repeated = 1 / self.independent_share(signals.n_exp)
         dof = np.maximum(signals.n_exp / repeated - signals.n_in, 0.5) + 0 * found.dof
         return dataclasses.replace(

@@ -9,7 +9,7 @@ import scipy.fft
 from ..effects import library
 from ..experiment import Experiment
 from ..frf import LRM
-from ..graybox.through import default_method, measured_frf
+from ..graybox.indirect import default_method, measured_frf
 from ..robot import Robot, parameter_unit, parameters
 from ..trajectory.evidence import band_edges, by_band, weigh
 from ..trajectory.remainder import remainder

@@ -2,6 +2,7 @@
 
 from .corrections import Correction as Correction
 from .cost import Cost as Cost, cost_function as cost_function
+from .deflections import robot_points as robot_points
 from .derived import Derived as Derived, derived as derived
 from .fit import Fit as Fit, Start as Start, evaluate as evaluate, fit as fit
 from .guess import (
@@ -11,6 +12,10 @@ from .guess import (
     starting_near as starting_near,
 )
 from .in_motion import fit_in_motion as fit_in_motion
+from .indirect import (
+    IndirectFit as IndirectFit,
+    fit_through_experiment as fit_through_experiment,
+)
 from .model import (
     AbstractModel as AbstractModel,
     GrayBox as GrayBox,
@@ -46,10 +51,5 @@ from .solver import (
     AbstractSolver as AbstractSolver,
     LevenbergMarquardt as LevenbergMarquardt,
 )
-from .swing import robot_points as robot_points
 from .target import Target as Target, Weights as Weights, focus_band as focus_band
-from .through import (
-    ThroughFit as ThroughFit,
-    fit_through_experiment as fit_through_experiment,
-)
 from .uncertainty import Uncertainty as Uncertainty

@@ -17,28 +17,28 @@ _WORSE = 1.05  # times the smallest gap: then it turns back
 class Correction(eqx.Module):
     """One round of a fit that is corrected by what its own result would have measured.
 
-    **Fields:** `x`: parameters that were simulated. `answer`: parameters that the corrected fit gave, which are `x`
+    **Fields:** `x`: parameters that were simulated. `update`: parameters that the corrected fit gave, which are `x`
     where it has come to rest. `gap_db`, `gap_deg`: weighted rms difference of measured and simulated FRF, in magnitude
     and phase; 0 where nothing was simulated.
     """
 
     x: Float[np.ndarray, "parameter"]
-    answer: Float[np.ndarray, "parameter"]
+    update: Float[np.ndarray, "parameter"]
     gap_db: float
     gap_deg: float
 
 
-def answer(coordinates: Coordinates, fitted: Fit) -> np.ndarray:
+def updated(coordinates: Coordinates, fitted: Fit) -> np.ndarray:
     """x of a fit in these coordinates; a parameter that it found without effect is where it was left."""
     same = fitted.coordinates.names == coordinates.names
     return np.asarray(fitted.x) if same else coordinates.coordinates(fitted.values)
 
 
-def stays(correction: Correction, coordinates: Coordinates, fitted: Fit) -> np.ndarray:
+def settled(correction: Correction, coordinates: Coordinates, fitted: Fit) -> np.ndarray:
     """Whether each parameter moved by less than a part of its standard deviation, (parameter,)."""
     known = dict(zip(fitted.coordinates.names, fitted.uncertainty.std, strict=True))
     std = np.array([known.get(name, np.inf) for name in coordinates.names])
-    moved = np.abs(correction.answer - correction.x)
+    moved = np.abs(correction.update - correction.x)
     return (moved < _STAY * std) | (moved < _STILL)
 
 
@@ -47,9 +47,9 @@ def next_point(history: list[Correction], coordinates: Coordinates, latest: Fit)
     best = min(history, key=lambda c: c.gap_db)
     last = history[-1]
     if last.gap_db > _WORSE * best.gap_db:
-        return best.x + 0.5 * _limited(best.answer - best.x)
+        return best.x + 0.5 * _limited(best.update - best.x)
     recent = history[-_DEPTH:]
-    f = np.stack([c.answer - c.x for c in recent])
+    f = np.stack([c.update - c.x for c in recent])
     if len(recent) == 1:
         return last.x + _limited(f[-1])
     # Residuals count by what the data know of them: along loose directions they are mostly noise.

@@ -1,5 +1,6 @@
 """Quantities that follow from the parameters, with their intervals."""
 
+import math
 from collections.abc import Callable, Mapping
 
 import equinox as eqx
@@ -27,18 +28,19 @@ def derived(
     First order in the covariance of the fit (delta method), in the logarithm of quantities that are positive, so that
     their intervals stay so. It fails where a quantity bends over the width of its interval.
 
-    **Arguments:** `function`: from every parameter by name to scalars by name, in `jax.numpy`:
+    **Arguments:** `function`: from every parameter by name, in its unit, to scalars by name, in `jax.numpy`:
     `lambda p: {"antiresonance": jnp.sqrt(p["k"] / p["J2"]) / (2 * jnp.pi)}`.
     """
     x, cov = jnp.asarray(fitted.x), np.asarray(fitted.uncertainty.cov)
     at = lambda x: {name: jnp.asarray(v, float) for name, v in function(fitted.coordinates.values(x)).items()}
     values, slopes = at(x), jax.jacfwd(at)(x)
-    reach, found = float(norm.ppf(0.5 + level / 2)), {}
-    for name, value in values.items():
-        slope, value = np.asarray(slopes[name]), float(value)
-        std = float(np.sqrt(max(slope @ cov @ slope, 0.0)))
+    reach = float(norm.ppf(0.5 + level / 2))
+    found: dict[str, Derived] = {}
+    for name, traced in values.items():
+        slope, value = np.asarray(slopes[name]), float(traced)
+        std = math.sqrt(max(float(slope @ cov @ slope), 0.0))
         if value > 0:
-            factor = float(np.exp(min(reach * std / value, 700.0)))
+            factor = math.exp(min(reach * std / value, 700.0))
             found[name] = Derived(value, std, (value / factor, value * factor))
         else:
             found[name] = Derived(value, std, (value - reach * std, value + reach * std))

@@ -8,13 +8,13 @@ from jaxtyping import PRNGKeyArray
 
 from ..experiment import Experiment
 from ..frf import FRF
-from .corrections import Correction, answer, next_point, stays
+from .corrections import Correction, next_point, settled, updated
 from .cost import vec
+from .deflections import points_under, varying_gear_torque
 from .fit import Fit, fit, fit_target
 from .model import RobotModel, starting_at
 from .slow_motion import SlowMotion, moving_response, response_at, slow_limit, slow_motion
 from .solver import AbstractSolver, LevenbergMarquardt
-from .swing import gear_torque_swing, swinging_points
 from .target import Target, Weights, shifted, target
 
 _AGAIN = 6  # fits in motion
@@ -51,8 +51,8 @@ def fit_in_motion(
     """
     weights = Weights() if weights is None else weights
     solver = LevenbergMarquardt() if solver is None else solver
-    torque = gear_torque_swing(model.robot, data)
-    points = swinging_points(model.robot, data.q, torque)
+    torque = varying_gear_torque(model.robot, data)
+    points = points_under(model.robot, data.q, torque)
     found = fit(model, measured, weights=weights, solver=solver, starts=starts, key=key, points=points)
     slow = slow_motion(model.robot, data, slow_limit(measured.frequency))
     if slow is not None and say is not None:
@@ -62,12 +62,12 @@ def fit_in_motion(
     for _ in range(_AGAIN):
         values = {n: float(v) for n, v in found.coordinates.values(x).items()}
         begin = starting_at(found.model, values)
-        tg = target(measured, weights, swinging_points(begin.at(values), data.q, torque))
+        tg = target(measured, weights, points_under(begin.at(values), data.q, torque))
         if slow is not None:
             tg = _as_moving(begin, values, tg, data.q, slow)
         last = fit_target(begin, tg, solver, 1)
-        history.append(Correction(x, answer(found.coordinates, last), 0.0, 0.0))
-        if slow is None or stays(history[-1], found.coordinates, last).all():
+        history.append(Correction(x, updated(found.coordinates, last), 0.0, 0.0))
+        if slow is None or settled(history[-1], found.coordinates, last).all():
             break
         x = next_point(history, found.coordinates, last)
     blind = tuple(dict.fromkeys((*found.without_sensitivity, *last.without_sensitivity)))

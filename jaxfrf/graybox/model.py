@@ -3,6 +3,7 @@
 import abc
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -104,12 +105,12 @@ def _spread(robot: Robot, name: str, value: float, asked: float | None) -> float
 
 
 class RobotPoint(eqx.Module):
-    """An operating point of a robot: `q`, arm angles (*pos, axis), rad; `swing`: deflections of the springs about their
-    rest during the experiment, (*pos, sample, spring), rad, over which a nonlinear spring's stiffness is averaged.
+    """An operating point of a robot: `q`, arm angles (*pos, axis), rad; `deflections`: of the springs about their rest
+    during the experiment, (*pos, sample, spring), rad, over which a nonlinear spring's stiffness is averaged.
     `jaxfrf.graybox.robot_points` finds them in the records."""
 
     q: Float[Array, "*pos axis"]
-    swing: Float[Array, "*pos sample spring"]
+    deflections: Float[Array, "*pos sample spring"]
 
 
 class RobotModel(AbstractModel):
@@ -184,9 +185,9 @@ class RobotModel(AbstractModel):
     def _inner(self, frequency, values, point):
         springs = [n for n in values if n.rpartition(".")[2] in ("stiffness", "damping")]
         robot = with_parameters(self.robot, {n: values[n] for n in springs})
-        q, swing = (point.q, point.swing) if isinstance(point, RobotPoint) else (point, None)
+        q, deflections = (point.q, point.deflections) if isinstance(point, RobotPoint) else (point, None)
         friction = self._by_axis(values, "effective_friction")
-        return frf_and_jacobian(robot, q, frequency, self.quantity, self.hold, 0.0, friction, swing)
+        return frf_and_jacobian(robot, q, frequency, self.quantity, self.hold, 0.0, friction, deflections)
 
     def _columns(self, frequency, values, point, names):
         """G, its derivative in these values, (freq, out, in, column), and their names in the order of the columns."""
@@ -259,28 +260,31 @@ def _effective_friction(robot: Robot, amplitude) -> list[float]:
     return [float(x) for x in np.maximum(viscous + 2 * coulomb / (np.pi * amplitude), guess)]
 
 
-def fix(model: AbstractModel, names: Iterable[str]) -> AbstractModel:
+Model = TypeVar("Model", bound=AbstractModel)
+
+
+def fix(model: Model, names: Iterable[str]) -> Model:
     """The same model with these parameters held at their start; `*` in a name stands for any text: `*.damping`."""
     return _changed(model, names, lambda p: dataclasses.replace(p, free=False))
 
 
-def free(model: AbstractModel, names: Iterable[str]) -> AbstractModel:
+def free(model: Model, names: Iterable[str]) -> Model:
     """The same model with these parameters fitted; `*` in a name stands for any text."""
     return _changed(model, names, lambda p: dataclasses.replace(p, free=True))
 
 
-def share(model: AbstractModel, names: Iterable[str]) -> AbstractModel:
+def share(model: Model, names: Iterable[str]) -> Model:
     """The same model with one value for these parameters: that of the first one named."""
     first, *others = matching(model.parameters, names)
     return _changed(model, others, lambda p: dataclasses.replace(p, same_as=first))
 
 
-def _changed(model: AbstractModel, names: Iterable[str], change: Callable[[Parameter], Parameter]) -> AbstractModel:
+def _changed(model: Model, names: Iterable[str], change: Callable[[Parameter], Parameter]) -> Model:
     chosen = matching(model.parameters, names)
     return _replaced(model, {n: change(p) if n in chosen else p for n, p in model.parameters.items()})
 
 
-def starting_at(model: AbstractModel, values: Mapping[str, float]) -> AbstractModel:
+def starting_at(model: Model, values: Mapping[str, float]) -> Model:
     """The same model with its parameters starting at these values.
 
     **Raises:** `jaxfrf.InputError` for a name that the model does not have.
@@ -290,7 +294,7 @@ def starting_at(model: AbstractModel, values: Mapping[str, float]) -> AbstractMo
     return _replaced(model, new)
 
 
-def _replaced(model: AbstractModel, parameters: dict[str, Parameter]) -> AbstractModel:
+def _replaced(model: Model, parameters: dict[str, Parameter]) -> Model:
     return eqx.tree_at(
         lambda m: m.parameters, model, parameters, is_leaf=lambda x: isinstance(x, dict) and x is model.parameters
     )

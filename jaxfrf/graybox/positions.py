@@ -48,8 +48,8 @@ def position_information(
 
     Knows noise only: bias from nonlinearity does not fall with more experiments.
 
-    **Arguments:** `points`: operating points with a leading axis (pos), e.g. arm angles (pos, axis). `weights`: of the
-    elements, (out, in), 1 by default; 0 for elements that are not measured.
+    **Arguments:** `frequency`: Hz. `points`: operating points with a leading axis (pos), e.g. arm angles (pos, axis).
+    `weights`: of the elements, (out, in), 1 by default; 0 for elements that are not measured.
 
     **Raises:** `jaxfrf.InputError` naming operating points at which the response is not finite.
     """
@@ -160,8 +160,9 @@ def expected_accuracy(
 
     A bound: what an efficient fit reaches when the noise is all that is wrong.
 
-    **Arguments:** `information`: of the chosen positions. `blocks`: how many times the experiment whose noise the
-    information assumed.
+    **Arguments:** `information`: of the chosen positions, in the coordinates of a fit (logarithms of positive
+    parameters, so that deviations are relative). `blocks`: how many times the experiment whose noise it assumed. The
+    Cramér-Rao bound, e.g. Ljung, System Identification, 1999, section 7.4.
     """
     total = blocks * np.asarray(information).sum(axis=0)
     cov = _inverse(total)

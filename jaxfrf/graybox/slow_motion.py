@@ -6,11 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from .._types import Array
 from ..experiment import Experiment
 from ..robot import Robot, operating_point
 from ..robot.quantity import derivatives
+from .deflections import deflections, gear_torque, motion, robot_points
 from .model import RobotModel, RobotPoint
-from .swing import deflections, gear_torque, motion, robot_points
 
 _PLACES = 89  # of the slow motion: a number of Fibonacci's, with which the golden section is even
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
@@ -65,7 +66,11 @@ def _below(x: Float[np.ndarray, "exp time channel"], step: float, frequency: flo
 
 
 def moving_response(
-    model: RobotModel, values: dict, frequency: Float[np.ndarray, "freq"], q, slow: SlowMotion
+    model: RobotModel,
+    values: dict,
+    frequency: Float[Array, "freq"],
+    q: Float[Array, "pos axis"],
+    slow: SlowMotion,
 ) -> Complex[np.ndarray, "pos freq out in"]:
     """The FRF that an estimator finds of a robot in slow motion.
 
@@ -75,14 +80,14 @@ def moving_response(
 
     Biased where the motion is not slow against the width of resonances: it counts the places, not the way between them.
 
-    **Arguments:** `values`: of all parameters. `q`: arm angles at rest, (pos, axis).
+    **Arguments:** `values`: of all parameters. `frequency`: Hz. `q`: arm angles at rest, (pos, axis), rad.
     """
     robot = model.at(values)
-    held = operating_point(robot, np.asarray(q))
-    held = np.asarray(robot.springs.torque(held.deflection, jnp.zeros_like(held.deflection)))
-    swing = deflections(robot, held[:, None], slow.torque[:, :, None] + slow.fast[:, None])
+    at_rest = operating_point(robot, np.asarray(q)).deflection
+    held = np.asarray(robot.springs.torque(at_rest, jnp.zeros_like(at_rest)))
+    x = deflections(robot, held[:, None], slow.torque[:, :, None] + slow.fast[:, None])
     rest = np.asarray(operating_point(robot, slow.q).deflection)
-    points = RobotPoint(slow.q, swing - rest[:, :, None])
+    points = RobotPoint(slow.q, x - rest[:, :, None])
     feedback = _feedback(robot, np.asarray(frequency), model.quantity)
     return np.asarray(_mean_response(model, _arrays(values), jnp.asarray(frequency), feedback, points))
 
@@ -90,7 +95,10 @@ def moving_response(
 def response_in_motion(
     model: RobotModel, values: dict, frequency: Float[np.ndarray, "freq"], data: Experiment
 ) -> Complex[np.ndarray, "pos freq out in"]:
-    """The FRF that these periodic records would show of a robot with these parameters, without simulating them."""
+    """The FRF that these periodic records would show of a robot with these parameters, without simulating them.
+
+    `frequency` is in Hz; see `moving_response` for what it leaves out.
+    """
     slow = slow_motion(model.robot, data, slow_limit(frequency))
     if slow is not None:
         return moving_response(model, values, frequency, data.q, slow)

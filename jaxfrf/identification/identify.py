@@ -15,8 +15,8 @@ from ..frf import FRF, AbstractMethod, Auto, describe_method, estimate
 from ..frf.from_record import spectra_of
 from ..graybox import (
     Fit,
+    IndirectFit,
     RobotModel,
-    ThroughFit,
     Weights,
     fit,
     fit_through_experiment,
@@ -24,9 +24,9 @@ from ..graybox import (
     starting_near,
 )
 from ..graybox.in_motion import fit_in_motion
+from ..graybox.indirect import default_method, measured_frf
 from ..graybox.quality import model_quality, quality, response_quality
 from ..graybox.slow_motion import response_in_motion
-from ..graybox.through import default_method, measured_frf
 from ..io.fits import plain_data
 from ..parts import Parts
 from ..robot import Robot
@@ -117,20 +117,20 @@ def identify(
     if guess:
         model = _guessed(model, frf_of(part), say)
     key = jr.key(seed)
-    through = None
+    indirect = None
     if why:
         _tell(say, f"direct fit only: {why}")
         measured = frf_of(part)
         found = _direct(model, part, measured, weights, starts, key, say)
     else:
         options = {"weights": weights, "starts": starts, "key": key, "rounds": rounds}
-        through = fit_through_experiment(model, part, method, **options, done=done, keep=keep, say=say)
-        measured, found = dataclasses.replace(through.measured, warnings=data.warnings), through.direct
-    judged = None if rest is None else _judged(found, through, rest, frf_of(rest), held, method, weights)
+        indirect = fit_through_experiment(model, part, method, **options, done=done, keep=keep, say=say)
+        measured, found = dataclasses.replace(indirect.measured, warnings=data.warnings), indirect.direct
+    judged = None if rest is None else _judged(found, indirect, rest, frf_of(rest), held, method, weights)
     direct_quality = quality(found, measured, weights)
-    own = direct_quality if through is None else quality(through.fit, measured, weights)
+    own = direct_quality if indirect is None else quality(indirect.fit, measured, weights)
     return Identification(
-        model, found, through, why, measured, positions, own, direct_quality, judged, plain_data(settings)
+        model, found, indirect, why, measured, positions, own, direct_quality, judged, plain_data(settings)
     )
 
 
@@ -181,15 +181,15 @@ def _guessed(model: RobotModel, measured: FRF, say: Say | None) -> RobotModel:
     return starting_near(model, found.values)
 
 
-def _judged(found: Fit, through: ThroughFit | None, rest, frf: FRF, held, method, weights) -> HeldOut:
+def _judged(found: Fit, indirect: IndirectFit | None, rest, frf: FRF, held, method, weights) -> HeldOut:
     """Errors at positions that were not fitted: of the linear model, and of the simulated experiment."""
     if isinstance(rest, Experiment) and rest.period:
         direct = response_quality(response_in_motion(found.model, found.values, frf.frequency, rest), frf, weights)
     else:
         direct = model_quality(found, frf, weights)
-    if through is None:
+    if indirect is None:
         return HeldOut(held, direct, None)
-    played = replay(through.fit.model.at(through.fit.values), rest)
+    played = replay(indirect.fit.model.at(indirect.fit.values), rest)
     simulated = measured_frf(played, method, QUANTITY)
     return HeldOut(held, direct, response_quality(simulated.G, frf, weights))
 

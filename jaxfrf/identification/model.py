@@ -7,7 +7,7 @@ import numpy as np
 from ..experiment import Experiment
 from ..frf import FRF
 from ..graybox import RobotModel, fix, free, share
-from ..graybox.through import check_simulated
+from ..graybox.indirect import check_simulated
 from ..robot import Robot, ZeroOrderHold
 from ..simulation.checks import check_fit
 

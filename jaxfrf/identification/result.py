@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import __version__
 from ..frf import FRF
-from ..graybox import Fit, RobotModel, ThroughFit
+from ..graybox import Fit, IndirectFit, RobotModel
 from ..graybox.quality import Quality
 from ..graybox.slow_motion import response_at
 from ..io.fits import fit_contents, plain_data, starts_contents
@@ -17,17 +17,17 @@ from ..robot import Robot
 
 class HeldOut(eqx.Module):
     """Positions that were not fitted. `positions`: their numbers. `direct`: errors of the direct fit's linear model
-    there. `through`: of the simulated experiment, or `None`."""
+    there. `indirect`: of the simulated experiment, or `None`."""
 
     positions: tuple[int, ...] = eqx.field(static=True)
     direct: Quality
-    through: Quality | None
+    indirect: Quality | None
 
 
 class Identification(eqx.Module):
     """The parameters of a robot with everything that is known about how they were found.
 
-    **Fields:** `model`: as it was before the fit. `direct`: the fit of the linear model to the FRF. `through`: the fit
+    **Fields:** `model`: as it was before the fit. `direct`: the fit of the linear model to the FRF. `indirect`: the fit
     through the experiment, or `None`; `why_direct` then says why not. `measured`: the FRF at the positions that were
     fitted, `positions` their numbers. `quality`: residuals of `fit`; `direct_quality`: of `direct`. `heldout`: or
     `None`. `settings`: what was asked for, plain data.
@@ -35,7 +35,7 @@ class Identification(eqx.Module):
 
     model: RobotModel
     direct: Fit
-    through: ThroughFit | None
+    indirect: IndirectFit | None
     why_direct: str = eqx.field(static=True)
     measured: FRF
     positions: tuple[int, ...] = eqx.field(static=True)
@@ -47,7 +47,7 @@ class Identification(eqx.Module):
     @property
     def fit(self) -> Fit:
         """The result: the fit through the experiment where there is one."""
-        return self.direct if self.through is None else self.through.fit
+        return self.direct if self.indirect is None else self.indirect.fit
 
     @property
     def robot(self) -> Robot:
@@ -63,14 +63,14 @@ class Identification(eqx.Module):
     def explain(self) -> list[str]:
         """The verdict in sentences."""
         said = self.fit.explain()
-        if self.through is None:
+        if self.indirect is None:
             return said
         starts = [text for text in self.direct.explain() if "starts ended within" in text]
-        rounds = len(self.through.corrections)
-        gap = self.through.corrections[-1]
+        rounds = len(self.indirect.corrections)
+        gap = self.indirect.corrections[-1]
         text = (
             f"the parameters stay after {rounds} round(s) of simulation"
-            if self.through.converged
+            if self.indirect.converged
             else f"the parameters still moved after {rounds} rounds of simulation: more of them may help, "
             "or robot and experiment differ in what is not fitted"
         )
@@ -80,14 +80,14 @@ class Identification(eqx.Module):
     def responses(self) -> dict[str, np.ndarray]:
         """Modelled FRFs beside the measured one: name -> (pos, freq, out, in)."""
         found = {"direct fit": model_response(self.direct, self.measured.frequency)}
-        return found if self.through is None else found | {"simulated": np.asarray(self.through.simulated.G)}
+        return found if self.indirect is None else found | {"simulated": np.asarray(self.indirect.simulated.G)}
 
     def lines(self) -> list[str]:
         """The result for a person: the first things to know, one line each."""
         fitted, own = self.fit, fit_contents(self.fit, self.model)["parameters"]
         std, direct = dict(zip(fitted.coordinates.names, fitted.uncertainty.std, strict=True)), self.direct.values
         frequency = self.measured.frequency
-        kind = f"direct fit only ({self.why_direct})" if self.through is None else "fit through the experiment"
+        kind = f"direct fit only ({self.why_direct})" if self.indirect is None else "fit through the experiment"
         text = [
             f"{self.model.robot.name}: {kind}, {len(self.positions)} position(s), {len(frequency)} lines from "
             f"{frequency[0]:.4g} to {frequency[-1]:.4g} Hz, {len(self.direct.starts)} starts"
@@ -97,14 +97,15 @@ class Identification(eqx.Module):
             if p["nuisance"]:
                 continue
             spread = std.get(p.get("same_as", name))
-            known = "  not identifiable" if not p["identifiable"] else f" +- {100 * spread:.2g} %"
-            beside = "" if self.through is None else f", direct {direct[name]:.4g}"
+            known = f" +- {100 * spread:.2g} %" if spread else ", of unknown deviation"  # no covariance, no deviation
+            known = known if p["identifiable"] else "  not identifiable"
+            beside = "" if self.indirect is None else f", direct {direct[name]:.4g}"
             text.append(f"  {name:{width}}  {p['value']:.4g}{known} {p['unit']}  (start {p['start']:.4g}{beside})")
         text += [f"{self.result}: {self.explain()[0]}" if self.explain() else self.result, *self.explain()[1:]]
         text += [f"residual: {x}" for x in self.quality.worst(self.positions)[:3]]
         if self.heldout is not None:
-            held, best = self.heldout, self.heldout.through or self.heldout.direct
-            beside = "" if held.through is None else f" (direct fit {held.direct.total_db:.2g} dB)"
+            held, best = self.heldout, self.heldout.indirect or self.heldout.direct
+            beside = "" if held.indirect is None else f" (direct fit {held.direct.total_db:.2g} dB)"
             text.append(
                 f"held-out position(s) {', '.join(map(str, held.positions))}: rms error {best.total_db:.2g} dB, "
                 f"{best.total_degrees:.2g} degrees{beside}"
@@ -119,25 +120,25 @@ class Identification(eqx.Module):
         return plain_data(
             own
             | {
-                "kind": "direct" if self.through is None else "through the experiment",
+                "kind": "direct" if self.indirect is None else "through the experiment",
                 "why_direct": self.why_direct,
                 "result": self.result,
                 "explanation": self.explain(),
                 "starts": starts_contents(self.direct),
                 "quality": _quality_contents(self.quality, self.positions),
-                "heldout": None if held is None else _heldout_contents(held, held.through or held.direct),
+                "heldout": None if held is None else _heldout_contents(held, held.indirect or held.direct),
                 "direct": fit_contents(self.direct, self.model)
                 | {
                     "quality": _quality_contents(self.direct_quality, self.positions),
                     "heldout": None if held is None else _heldout_contents(held, held.direct),
                 },
                 "rounds": []
-                if self.through is None
+                if self.indirect is None
                 else [
                     {"gap_db": c.gap_db, "gap_degrees": c.gap_deg, "parameters": values(c.x)}
-                    for c in self.through.corrections
+                    for c in self.indirect.corrections
                 ],
-                "converged": None if self.through is None else self.through.converged,
+                "converged": None if self.indirect is None else self.indirect.converged,
                 "settings": self.settings,
                 "frf": {
                     "method": self.measured.method,

@@ -16,7 +16,7 @@ from ..io.fits import plain_data
 from ..parts import Parts, files_text, numbers_text
 
 _PART_FILES = ("[0-9]" * 5 + ".json",)
-_ROUND_FIELDS = ("x", "answer", "gap_db", "gap_deg")
+_ROUND_FIELDS = ("x", "update", "gap_db", "gap_deg")
 
 
 def kept_rounds(
@@ -24,7 +24,7 @@ def kept_rounds(
 ) -> tuple[list[Correction], Callable[[Correction], None]]:
     """The rounds that an interrupted run finished, and how to keep another."""
     parts.begin(_about(model, data, settings), _PART_FILES)
-    done = []
+    done: list[Correction] = []
     while (found := parts.read(_name(len(done)), _read_round)) is not None:
         done.append(found)
     count = len(done)
@@ -44,7 +44,7 @@ def _name(number: int) -> str:
 
 def _read_round(path: pathlib.Path) -> Correction:
     found = json.loads(path.read_text(encoding="utf-8"))
-    return Correction(np.array(found["x"]), np.array(found["answer"]), found["gap_db"], found["gap_deg"])
+    return Correction(np.array(found["x"]), np.array(found["update"]), found["gap_db"], found["gap_deg"])
 
 
 def _about(model: RobotModel, data: Experiment | FRF, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -164,6 +164,10 @@ def save(path: str | os.PathLike, variables: Mapping[str, Variable], attributes:
         writer.save(temporary, variables, attributes)
 
 
+def _allocated(value: np.ndarray | Later) -> np.ndarray:
+    return np.empty(value.shape, value.dtype) if isinstance(value, Later) else value
+
+
 @contextlib.contextmanager
 def save_blocks(path: str | os.PathLike, variables: Mapping[str, Variable], attributes: Attributes) -> Iterator[Put]:
     """As `save`, with arrays that come position by position (`Later`): `put(name, first, numbers)` in the block.
@@ -177,13 +181,13 @@ def save_blocks(path: str | os.PathLike, variables: Mapping[str, Variable], attr
             with writer.blocks(temporary, variables, attributes) as put:
                 yield put
             return
-        whole = {
-            name: dataclasses.replace(v, value=np.empty(v.value.shape, v.value.dtype))
-            if isinstance(v.value, Later)
-            else v
-            for name, v in variables.items()
-        }
-        yield lambda name, first, value: whole[name].value.__setitem__(slice(first, first + len(value)), value)
+        arrays = {name: _allocated(v.value) for name, v in variables.items()}
+        whole = {name: dataclasses.replace(v, value=arrays[name]) for name, v in variables.items()}
+
+        def put(name: str, first: int, value: np.ndarray) -> None:
+            arrays[name][first : first + len(value)] = value
+
+        yield put
         writer.save(temporary, whole, attributes)
 
 

@@ -57,7 +57,7 @@ def _expanded(path: pathlib.Path, part: memoryview, before: int) -> memoryview:
     stream, pieces, size, left = zlib.decompressobj(), [], 0, part
     while not stream.eof:
         piece = stream.decompress(left, 2**26)
-        left = stream.unconsumed_tail
+        left = memoryview(stream.unconsumed_tail)
         if not piece and not left:
             raise DamagedError("a compressed element that ends early")
         pieces.append(piece)

@@ -71,12 +71,13 @@ def _by_name(found: Mapping[str, Leaf]) -> dict[str, Leaf]:
 
 def _time_first(found: Mapping[str, Leaf]) -> dict[str, Leaf]:
     """Data of a time series whose time is the last axis of three, as Simulink logs vectors: (time, channel)."""
-    turned = {}
+    turned: dict[str, Leaf] = {}
     for path, value in found.items():
         rec, _, field = path.rpartition(".")
         if field not in _DATA or not isinstance(value, np.ndarray) or value.ndim != 3:
             continue
-        n_times = [np.size(found[f"{rec}.{key}"]) for key in ("Time", "time") if f"{rec}.{key}" in found]
+        times = [found.get(f"{rec}.{key}") for key in ("Time", "time")]
+        n_times = [t.size for t in times if isinstance(t, np.ndarray)]
         if n_times and value.shape[2] == n_times[0] > 1:
             turned[path] = np.moveaxis(value, 2, 0).reshape(n_times[0], -1)
     return turned
@@ -84,7 +85,7 @@ def _time_first(found: Mapping[str, Leaf]) -> dict[str, Leaf]:
 
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
     """v5, the version that everything reads; v7.3 where an array is too large for it."""
-    large = any(8 * np.size(v.value) > _V5_BYTES for v in variables.values())
+    large = any(8 * math.prod(v.value.shape) > _V5_BYTES for v in variables.values())
     (save_v73 if large else save_v5)(path, variables, attributes)
 
 
@@ -98,10 +99,10 @@ def save_v5(path: pathlib.Path, variables: Mapping[str, Variable], attributes: A
 
 def save_v73(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
     """HDF5 behind MATLAB's 512-byte header; position by position, without a second copy of an array."""
-    check_room(path, sum(8 * np.size(v.value) for v in variables.values()) + 2**20)
+    check_room(path, sum(8 * math.prod(v.value.shape) for v in variables.values()) + 2**20)
     with surviving(path) as disk, require("h5py", "io").File(disk, "w", userblock_size=512) as file:
         for name, variable in variables.items():
-            _store_array(file, name, np.atleast_2d(variable.value))
+            _store_array(file, name, np.atleast_2d(np.asarray(variable.value)))
         for name, x in attributes.items():
             if isinstance(x, str):
                 dataset = file.create_dataset(name, data=np.array([[ord(c)] for c in x], np.uint16))

@@ -4,6 +4,7 @@ import math
 import pathlib
 import zipfile
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +45,8 @@ def size(path: pathlib.Path) -> int:
 
 
 def save(path: pathlib.Path, variables: Mapping[str, Variable], attributes: Attributes) -> None:
-    np.savez(path, **{k: v.value for k, v in variables.items()}, **attributes)
+    contents: dict[str, Any] = {name: v.value for name, v in variables.items()} | dict(attributes)
+    np.savez(path, **contents)
 
 
 def _check_header(path: pathlib.Path, members: zipfile.ZipFile, info: zipfile.ZipInfo) -> None:

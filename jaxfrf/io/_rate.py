@@ -82,7 +82,11 @@ _RATES = ("fs", "f_s", "rate", "samplerate", "sample_rate", "samplingrate", "sam
 
 def _no_rate(file: File, n_time: int) -> InputError:
     like = time_like(file.variables, n_time)
-    named = [n for n, v in file.variables.items() if n.lower() in _RATES and np.size(v) == 1]
+    named = [
+        n
+        for n, v in file.variables.items()
+        if n.lower() in _RATES and isinstance(v, np.ndarray | str) and np.size(v) == 1
+    ]
     if named:
         return file.error(
             "fs", "no such variable", "the sampling frequency fs (Hz)", f"Is it {named[0]}? --map fs={named[0]}."

@@ -68,6 +68,8 @@ def missing(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, name: s
     do = [f"Did you mean --map {key}={_quoted(like)}?"] if like else []
     if name.isdigit() and "1" in variables:
         do = ["Columns of a table without headings are counted from 1."]
+    elif name != key and like is None:
+        do = [f"Of another file of the same record: give both, and --map {key}=FILE:NAME."]
     example = propose(variables)
     if example:
         do.append(f'Say which is which, for example --map "{example}".')
@@ -85,9 +87,13 @@ _MEANING = {
 }
 
 
+def _size(value: Leaf) -> int:
+    return value.size if isinstance(value, np.ndarray) else 1
+
+
 def listing(variables: Mapping[str, Leaf]) -> str:
     """Names with their shapes, the largest first, for messages."""
-    by_size = sorted(variables.items(), key=lambda item: -np.size(item[1]))  # records first
+    by_size = sorted(variables.items(), key=lambda item: -_size(item[1]))  # records first
     known = [f"{name} {_says(value)}" for name, value in by_size]
     rest = len(known) - _LISTED
     return ", ".join(known[:_LISTED]) + (f" and {rest} more" if rest > 0 else "")
@@ -169,7 +175,7 @@ def _pick(path: pathlib.Path, key: str, expression: str, x: np.ndarray, pick: st
     x = column(x)
     try:
         numbers = [int(n) if n.strip() else None for n in pick.split(":")]
-        chosen = slice(*numbers) if len(numbers) > 1 else slice(numbers[0], numbers[0] + 1)
+        chosen = slice(*numbers) if len(numbers) > 1 else slice(int(pick), int(pick) + 1)
         picked = x[..., chosen] if 1 <= len(numbers) <= 2 else x[..., :0]
     except (ValueError, TypeError):
         picked = x[..., :0]

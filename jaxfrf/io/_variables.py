@@ -61,7 +61,7 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
     """The SI unit of a record, "" if nothing is known, and the factor to it."""
     said = file.given.values.get(f"{key}_unit")
     if said is not None:
-        return known_unit(said) or (said, 1.0)
+        return known_unit(str(said)) or (str(said), 1.0)
     name = file.given.names.get(key, key)
     parts = re.split(r"\s*;\s*", name.strip("[]")) if name.startswith("[") else [name]
     said = {file.variables.units.get(re.sub(r"'?(\[[^\[\]]*\])?$", "", part), "") for part in parts}

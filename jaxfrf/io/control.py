@@ -1,14 +1,18 @@
 """To and from python-control, which keeps (out, in, freq) and rad/s."""
 
+from typing import Any
+
 import numpy as np
+from jaxtyping import Float
 
 from .._errors import input_error
+from .._types import Array
 from ..frf import FRF
 from ._optional import require
 from .responses import frf_from_arrays
 
 
-def to_control(frf: FRF, pos: int = 0):
+def to_control(frf: FRF, pos: int = 0) -> Any:
     """The FRF at one operating point as `control.FrequencyResponseData`: axes (out, in, freq), omega in
     rad/s.
 
@@ -30,7 +34,7 @@ def to_control(frf: FRF, pos: int = 0):
     )
 
 
-def from_control(system, frequency=None, *, y_quantity: str = "velocity") -> FRF:
+def from_control(system: Any, frequency: Float[Array, "freq"] | None = None, *, y_quantity: str = "velocity") -> FRF:
     """An FRF, without a covariance, from a python-control system.
 
     **Arguments:**
@@ -51,7 +55,7 @@ def from_control(system, frequency=None, *, y_quantity: str = "velocity") -> FRF
             )
         G, frequency = system.frdata, np.asarray(system.omega) / (2 * np.pi)
     elif isinstance(system, control.lti.LTI):
-        G = system(_points(system, frequency), squeeze=False)
+        G, frequency = system(_points(system, frequency), squeeze=False), np.asarray(frequency)
     else:
         raise input_error("system", type(system).__name__, "a linear system of python-control", "Convert it.")
     return frf_from_arrays(np.moveaxis(np.asarray(G), -1, 0), frequency, y_quantity=y_quantity)

@@ -10,7 +10,7 @@
                    the robot as given, changed: relative to it
     compared       how measurement and model were compared
     next_experiment
-    positions      {fitted: [...], sealed: [...]}
+    positions      {fitted: [...], heldout: [...]}
     settings, sources [{name, sha256}], version
 
 Standard JSON: what is not finite is null.
@@ -33,7 +33,7 @@ _Z = 1.959964  # of a 95 % interval
 _NEEDED = ("verdict", "effects", "ranking", "where", "gap", "parameters")
 
 
-def write_gap(path: str | os.PathLike, diagnosis) -> None:
+def write_gap(path: str | os.PathLike, diagnosis: Any) -> None:
     """Write a `diagnosis`, what `jaxfrf.gap.diagnose` returned, as JSON, whole or not at all.
 
     **Raises:** `jaxfrf.InputError` if the folder is not there."""
@@ -56,10 +56,13 @@ def read_gap(path: str | os.PathLike) -> dict[str, Any]:
     if missing:
         lacks = "JSON without " + (missing[0] if len(missing) == 1 else f"{', '.join(missing[:-1])} and {missing[-1]}")
         raise input_error(str(path), lacks, "what `jaxfrf diagnose` writes", "Name that file.")
+    positions = found.get("positions", {})
+    if "sealed" in positions:  # as they were called at first
+        found["positions"] = {"fitted": positions["fitted"], "heldout": positions["sealed"]}
     return found
 
 
-def gap_contents(diagnosis) -> dict[str, Any]:
+def gap_contents(diagnosis: Any) -> dict[str, Any]:
     """What `jaxfrf.gap.diagnose` returned as it stands in gap.json (see above): plain data without NaN."""
     d = diagnosis
     contents = {
@@ -72,7 +75,7 @@ def gap_contents(diagnosis) -> dict[str, Any]:
         "parameters": _parameters(d),
         "compared": d.compared,
         "next_experiment": d.next_experiment,
-        "positions": {"fitted": list(d.fitted), "sealed": list(d.sealed)},
+        "positions": {"fitted": list(d.fitted), "heldout": list(d.sealed)},
         "settings": dict(d.settings),
         "sources": [{"name": s.name, "sha256": s.sha256} for s in d.sources],
         "version": __version__,

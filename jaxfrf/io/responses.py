@@ -26,14 +26,17 @@ import os
 import pathlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from jaxtyping import Complex, Float
 
 from .._arguments import expect
 from .._errors import input_error
 from .._files import digest, replacing
 from .._memory import check_memory
 from .._status import Status
+from .._types import Array
 from ..experiment import QUANTITIES, Source
 from ..frf import FRF
 from ..units import response_unit
@@ -123,11 +126,11 @@ def read_frf(path: str | os.PathLike) -> FRF:
 
 
 def frf_from_arrays(
-    G,
-    frequency,
+    G: Complex[Array, "*pos freq out in"] | Complex[Array, "freq"],
+    frequency: Float[Array, "freq"],
     *,
     y_quantity: str = "velocity",
-    q=None,
+    q: Float[Array, "pos joint"] | None = None,
     method: str = "",
     sources: Sequence[Source] = (),
     warnings: Sequence[str] = (),
@@ -160,7 +163,7 @@ def source(path) -> Source:
 # --- between an FRF and the names of the file ---
 
 
-def _contents(frf: FRF) -> dict[str, np.ndarray | str]:
+def _contents(frf: FRF) -> dict[str, Any]:
     arrays = {name: np.asarray(getattr(frf, name)) for name in _AXES if getattr(frf, name) is not None}
     options = re.search(r"\((.*)\)\s*$", frf.method, re.DOTALL)
     return arrays | {
@@ -304,7 +307,7 @@ def _write_nc(path: pathlib.Path, names: Mapping) -> None:
     write_dataset(path, xarray.Dataset(arrays, attrs=texts))
 
 
-def _notes(names: Mapping) -> dict[str, dict]:
+def _notes(names: Mapping[str, Any]) -> dict[str, dict]:
     """Attributes of the variables."""
     return {
         "G": {"units": names["unit"], "long_name": "frequency response function"},
@@ -314,7 +317,7 @@ def _notes(names: Mapping) -> dict[str, dict]:
         "q": {"units": "rad"},
         "status": {
             "flag_masks": np.array([flag.value for flag in Status], names["status"].dtype),
-            "flag_meanings": " ".join(flag.name.lower() for flag in Status),
+            "flag_meanings": " ".join(str(flag.name).lower() for flag in Status),
         },
     }
 

@@ -1,6 +1,7 @@
 """What the libraries of SDyPy pass around: FRFs of pyFRF and EMA, time series by SEP 5."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ _MEASURED = {
 _REVERSED = 3.0  # how much more energy may stand before time zero than after it
 
 
-def from_sdypy(data, *, conjugated: bool = False) -> FRF:
+def from_sdypy(data: Mapping[str, Any] | Any, *, conjugated: bool = False) -> FRF:
     """An FRF, without a covariance, from what pyFRF and sdypy.EMA call one.
 
     **Arguments:**

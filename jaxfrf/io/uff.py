@@ -3,13 +3,13 @@
 import collections
 import os
 import pathlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from .._errors import input_error
 from .._files import replacing
-from ..experiment import UNITS
+from ..experiment import UNITS, Source
 from ..frf import FRF
 from ._optional import require
 from .responses import frf_from_arrays, source
@@ -63,7 +63,7 @@ def read_uff(path: str | os.PathLike) -> FRF:
     return frf_from_uff(sets if isinstance(sets, list) else [sets], sources=(source(path),), where=str(path))
 
 
-def frf_from_uff(sets: Iterable[Mapping], *, sources=(), where: str = "universal file") -> FRF:
+def frf_from_uff(sets: Iterable[Mapping], *, sources: Sequence[Source] = (), where: str = "universal file") -> FRF:
     """One FRF from the dataset dictionaries of pyuff (or sdypy.io.uff), without a covariance.
 
     Response (node, direction) pairs become outputs, reference pairs inputs, in ascending order. Datasets of

@@ -16,10 +16,10 @@ from .model import Machine
 from .simulate import driving, simulate_machine
 
 _ENOUGH = 1.3  # misfit of a machine that misses nothing
-_LEAST_GAIN = 0.15  # part of the sealed gap that an effect has to close
-_ALIKE = 1.3  # times what the best effect leaves on the sealed part: with less, another explains as well
+_LEAST_GAIN = 0.15  # part of the held-out gap that an effect has to close
+_ALIKE = 1.3  # times what the best effect leaves on the held-out part: with less, another explains as well
 _SURE = 3.0  # standard deviations of its largest number from 0
-_EVERY = 3  # line that is sealed, where there is one experiment
+_EVERY = 3  # line that is held out, where there is one experiment
 _SHAPES = ("smoothing", "width")  # numbers that stay where they start: a record seldom tells them
 _LEAST_FORCE = 0.05  # of the driving force's rms, at which an effect starts
 
@@ -35,9 +35,9 @@ class MachineDiagnosis(eqx.Module):
       `rivals`) or `unexplained`.
     - `effects`: that were added, with their numbers. `rivals`: effects in the place of the last one that leave as
       little. `before`, `fit`: without and with them.
-    - `sealed`: what is left on the sealed experiment or lines over what was measured there, at first and with every
+    - `heldout`: what is left on the held-out experiment or lines over what was measured there, at first and with every
       effect.
-    - `tried`: (place, effect, what it leaves on the sealed part) of every candidate, in the order of trial.
+    - `tried`: (place, effect, what it leaves on the held-out part) of every candidate, in the order of trial.
     """
 
     verdict: str = eqx.field(static=True)
@@ -45,14 +45,14 @@ class MachineDiagnosis(eqx.Module):
     rivals: tuple[AbstractEffect, ...]
     before: MachineFit
     fit: MachineFit
-    sealed: tuple[float, ...] = eqx.field(static=True)
+    heldout: tuple[float, ...] = eqx.field(static=True)
     tried: tuple[tuple[str, str, float], ...] = eqx.field(static=True)
 
     def __str__(self) -> str:
-        gap = " -> ".join(f"{100 * x:.3g} %" for x in self.sealed)
+        gap = " -> ".join(f"{100 * x:.3g} %" for x in self.heldout)
         named = "; ".join(f"{e.name} at {e.joint}" for e in self.effects) or "no effect"
         more = f"; or, in the place of the last: {', '.join(f'{e.name} at {e.joint}' for e in self.rivals)}"
-        return f"{self.verdict}: {named} (left on the sealed part: {gap}){more if self.rivals else ''}"
+        return f"{self.verdict}: {named} (left on the held-out part: {gap}){more if self.rivals else ''}"
 
 
 def diagnose_machine(
@@ -69,12 +69,12 @@ def diagnose_machine(
     """Find which effects a machine of your own is missing.
 
     The machine is fitted; then every candidate with all its other parameters, and the one that leaves least stays, up
-    to `most` of them. The last of several experiments is sealed, else every third line: no fit sees it, and an effect
+    to `most` of them. The last of several experiments is held out, else every third line: no fit sees it, and an effect
     stays only if it closes a sixth of what is left there, has a sign that it can have, and differs from 0 by three
     standard deviations. Where another leaves as little, or both less than `floor`, the verdict is `ambiguous`.
 
     Says less than it seems where the machine's own matrices are wrong (a missing mass is nobody's friction), and with
-    one experiment, whose sealed lines share its amplitude with the others: other amplitudes tell springs apart.
+    one experiment, whose held-out lines share its amplitude with the others: other amplitudes tell springs apart.
 
     **Arguments:**
 
@@ -91,10 +91,10 @@ def diagnose_machine(
             "machine", "no places", "some, where effects can act", 'Name them: places={"spring": [1, -1]}.'
         )
     options = {"band": band, "settle": settle, "floor": floor}
-    used = _unsealed(measured_lines(machine, data, band, floor)[1])
+    used = _fitted_lines(measured_lines(machine, data, band, floor)[1])
     before = fit = fit_machine(machine, data, **options, used=used)
-    sealed = [_gap(fit, used)]
-    say(f"as it is: misfit {fit.misfit:.3g}, {100 * sealed[0]:.3g} % left on the sealed part")
+    heldout = [_gap(fit, used)]
+    say(f"as it is: misfit {fit.misfit:.3g}, {100 * heldout[0]:.3g} % left on the held-out part")
     effects, rivals, tried = [], [], []
     while fit.misfit > _ENOUGH and len(effects) < most:
         own = _typical(fit.machine, data) if candidates is None else candidates
@@ -107,23 +107,23 @@ def diagnose_machine(
                 tried.append((str(effect.joint), effect.name, left))
                 say(f"{effect.name} at {effect.joint}: {100 * left:.3g} % left")
                 found.append((left, effect, one))
-        found = [x for x in found if x[0] < (1 - _LEAST_GAIN) * sealed[-1] and _stands(x[1], x[2])]
+        found = [x for x in found if x[0] < (1 - _LEAST_GAIN) * heldout[-1] and _stands(x[1], x[2])]
         if not found:
             break
         found.sort(key=lambda x: x[0])
         alike = max(_ALIKE * found[0][0], floor)
         rivals = [x[2].machine.effects[-1] for x in found[1:] if x[0] < alike]
-        sealed.append(found[0][0])
+        heldout.append(found[0][0])
         fit = found[0][2]
         effects.append(fit.machine.effects[-1])
     verdict = "unexplained" if not effects else "ambiguous" if rivals else "named"
     if before.misfit <= _ENOUGH:
         verdict = "sufficient"
     added = fit.machine.effects[len(machine.effects) :]
-    return MachineDiagnosis(verdict, added, tuple(rivals), before, fit, tuple(sealed), tuple(tried))
+    return MachineDiagnosis(verdict, added, tuple(rivals), before, fit, tuple(heldout), tuple(tried))
 
 
-def _unsealed(measured: Complex[np.ndarray, "exp line out"]) -> Bool[np.ndarray, "exp line"]:
+def _fitted_lines(measured: Complex[np.ndarray, "exp line out"]) -> Bool[np.ndarray, "exp line"]:
     used = np.ones(measured.shape[:2], bool)
     if len(used) > 1:
         used[-1] = False

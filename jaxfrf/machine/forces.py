@@ -50,8 +50,8 @@ class CubicSpring(AbstractArmTorque):
 def force(effect: AbstractEffect, x: Signal, v: Signal, stiffness: Signal, smoothing: float) -> Signal:
     """Force of an effect against the motion x, v at its place, beside what the machine's matrices say.
 
-    **Arguments:** `stiffness`: of the machine's own spring there, which play and hardening take from. `smoothing`:
-    speed at which Coulomb friction has 76 % of its level.
+    **Arguments:** `x`, `v`: rad and rad/s, or m and m/s. `stiffness`: of the machine's own spring there, N m/rad, which
+    play and hardening take from. `smoothing`: speed at which Coulomb friction has 76 % of its level.
 
     **Raises:** `jaxfrf.InputError` for effects that need a robot (gears, sensors, motors with a controller).
     """

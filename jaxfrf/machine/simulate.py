@@ -1,6 +1,7 @@
 """The motion of a machine under a measured input."""
 
 import math
+from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +21,13 @@ _TURN = 1.5  # rad of the fastest mode, or of friction's decay, in a step
 
 
 def simulate_machine(
-    machine: Machine, data: Experiment, values=None, *, steps: int | None = None, settle: int | None = None
-):
+    machine: Machine,
+    data: Experiment,
+    values: Mapping[str, float] | None = None,
+    *,
+    steps: int | None = None,
+    settle: int | None = None,
+) -> Float[Array, "exp time out"]:
     """The output of a machine that the input of a record drives, held between samples.
 
     A periodic record is played as its mean steady period, `settle` times before the one that is kept (by default until

@@ -171,10 +171,10 @@ def _together(lines, level, each: list[_Channel]) -> FoundLines:
         strong = strength >= strength.max() - _NO_GAP_DB
         chosen = chosen & strong if (chosen & strong).any() else strong
     sure = np.stack([c.sure for c in each])
-    clear = (sure & masks).any(axis=0) if zipped else sure.all(axis=0)
+    clear = np.any(sure & masks, axis=0) if zipped else np.all(sure, axis=0)
     on_grid, design = _grid(lines, chosen, strength)
     if design != "irregular" and told:
-        clear = clear | (chosen == on_grid)
+        clear = np.logical_or(clear, chosen == on_grid)
     confidence = float(np.mean(clear[on_grid])) if told else 0.0
     return FoundLines(lines[on_grid], confidence, ("zippered, " if zipped else "") + design)
 

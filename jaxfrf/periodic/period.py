@@ -51,22 +51,22 @@ def find_period(x: Float[Array, "time channel"]) -> FoundPeriod | None:
     or a fault in some periods raises the mismatch and does not hide the period. A period that is no whole number of
     samples is found where it comes close enough to one.
     """
-    x = _usable(x)
-    if x is None:
+    usable = _usable(x)
+    if usable is None:
         return None
-    spectrum = scipy.fft.rfft(x, 2 * scipy.fft.next_fast_len(len(x), real=True), axis=0)
-    found = [_clearest(_mismatch(x, spectrum)), _clearest(_mismatch(*_levelled(spectrum, len(x))))]
-    found = [f for f in found if f is not None]
-    return max(found, key=lambda f: f.sure, default=None)
+    spectrum = scipy.fft.rfft(usable, 2 * scipy.fft.next_fast_len(len(usable), real=True), axis=0)
+    both = _clearest(_mismatch(usable, spectrum)), _clearest(_mismatch(*_levelled(spectrum, len(usable))))
+    return max((f for f in both if f is not None), key=lambda f: f.sure, default=None)
 
 
 def mismatch(x: Float[Array, "time channel"], lag: int) -> float:
     """D(lag) of x, its strong bands levelled; 1 where the record is too short to tell."""
-    x = _usable(np.asarray(x)[: 3 * lag])
-    if x is None or not 0 < lag <= _LONGEST * len(x):
+    usable = _usable(np.asarray(x)[: 3 * lag])
+    if usable is None or not 0 < lag <= _LONGEST * len(usable):
         return 1.0
-    x, _ = _levelled(scipy.fft.rfft(x, 2 * scipy.fft.next_fast_len(len(x), real=True), axis=0), len(x))
-    a, b = x[:-lag], x[lag:]
+    n = len(usable)
+    flat, _ = _levelled(scipy.fft.rfft(usable, 2 * scipy.fft.next_fast_len(n, real=True), axis=0), n)
+    a, b = flat[:-lag], flat[lag:]
     return float(np.sum((a - b) ** 2) / np.sum(a**2 + b**2))
 
 

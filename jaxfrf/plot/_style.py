@@ -2,8 +2,10 @@
 saving."""
 
 import itertools
+import os
 import pathlib
 from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool
@@ -12,6 +14,10 @@ from .._errors import input_error
 from .._files import replacing
 from .._types import Array, Frequency
 from ..io._optional import require
+
+# Of matplotlib, which is imported where something is drawn:
+Figure: TypeAlias = Any
+Axes: TypeAlias = Any
 
 # Okabe & Ito (2008): told apart by all common kinds of colour vision; the order keeps neighbours far apart.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -25,7 +31,7 @@ _NEIGHBOURS = 4  # steps on each side that say what is regular
 _WIDE = 5.0  # a band this many times as high as its lowest frequency gets a logarithmic axis
 
 
-def save(figure, path) -> None:
+def save(figure: Figure, path: str | os.PathLike) -> None:
     """Save a `figure` to `path`, whole or not at all; the suffix says the format (`.png`, `.pdf`, `.svg`, ...).
 
     **Raises:** `jaxfrf.InputError` if matplotlib does not know the format, or the folder is not there.

@@ -63,7 +63,7 @@ def bode(
     position: int = 0,
     confidence: float | None = 0.95,
     size: tuple[float, float] | None = None,
-    axes=None,
+    axes: _style.Axes | None = None,
     title: str = "",
 ):
     """Draw magnitude (dB) above phase (degrees) of elements of G at one operating point.
@@ -92,7 +92,7 @@ def bode(
     **Raises:** `jaxfrf.InputError` if an element or operating point does not exist, or the estimates do not
     fit together.
     """
-    frfs = list(frfs) if isinstance(frfs, list | tuple) else [frfs]
+    frfs = list(frfs) if isinstance(frfs, Sequence) else [frfs]
     for frf in frfs:
         expect("frfs", frf, FRF)
     labels = _labels(frfs) if labels is None else list(labels)
@@ -346,6 +346,6 @@ def _legend(frfs, labels, radii, confidence, position: int) -> list:
             look = {"color": _style.DOUBTFUL, "lw": 0.8, "ls": style}
             handles.append(lines.Line2D([], [], label=f"{label} (std)", **look))
     if any((np.asarray(f.status[position]) & int(SERIOUS)).any() for f in frfs):
-        style = {"ls": "none", "marker": "o", "ms": 3.4, "mfc": "white", "mec": _style.DOUBTFUL}
-        handles.append(lines.Line2D([], [], **style, label="doubtful (status)"))
+        mark = {"ls": "none", "marker": "o", "ms": 3.4, "mfc": "white", "mec": _style.DOUBTFUL}
+        handles.append(lines.Line2D([], [], **mark, label="doubtful (status)"))
     return handles

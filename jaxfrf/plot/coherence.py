@@ -20,7 +20,7 @@ def coherence(
     labels: Sequence[str] | None = None,
     *,
     position: int = 0,
-    axes=None,
+    axes: _style.Axes | None = None,
     title: str = "",
 ):
     """Draw the (multiple) coherence of every output at one operating point, between 0 and 1.

@@ -11,7 +11,7 @@ _WIDTH, _HEIGHT, _GAP = 6.2, 2.1, 0.2  # inches of the axes
 _LEFT, _RIGHT, _BOTTOM = 0.62, 0.14, 0.46
 
 
-def distortion(found: Distortion, *, position: int = 0, axes=None, title: str = ""):
+def distortion(found: Distortion, *, position: int = 0, axes: _style.Axes | None = None, title: str = ""):
     """Draw the level of every output at one operating point, decibels, against frequency.
 
     Points: the output at the excited lines, and what the linear response leaves unexplained at even and odd unexcited

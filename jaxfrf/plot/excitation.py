@@ -1,5 +1,7 @@
 """The picture of an experiment's reference: what it looks like in time, and which lines it excites."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from .._errors import input_error
@@ -7,7 +9,9 @@ from ..excitation import Reference, detection_lines, levels
 from . import _style
 
 
-def multisine(reference: Reference, *, experiment: int = 0, channels=None, axes=None):
+def multisine(
+    reference: Reference, *, experiment: int = 0, channels: Sequence[int] | None = None, axes: _style.Axes | None = None
+):
     """Speed over one steady period, and amplitude per line with the excited, slow and detection lines.
 
     Lines are single points: between excited lines there is nothing. The detection lines stand below the
@@ -99,7 +103,7 @@ def _draw_slow_sines(ax, reference: Reference, channels) -> tuple[np.ndarray, np
     """Their frequencies (Hz) and amplitudes, those of amplitude 0 left out."""
     slow = reference.design.slow
     moved = [] if slow is None else [i for i in channels if slow.amplitude[i] > 0]
-    if not moved:
+    if slow is None or not moved:
         return np.zeros(0), np.zeros(0)
     frequency, amplitude = slow.lines[moved] * reference.fs / reference.period, slow.amplitude[moved]
     for channel, x, y in zip(moved, frequency, amplitude, strict=True):
@@ -114,8 +118,7 @@ def _draw_detection_lines(ax, reference: Reference, lowest: float) -> None:
     for lines, name, level, grey in ((odd, "odd", lowest / 4, "0.2"), (even, "even", lowest / 7, "0.6")):
         if lines.size:
             label = f"{lines.size} {name} lines left silent"
-            level = np.full(lines.size, level)
-            ax.plot(lines * resolution, level, "|", color=grey, markersize=6, label=label)
+            ax.plot(lines * resolution, np.full(lines.size, level), "|", color=grey, markersize=6, label=label)
 
 
 def _colour(channel: int) -> str:

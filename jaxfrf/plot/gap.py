@@ -27,12 +27,12 @@ def gap_maps(
     axis_names: Sequence[str],
     *,
     marked: Sequence[str] = (),
-    sealed: Sequence[int] = (),
+    heldout: Sequence[int] = (),
 ):
     """Torque residuals over their floor before and after, side by side: a block for every axis, a row of it for every
     position, a column for every band.
 
-    **Arguments:** `after`: `None` where nothing was changed. `bands`: edges, Hz. `marked`: axes in bold. `sealed`:
+    **Arguments:** `after`: `None` where nothing was changed. `bands`: edges, Hz. `marked`: axes in bold. `heldout`:
     positions in bold.
 
     **Returns:** the figure and its axes, one or two.
@@ -57,7 +57,7 @@ def gap_maps(
                 range(n_bands + 1), rows, cells, cmap=ground, norm=norm, edgecolor="white", linewidth=0.3
             )
             if k == 0:
-                _name_block(axis, axis_names[n], n * (block + gap), block, n_pos, axis_names[n] in marked, sealed)
+                _name_block(axis, axis_names[n], n * (block + gap), block, n_pos, axis_names[n] in marked, heldout)
         axis.set(xlim=(0, n_bands), ylim=(height - gap, 0), yticks=[])
         axis.set_xticks(range(n_bands + 1), [f"{f:.3g}" for f in bands])
         axis.set_xlabel("Frequency (Hz)", fontsize=_style.SMALL)
@@ -70,14 +70,14 @@ def gap_maps(
     return figure, axes
 
 
-def _name_block(axis, name: str, top: float, block: float, n_pos: int, bold: bool, sealed: Sequence[int]) -> None:
+def _name_block(axis, name: str, top: float, block: float, n_pos: int, bold: bool, heldout: Sequence[int]) -> None:
     """Names of an axis and its positions, left of its block."""
     place = {"transform": axis.get_yaxis_transform(), "ha": "right", "va": "center", "clip_on": False}
     weight = "bold" if bold else "normal"
     axis.text(-0.055, top + block / 2, name, fontsize=_style.SMALL + 1, fontweight=weight, **place)
     step = max(1, -(-n_pos * 7 // int(72 * block)))  # rows that a number of 7 points takes
     for p in range(0, n_pos, step):
-        own = {"fontweight": "bold", "color": "black"} if p in sealed else {"color": _SOFT}
+        own = {"fontweight": "bold", "color": "black"} if p in heldout else {"color": _SOFT}
         axis.text(-0.012, top + (p + 0.5) * block / n_pos, str(p), fontsize=5.5, **own, **place)
 
 
@@ -168,7 +168,8 @@ def _key(figure, left: float) -> None:
 def gap_dumbbells(before: Numbers, after: Numbers | None, axis_names: Sequence[str], *, marked: Sequence[str] = ()):
     """Rms torque residual over the rms torque, axis by axis, before and after.
 
-    **Arguments:** `before`, `after`: (axis,), parts; `None` where nothing was changed. `marked`: axes in bold.
+    **Arguments:** `before`, `after`: (axis,), parts without a unit; `None` where nothing was changed. `marked`: axes in
+    bold.
 
     **Returns:** the figure and its axes.
     """

@@ -11,7 +11,7 @@ _SIZE = (6.4, 4.2)  # inches
 _LEFT, _RIGHT, _BOTTOM = 0.62, 0.6, 0.46
 
 
-def stabilisation(model: ModalModel, *, axes=None, title: str = ""):
+def stabilisation(model: ModalModel, *, axes: _style.Axes | None = None, title: str = ""):
     """Draw the poles of every order at their frequency (filled: the order below had them), over the root of the sum of
     squares of all elements, measured and of the modes; the modes that were taken as lines, with their 95 % intervals.
 

@@ -11,7 +11,7 @@ _WIDTH, _HEIGHT = 3.2, 2.9  # inches of an axes
 _LEFT, _BETWEEN, _RIGHT, _BOTTOM = 0.62, 0.62, 0.14, 0.46
 
 
-def plan(plan: PositionPlan, *, axes=None, title: str = ""):
+def plan(plan: PositionPlan, *, axes: _style.Axes | None = None, title: str = ""):
     """Draw the expected standard deviation against the number of positions, one axes for each kind of parameter.
 
     Solid with markers: chosen D-optimally; dashed or dotted: drawn at random, median over draws. A vertical line

@@ -35,7 +35,7 @@ def spectrum(
     *,
     position: int = 0,
     channels: Sequence[int] | None = None,
-    axes=None,
+    axes: _style.Axes | None = None,
     title: str = "",
 ):
     """Draw the spectra of reference (where there is one), input and output: a row per signal, a column per

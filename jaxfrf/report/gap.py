@@ -4,6 +4,7 @@ import html
 import math
 import os
 import re
+from typing import Any
 
 import numpy as np
 
@@ -58,14 +59,14 @@ details > summary { cursor: pointer; color: #0a5c96; margin: 4px 0 8px; font-siz
 </style>"""
 
 
-def write_gap_report(path: str | os.PathLike, diagnosis) -> None:
+def write_gap_report(path: str | os.PathLike, diagnosis: Any) -> None:
     """Write the page about a `diagnosis`, as `jaxfrf.gap.diagnose` returns it, one HTML file that needs nothing else.
 
     **Raises:** `ImportError` without matplotlib; `jaxfrf.InputError` if the folder is not there."""
     write_page(path, gap_page(diagnosis))
 
 
-def gap_page(diagnosis) -> str:
+def gap_page(diagnosis: Any) -> str:
     """The page about a `diagnosis` as HTML text."""
     d = diagnosis
     names = joined([s.name for s in d.sources]) or "data in memory"
@@ -140,9 +141,9 @@ def _where(d) -> str:
         told = paragraph("No cell stands out of the floor.")
     after = d.maps.after if _changed(d) else None
     maps = figure(
-        gap_maps(d.maps.before, after, d.maps.bands, names, marked=concerned, sealed=d.sealed)[0],
+        gap_maps(d.maps.before, after, d.maps.bands, names, marked=concerned, heldout=d.sealed)[0],
         "Torque residual (measured less simulated) over its floor, rms: a block for each axis, a row for each position"
-        f"{' (sealed ones in bold)' if d.sealed else ''}, a column for each band. 1 is what noise and an honest model "
+        f"{' (bold: held out)' if d.sealed else ''}, a column for each band. 1 is what noise and an honest model "
         "leave.",
     )
     heading = "Where the model was wrong" if d.effects else "Where model and measurement differ"
@@ -276,7 +277,7 @@ def _bars(gap, changed: bool) -> str:
 
 def _bode(d) -> str:
     if d.frf is None:
-        return paragraph("There are no FRFs on sealed positions to compare.")
+        return paragraph("There are no FRFs on held-out positions to compare.")
     names = d.base.axis_names
     drawn = [names.index(n) for n in axes_of(d)][:_DRAWN] or [_worst(d.gap)]
     frfs = d.frf if _changed(d) else d.frf[:2]
@@ -287,11 +288,11 @@ def _bode(d) -> str:
             label = str(d.sealed[k]) if k < len(d.sealed) else str(k)
             blocks[f"{names[axis]}, position {label}"] = figure(gap_bode(frfs, axis, k)[0])
     text = paragraph(
-        "FRF of the axis on sealed positions: simulated ones went through the same experiment and estimator as the "
+        "FRF of the axis on held-out positions: simulated ones went through the same experiment and estimator as the "
         "measured one."
     )
     more = d.frf[0].n_pos - many
-    tail = paragraph(f"{more} more sealed positions are not shown.") if more > 0 else ""
+    tail = paragraph(f"{more} more held-out positions are not shown.") if more > 0 else ""
     return text + choice("bode", blocks) + tail
 
 
@@ -351,7 +352,7 @@ def _provenance(d) -> str:
     about = {
         "compared": d.compared,
         "positions fitted": ", ".join(map(str, d.fitted)) or "none",
-        "positions sealed": ", ".join(map(str, d.sealed)) or "none",
+        "positions held out": ", ".join(map(str, d.sealed)) or "none",
         **{str(k): _plain(v) for k, v in d.settings.items()},
         "jaxfrf": __version__,
         **{s.name: f"sha256 {s.sha256}" for s in d.sources},

@@ -127,7 +127,7 @@ def ripple_written(diagnosis) -> str:
     for effect in diagnosis.base.effects[given:]:
         if not isinstance(effect, TorqueRipple | ResolverRipple):
             continue  # a torque constant that was calibrated
-        orders.setdefault(effect.joint, []).extend(effect.order)
+        orders.setdefault(str(effect.joint), []).extend(effect.order)
     if not orders:
         return ""
     told = "; ".join(f"{joint}: {', '.join(str(h) for h in sorted(set(found)))}" for joint, found in orders.items())

@@ -24,7 +24,7 @@ def identification_page(found: Identification) -> str:
     """The page about a fit as HTML text."""
     frf = found.measured
     names = ", ".join(s.name for s in frf.sources) or "data in memory"
-    kind = "fit through the experiment" if found.through else "direct fit"
+    kind = "fit through the experiment" if found.indirect else "direct fit"
     subtitle = (
         f"{kind} to {names}: {len(found.positions)} positions, {len(frf.frequency)} lines from "
         f"{frf.frequency[0]:.4g} to {frf.frequency[-1]:.4g} Hz"
@@ -43,10 +43,10 @@ def identification_page(found: Identification) -> str:
 
 
 def _result(found: Identification) -> str:
-    good = found.result == "unimodal" and (found.through is None or found.through.converged)
+    good = found.result == "unimodal" and (found.indirect is None or found.indirect.converged)
     word = found.result[0].upper() + found.result[1:]
     text = verdict(word, found.explain(), good)
-    if found.through is None:
+    if found.indirect is None:
         return text + paragraph(f"Direct fit only: {found.why_direct}.")
     return text
 
@@ -54,7 +54,7 @@ def _result(found: Identification) -> str:
 def _parameters(found: Identification) -> str:
     own = fit_contents(found.fit, found.model)["parameters"]
     direct = found.direct.values
-    beside_direct = found.through is not None
+    beside_direct = found.indirect is not None
     headers = [
         "parameter",
         "value",
@@ -88,7 +88,7 @@ def _heldout(found: Identification) -> str:
     held = found.heldout
     if held is None:
         return ""
-    columns = {"direct fit": held.direct} | ({} if held.through is None else {"through the experiment": held.through})
+    columns = {"direct fit": held.direct} | ({} if held.indirect is None else {"through the experiment": held.indirect})
     headers = ["position", "fit", "rms error, dB", "rms error, degrees", "cost"]
     rows = [
         [p, name, *(float(x[k]) for x in (q.rms_db, q.rms_degrees, q.position_cost))]
@@ -96,7 +96,7 @@ def _heldout(found: Identification) -> str:
         for name, q in columns.items()
     ]
     note = "A cost of 1 means errors as large as the weights allow: their floor and the noise of the FRF."
-    worst = (held.through or held.direct).worst(held.positions)
+    worst = (held.indirect or held.direct).worst(held.positions)
     return section("Positions that were not fitted", table(headers, rows), paragraph(note), listing(worst))
 
 
@@ -109,7 +109,7 @@ def _bode(found: Identification) -> str:
         blocks[f"position {p}"] = figure(drawn, kind="png")
     names = " and ".join(models)
     text = f"Diagonal elements, measured (with 95 % bands) and {names}."
-    if found.through is not None:
+    if found.indirect is not None:
         text += " The simulated curve went through the same estimator as the measured one; the direct fit's did not."
     more = frf.n_pos - len(blocks)
     tail = paragraph(f"{more} more positions are not shown.") if more > 0 else ""
@@ -125,7 +125,7 @@ def _residuals(found: Identification) -> str:
         else "The covariance of the FRF is not known: errors in dB."
     )
     blocks = {}
-    if found.through is not None:
+    if found.indirect is not None:
         blocks["through the experiment"] = figure(residual_maps(found.quality, found.positions)[0])
         text += (
             " Blue where the simulation repeats what the covariance counts as noise (distortion by the same reference)."
@@ -148,8 +148,8 @@ def _search(found: Identification) -> str:
         "valley.",
     )
     rounds = ""
-    if found.through is not None:
-        gaps = found.through.corrections
+    if found.indirect is not None:
+        gaps = found.indirect.corrections
         drawn = round_gaps([c.gap_db for c in gaps], [c.gap_deg for c in gaps])[0]
         rounds = figure(drawn, "Gap between measured and simulated FRF in every round of simulation.")
     return section("The search", paragraph(text), beside(paths, rounds))
@@ -169,7 +169,7 @@ def _provenance(found: Identification) -> str:
     about = {
         "estimator": frf.method or "unknown",
         "starts": f"{settings['starts']}, seed {settings['seed']}",
-        **({} if found.through is None else {"rounds": f"{len(found.through.corrections)} of {settings['rounds']}"}),
+        **({} if found.indirect is None else {"rounds": f"{len(found.indirect.corrections)} of {settings['rounds']}"}),
         "weights": weights,
         "fixed": ", ".join(settings["fixed"]),
         "freed": ", ".join(settings["freed"]),

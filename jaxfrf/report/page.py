@@ -11,6 +11,7 @@ import os
 import pathlib
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from .._files import replacing
 
@@ -53,8 +54,20 @@ dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }
 .tabs > input:checked + label { background: var(--ink); color: var(--paper); border-color: var(--ink); }
 .tabs > input:focus-visible + label { outline: 2px solid #0072b2; }
 .tabs > div { display: none; }
-@media print { .tabs > div { display: block !important; } .tabs > label { display: none; } }
+@media print {
+  main { max-width: none; padding: 0; }
+  .tabs > div { display: block !important; } .tabs > label { display: none; }
+  .wide, table, figure { overflow: visible; } th, td { white-space: normal; padding-right: 8px; }
+  table { font-size: 12px; max-width: 100%; } thead { display: table-header-group; }
+  figure, tr, dl, .verdict { break-inside: avoid; } h2, h3 { break-after: avoid; }
+  .verdict, .tabs { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+}
 """
+
+# Paper cannot be clicked on.
+_SCRIPT = """addEventListener("beforeprint", () => {
+  for (const x of document.querySelectorAll("details")) x.open = true;
+});"""
 
 
 def page(title: str, sections: Sequence[str], subtitle: str = "") -> str:
@@ -63,7 +76,7 @@ def page(title: str, sections: Sequence[str], subtitle: str = "") -> str:
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{html.escape(title)}</title>\n'
-        f"<style>{_STYLE}</style>\n</head>\n<body>\n<main>\n<h1>{html.escape(title)}</h1>\n{under}\n"
+        f"<style>{_STYLE}</style>\n<script>{_SCRIPT}</script>\n</head>\n<body>\n<main>\n<h1>{html.escape(title)}</h1>\n{under}\n"
         + "\n".join(sections)
         + "\n</main>\n</body>\n</html>\n"
     )
@@ -151,7 +164,7 @@ def facts(pairs: Mapping[str, object]) -> str:
     return f"<dl>{rows}</dl>"
 
 
-def figure(picture, caption: str = "", kind: str = "svg") -> str:
+def figure(picture: Any, caption: str = "", kind: str = "svg") -> str:
     """A matplotlib figure, `picture`, embedded: `svg` for few marks, `png` for many."""
     buffer = io.BytesIO()
     options = {"dpi": 170} if kind == "png" else {"metadata": {"Date": None}}

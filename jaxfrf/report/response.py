@@ -106,7 +106,7 @@ def frf_page(
 
     **Raises:** `jaxfrf.InputError` where the FRFs do not fit together.
     """
-    frfs = list(frfs) if isinstance(frfs, list | tuple) else [frfs]
+    frfs = list(frfs) if isinstance(frfs, Sequence) else [frfs]
     for frf in frfs:
         expect("frfs", frf, FRF)
     if not frfs:
@@ -195,7 +195,7 @@ def _packed(frf: FRF, label: str, colour: str, positions: int, stride: int, conf
         found = {
             "level": _decibel(np.abs(G)),
             "phase": np.where(np.isfinite(G), np.degrees(np.angle(G)), np.nan),
-            "radius": _decibel(confidence_radius(frf, confidence)[at]),
+            "radius": _decibel(np.asarray(confidence_radius(frf, confidence))[at]),
             "doubt": np.broadcast_to(_doubted(frf)[at][..., None, None], G.shape),
         }
         for name in _layers(frf)[4:]:

@@ -148,17 +148,19 @@ def gravity_forces(chain: Chain, q: Angles) -> Angles:
 
 @eqx.filter_jit
 def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "*batch joint joint"], Angles]:
-    """Both `mass_matrix` and `bias_forces` from one pass over the kinematics: what a time step needs."""
+    """Both `mass_matrix`, kg m^2, and `bias_forces`, N m, from one pass over the kinematics: what a time step needs."""
     (angles, rates), batch = _columns(chain, q, rate)
     bodies = _bodies(chain, angles)
     matrix = jnp.moveaxis(_mass_matrix(bodies), -1, 0).reshape(*batch, chain.n_joints, chain.n_joints)
     return matrix, _rows(_newton_euler(chain, bodies, rates, jnp.zeros_like(angles)), batch)
 
 
-def mass_and_bias_columns(chain: Chain, q: Float[Array, "joint run"], rate: Float[Array, "joint run"]):
+def mass_and_bias_columns(
+    chain: Chain, q: Float[Array, "joint run"], rate: Float[Array, "joint run"]
+) -> tuple[Float[Array, "joint joint run"], Float[Array, "joint run"]]:
     """As `mass_and_bias`, of many runs with the runs last.
 
-    **Returns:** (joint, joint, run) and (joint, run).
+    **Returns:** (joint, joint, run), kg m^2, and (joint, run), N m.
     """
     bodies = _bodies(chain, q)
     return _mass_matrix(bodies), _newton_euler(chain, bodies, rate, jnp.zeros_like(q))
@@ -248,7 +250,7 @@ def _bodies(chain: Chain, q) -> _Bodies:
     )
     mass, moment = jnp.asarray(chain.mass), _cross(position, axis)
     if any(chain.slides):
-        slide = chain.sliding[:, None, None]
+        slide = jnp.asarray(chain.sliding[:, None, None])
         axis, moment = (1.0 - slide) * axis, (1.0 - slide) * moment + slide * axis
     return _Bodies(
         axis=axis,

@@ -32,7 +32,7 @@ def frf_and_jacobian(
     hold: ZeroOrderHold | None = None,
     delay: Float[Array, "axis"] | float = 0.0,
     friction: Float[Array, "axis"] | None = None,
-    swing: Float[Array, "sample spring"] | None = None,
+    deflections: Float[Array, "sample spring"] | None = None,
 ) -> ParametricResponse:
     """FRF at operating points under gravity, with its derivative in stiffness, damping and friction.
 
@@ -49,13 +49,13 @@ def frf_and_jacobian(
     """
     friction = robot.drives.friction.viscous if friction is None else friction
     arrays = (jnp.asarray(x) for x in (arm_angles, frequency, delay, friction))
-    return _frf_and_jacobian(robot, *arrays, quantity, hold, swing)
+    return _frf_and_jacobian(robot, *arrays, quantity, hold, deflections)
 
 
 @eqx.filter_jit
-def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quantity, hold, swing):
+def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quantity, hold, deflections):
     omega = 2.0 * jnp.pi * frequency
-    model, slopes = _with_slopes(robot, arm_angles.reshape(-1, arm_angles.shape[-1]), friction, swing)
+    model, slopes = _with_slopes(robot, arm_angles.reshape(-1, arm_angles.shape[-1]), friction, deflections)
     factor, corrections = actuated_sampling(model, omega, quantity, hold, delay)
     motor, partners = model.motor, model.partners
     rebuilt = lambda matrices: tuple(GearLoss(x.group, m) for x, m in zip(model.losses, matrices, strict=True))
@@ -107,13 +107,13 @@ class _Slopes(eqx.Module):
     gravity: jax.Array
 
 
-def _with_slopes(robot: Robot, arm_angles, friction, swing) -> tuple[LinearRobot, _Slopes]:
+def _with_slopes(robot: Robot, arm_angles, friction, deflections) -> tuple[LinearRobot, _Slopes]:
     motors, first = robot.n_motors, robot.n_motors + robot.n_axes
 
     def rest(k):
         changed = eqx.tree_at(lambda r: r.springs.stiffness, robot, k)
         point = operating_point(changed, arm_angles)
-        return (local_stiffness(changed, point, swing), point.z[..., first:]), point
+        return (local_stiffness(changed, point, deflections), point.z[..., first:]), point
 
     def carried(elastic):
         arm = jnp.concatenate([arm_angles, elastic], axis=-1)
@@ -123,7 +123,7 @@ def _with_slopes(robot: Robot, arm_angles, friction, swing) -> tuple[LinearRobot
     along = lambda tangent: jax.jvp(carried, (point.z[..., first:],), (tangent,))[1]
     mass, gravity = jax.vmap(along, in_axes=-1, out_axes=-1)(elastic[..., motors:])
     own = jnp.diagonal(local, axis1=-2, axis2=-1)
-    return linearise(robot, point, friction, swing), _Slopes(own, local[..., motors:], mass, gravity)
+    return linearise(robot, point, friction, deflections), _Slopes(own, local[..., motors:], mass, gravity)
 
 
 def _complex_share(robot: Robot, model: LinearRobot, omega):

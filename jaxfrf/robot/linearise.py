@@ -244,7 +244,7 @@ def linearise(
     robot: Robot,
     point: OperatingPoint,
     friction: Float[Array, "axis"] | None = None,
-    swing: Float[Array, "sample spring"] | None = None,
+    deflections: Float[Array, "sample spring"] | None = None,
 ) -> LinearRobot:
     """Small motions about a point of rest, by automatic differentiation of the forces.
 
@@ -256,35 +256,35 @@ def linearise(
 
     - `friction`: f_eff of every axis, motor side, (axis,), N m s/rad, as `effective_friction` gives it; the
       robot's viscous friction where it is `None`.
-    - `swing`: deflections about the point of rest over which the local stiffness is averaged, (sample,
+    - `deflections`: about the point of rest over which the local stiffness is averaged, (sample,
       spring), rad: an experiment that moves far over a nonlinear spring sees its mean stiffness. `None`: the
       stiffness at rest.
     """
     friction = robot.drives.friction.viscous if friction is None else friction
     robot, friction = _at_rest(robot), jnp.asarray(friction)
-    swing = None if swing is None else jnp.asarray(swing)
-    if traced((robot, point, friction, swing)):
-        return _linearised(robot, point, friction, swing)
+    deflections = None if deflections is None else jnp.asarray(deflections)
+    if traced((robot, point, friction, deflections)):
+        return _linearised(robot, point, friction, deflections)
     batch = point.z.shape[:-1]
-    rows = _linearised(robot, jax.tree.map(lambda x: _filled(x, batch), point), friction, swing)
+    rows = _linearised(robot, jax.tree.map(lambda x: _filled(x, batch), point), friction, deflections)
     mass, damping, stiffness = _parted((rows.mass, rows.damping, rows.stiffness), batch)
     losses = tuple(GearLoss(loss.group, _parted(loss.stiffness, batch)) for loss in rows.losses)
     return dataclasses.replace(rows, mass=mass, damping=damping, stiffness=stiffness, losses=losses)
 
 
 @eqx.filter_jit
-def _linearised(robot: Robot, point: OperatingPoint, friction, swing) -> LinearRobot:
+def _linearised(robot: Robot, point: OperatingPoint, friction, deflections) -> LinearRobot:
     smooth = dataclasses.replace(robot, drives=dataclasses.replace(robot.drives, friction=ViscousFriction(friction)))
     z, rest, motors = _without_errors(robot, point), jnp.zeros_like(point.z), robot.n_motors
     stiffness = -_jacobian(lambda x: drive_forces(smooth, x, rest, point.torque), z)
     damping = -_jacobian(lambda x: drive_forces(smooth, z, x, point.torque), rest)
     stiffness = stiffness.at[..., motors:, motors:].add(gravity_stiffness(robot, z[..., motors:]))
-    if swing is not None:
-        more = local_stiffness(robot, point, swing) - local_stiffness(robot, point)
+    if deflections is not None:
+        more = local_stiffness(robot, point, deflections) - local_stiffness(robot, point)
         springs = spring_directions(robot)
         stiffness = stiffness + jnp.einsum("is,...s,js->...ij", springs, more, springs)
     partners = tuple(motors + axis for axis in robot.flexible_axes) if gear_coupling(robot) is None else ()
-    actuators, losses = groups(robot, AbstractActuator), _losses(robot, local_stiffness(robot, point, swing))
+    actuators, losses = groups(robot, AbstractActuator), _losses(robot, local_stiffness(robot, point, deflections))
     return LinearRobot(inertia(robot, z), damping, stiffness, motor_directions(robot), partners, actuators, losses)
 
 
@@ -333,9 +333,9 @@ def gravity_stiffness(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Ar
 
 
 def local_stiffness(
-    robot: Robot, point: OperatingPoint, swing: Float[Array, "sample spring"] | None = None
+    robot: Robot, point: OperatingPoint, deflections: Float[Array, "sample spring"] | None = None
 ) -> Float[Array, "*batch spring"]:
-    """Stiffness of every spring at its deflection, averaged over `swing` about it; N m/rad."""
-    if swing is None:
+    """Stiffness of every spring at its deflection, averaged over `deflections` about it; N m/rad."""
+    if deflections is None:
         return robot.springs.tangent(point.deflection)
-    return jnp.mean(robot.springs.tangent(point.deflection[..., None, :] + swing), axis=-2)
+    return jnp.mean(robot.springs.tangent(point.deflection[..., None, :] + deflections), axis=-2)

@@ -52,7 +52,7 @@ def parameters(robot: Robot, kinds: Iterable[str] = ("stiffness", "damping")) ->
 
 
 def with_parameters(robot: Robot, values: Mapping[str, jax.Array | float]) -> Robot:
-    """The same robot with these parameters changed; differentiable in the values.
+    """The same robot with these parameters changed, in their units (`parameter_unit`); differentiable in the values.
 
     **Raises:** `jaxfrf.InputError` for a name that the robot does not have, with the nearest one that it has.
     """

@@ -74,9 +74,9 @@ def _frf(model: LinearRobot, frequency, quantity: str, hold: ZeroOrderHold | Non
 def hold_remainder(
     model: LinearRobot, frequency: Float[Array, "freq"], hold: ZeroOrderHold
 ) -> Float[Array, "*batch freq"]:
-    """Size of what `ZeroOrderHold.order` leaves out, over the largest element of G; (*batch, freq).
+    """Size of what `ZeroOrderHold.order` leaves out, over the largest element of G; (*batch, freq), without unit.
 
-    Above a thousandth or so, use `discretise` and `state_space_frf`, or a higher sampling frequency.
+    `frequency` is in Hz. Above a thousandth or so, use `discretise` and `state_space_frf`, or sample faster.
     """
     omega = 2.0 * jnp.pi * jnp.asarray(frequency)
     longer = dataclasses.replace(hold, order=hold.order + 2)
@@ -157,7 +157,8 @@ def _held_integrators(s, T: float, delay, count: int):
     z = jnp.exp(s * T)
     whole = jnp.floor(delay / T + 1e-9)
     rest = 1.0 - (delay / T - whole)
-    states, factorial = [], 1.0
+    states: list[Array] = []
+    factorial = 1.0
     powers = [1.0]
     for p in range(1, count + 1):
         factorial *= p

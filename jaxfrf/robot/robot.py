@@ -178,7 +178,7 @@ class Robot(eqx.Module):
 
 
 def chain_angles(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch joint"]:
-    """Angles of all joints in chain order, from [q_a, q_e]; a locked joint stands at zero."""
+    """Angles of all joints in chain order, from [q_a, q_e], rad; a locked joint stands at zero."""
     place = np.full(robot.chain.n_joints, arm.shape[-1])
     place[list(robot.arm_joints)] = np.arange(arm.shape[-1])
     return jnp.concatenate([arm, jnp.zeros_like(arm[..., :1])], axis=-1)[..., place]
@@ -208,7 +208,9 @@ def arm_inertia(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "
 
 
 @eqx.filter_jit
-def arm_inertia_and_bias(robot: Robot, arm: Float[Array, "*batch arm"], rate: Float[Array, "*batch arm"]):
+def arm_inertia_and_bias(
+    robot: Robot, arm: Float[Array, "*batch arm"], rate: Float[Array, "*batch arm"]
+) -> tuple[Float[Array, "*batch arm arm"], Float[Array, "*batch arm"]]:
     """M_ae and c_ae + g_ae from one pass over the kinematics: what changes slowly within a control sample.
 
     **Returns:** (*batch, arm, arm), kg m^2, and (*batch, arm), N m.
@@ -217,10 +219,12 @@ def arm_inertia_and_bias(robot: Robot, arm: Float[Array, "*batch arm"], rate: Fl
     return _arm_matrix(robot, matrix), bias[..., np.array(robot.arm_joints)]
 
 
-def arm_inertia_and_bias_columns(robot: Robot, arm: Float[Array, "arm run"], rate: Float[Array, "arm run"]):
+def arm_inertia_and_bias_columns(
+    robot: Robot, arm: Float[Array, "arm run"], rate: Float[Array, "arm run"]
+) -> tuple[Float[Array, "arm arm run"], Float[Array, "arm run"]]:
     """As `arm_inertia_and_bias`, of many runs with the runs last: for simulations.
 
-    **Returns:** (arm, arm, run) and (arm, run).
+    **Returns:** (arm, arm, run), kg m^2, and (arm, run), N m.
     """
     order = np.array(robot.arm_joints)
     angles, rates = chain_angles(robot, arm.T).T, chain_angles(robot, rate.T).T
@@ -237,7 +241,7 @@ def motor_inertia(robot: Robot) -> Float[Array, "motor"]:
 
 @eqx.filter_jit
 def inertia(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch dof dof"]:
-    """Inertia in the coordinates z: motors and arm are coupled by springs only, so it is block diagonal."""
+    """Inertia in the coordinates z, kg m^2: motors and arm are coupled by springs only, so it is block diagonal."""
     arm = arm_inertia(robot, z[..., robot.n_motors :])
     motors = jnp.broadcast_to(jnp.diag(motor_inertia(robot)), (*arm.shape[:-2], robot.n_motors, robot.n_motors))
     corner = jnp.zeros((*arm.shape[:-2], robot.n_motors, arm.shape[-1]))
@@ -251,7 +255,7 @@ def inertia(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch
 
 
 def deflections(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch spring"]:
-    """Deflection of every spring, arm side: q_m/n - q_a of flexible transmissions, then -q_e; linear in z.
+    """Deflection of every spring, arm side, rad: q_m/n - q_a of flexible transmissions, then -q_e; linear in z.
 
     The sign makes a positive spring torque drive the arm, tau_g = torque(q_m/n - q_a) and tau_e =
     torque(-q_e). Where effects couple axes, q_a is what their gears see of the arm (`gear_coupling`).
@@ -280,12 +284,12 @@ def gear_angles(robot: Robot, arm: Float[Array, "*batch axis"]) -> Float[Array, 
 
 
 def spring_directions(robot: Robot) -> Float[Array, "dof spring"]:
-    """W with deflections(z) = W^T z; a spring torque tau acts on the coordinates as -W tau."""
+    """W with deflections(z) = W^T z, rad; a spring torque tau acts on the coordinates as -W tau."""
     return deflections(robot, jnp.eye(robot.dof))
 
 
 def motor_directions(robot: Robot) -> Float[Array, "dof axis"]:
-    """B with motor angles = B^T z (all axes, motor side); a motor torque u acts on the coordinates as B u."""
+    """B with motor angles = B^T z (all axes, motor side, rad); a motor torque u acts on the coordinates as B u."""
     motors, axes = robot.n_motors, robot.n_axes
     flexible = np.array(robot.flexible_axes, int)
     direct = np.zeros((robot.dof, axes))
@@ -297,7 +301,7 @@ def motor_directions(robot: Robot) -> Float[Array, "dof axis"]:
 
 
 def motor_values(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch axis"]:
-    """Motor angles of all axes from the coordinates z (or motor speeds from z'); motor side."""
+    """Motor angles of all axes from the coordinates z, rad (or motor speeds from z', rad/s); motor side."""
     return z @ motor_directions(robot)
 
 
@@ -325,7 +329,9 @@ def gear_load(robot: Robot, spring, torque) -> Float[Array, "*batch axis"]:
     return torque.at[..., flexible].set(spring[..., : robot.n_motors] / robot.drives.gear_ratio[flexible])
 
 
-def friction_effects(robot: Robot, speed, load) -> Float[Array, "*batch axis"]:
+def friction_effects(
+    robot: Robot, speed: Float[Array, "*batch axis"], load: Float[Array, "*batch axis"]
+) -> Float[Array, "*batch axis"]:
     """Torque against the motors by the robot's effects, motor side; `speed` in rad/s, `load` as `gear_load`; N m."""
     return _effects_torque(robot, AbstractFriction, speed, load)
 

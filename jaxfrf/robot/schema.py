@@ -174,7 +174,7 @@ class _Table:
         infinite: bool = False,
     ) -> float:
         kind = "a positive number" if positive else "a number, 0 or more" if nonnegative else "a number"
-        value = self._value(key, default, kind)
+        value = self._value(key, default, f"{kind}, inf where it is rigid" if infinite else kind)
         if isinstance(value, bool) or not isinstance(value, int | float) or not _fits(value):
             raise self.error(key, kind, "Write a number, in SI units.")
         if (math.isinf(value) and not infinite) or (positive and value <= 0) or (nonnegative and value < 0):

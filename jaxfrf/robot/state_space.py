@@ -1,5 +1,7 @@
 """The linearised robot as a state space, continuous or sampled; to python-control."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -77,7 +79,7 @@ def state_space_frf(system: StateSpace, frequency: Float[Array, "freq"]) -> Comp
     )
 
 
-def to_control(system: StateSpace):
+def to_control(system: StateSpace) -> Any:
     """The system as a `control.StateSpace` of python-control; one operating point (no batch axes).
 
     **Returns:** a `control.StateSpace`.

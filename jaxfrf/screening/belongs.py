@@ -248,7 +248,7 @@ def twice(record: Record) -> Iterator[Finding]:
 def marks(data: Experiment) -> list[list[str]]:
     """A digest of the samples of every experiment, (pos, exp): the same for the same samples."""
     signals = (np.asarray(data.y), np.asarray(data.u))
-    mark = lambda at: hashlib.blake2b(b"".join(np.ascontiguousarray(x[at]) for x in signals), digest_size=16)
+    mark = lambda at: hashlib.blake2b(b"".join(np.ascontiguousarray(x[at]).data for x in signals), digest_size=16)
     return [[mark((pos, exp)).hexdigest() for exp in range(data.n_exp)] for pos in range(data.n_pos)]
 
 

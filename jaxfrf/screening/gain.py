@@ -31,7 +31,7 @@ def gain_drift(record: Record) -> Iterator[Finding]:
             continue
         for pos, channel in np.ndindex(X.shape[0], X.shape[4]):
             each = {exp: _change([X[pos, exp, ..., channel]]) for exp in range(data.n_exp)}
-            found = {exp: x for exp, x in each.items() if x is not None}
+            found: dict[int | None, tuple] = {exp: x for exp, x in each.items() if x is not None}
             if data.n_exp > 1 and (joint := _change(list(X[pos, ..., channel]))) is not None and not found:
                 found = {None: joint}
             if name == "r":
@@ -66,13 +66,13 @@ def _change(X: list[np.ndarray]) -> tuple[float, float, int, int] | None:
     power = np.abs(mean) ** 2
     if not power.any():
         return None
-    X = np.concatenate(X, axis=1)
-    n = len(X)
-    gain = np.real(X @ mean.conj()) / power.sum()
+    together = np.concatenate(X, axis=1)
+    n = len(together)
+    gain = np.real(together @ mean.conj()) / power.sum()
     low, high = sorted((int(np.argmin(gain)), int(np.argmax(gain))))
     k = np.arange(n) - (n - 1) / 2
-    trend = np.tensordot(k / (k @ k) * (n - 1), X, axes=1)
-    for step, a, b in ((X[high] - X[low], low, high), (trend, 0, n - 1)):
+    trend = np.tensordot(k / (k @ k) * (n - 1), together, axes=1)
+    for step, a, b in ((together[high] - together[low], low, high), (trend, 0, n - 1)):
         found = _same_everywhere(step, mean, power)
         if found is not None:
             return *found, a, b

@@ -28,7 +28,7 @@ def contradicted(record: Record) -> Iterator[Finding]:
     if not data.period:
         return
     name, x = ("u", data.u) if data.r is None else ("r", data.r)
-    x = x[0, 0, : max(_LOOK_PERIODS * data.period, _LOOK_SAMPLES)]
+    x = np.asarray(x)[0, 0, : max(_LOOK_PERIODS * data.period, _LOOK_SAMPLES)]
     given = mismatch(x, data.period)
     yield from _several_periods(data, name, x, given)
     if given < _LOOK:
@@ -128,7 +128,7 @@ def _not_weak(record: Record, quiet) -> bool:
 
     power = line_power(record.data).sum(axis=1)
     at = np.isin(np.arange(1, len(power) + 1), quiet)
-    others = ~np.isin(np.arange(1, len(power) + 1), record.data.lines)
+    others = ~np.isin(np.arange(1, len(power) + 1), np.asarray(record.data.lines))
     low, high = quiet.min(), quiet.max()
     near = others & (np.arange(1, len(power) + 1) >= low) & (np.arange(1, len(power) + 1) <= high)
     return not near.any() or bool(np.median(power[at]) < 10 * np.median(power[near]))

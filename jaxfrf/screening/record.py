@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -40,7 +41,7 @@ class Channel:
         return len(self.steady) if self.period else 0
 
     def finding(self, kind: str, severity: Severity, size: float, says: str, **more) -> Finding:
-        where = {"signal": self.signal, "channel": self.channel, "pos": self.pos, "exp": self.exp}
+        where: dict[str, Any] = {"signal": self.signal, "channel": self.channel, "pos": self.pos, "exp": self.exp}
         return Finding(kind, severity, size, f"{self.at} {says}", **where, **more)
 
 

@@ -85,7 +85,8 @@ def examine(data: Experiment, checks: tuple[Check, ...] = CHECKS + ACROSS) -> tu
     **Raises:** `jaxfrf.InputError` if `data` is no experiment.
     """
     expect("data", data, Experiment)
-    record, found = Record(data), []
+    record = Record(data)
+    found: list[Finding] = []
     for check in checks:
         found += check(record)
         if any(f.severity is Severity.REFUSED and f.kind == "period" for f in found):

@@ -186,13 +186,13 @@ def _light_lead(omega, G) -> tuple[float, float]:
     if len(omega) < _FEWEST:
         return 0.0, np.inf
     weight = np.gradient(omega) / np.ptp(omega)
-    found = (0.0,)
-    for turn in (0.0, 0.5 * np.pi):
-        off = np.angle(np.exp(2j * (phase - omega * _LEADS[:, None] - turn))) / 2
+    most, turn, parts = 0.0, 0.0, np.zeros((1, len(_LEADS)))
+    for direction in (0.0, 0.5 * np.pi):
+        off = np.angle(np.exp(2j * (phase - omega * _LEADS[:, None] - direction))) / 2
         near = np.exp(-((off / _NEAR_AXIS) ** 2)) * weight
-        parts = np.stack([near[:, i].sum(axis=1) for i in np.array_split(np.arange(len(omega)), _BLOCKS)])
-        found = max(found, (parts.sum(axis=0).max(), turn, parts), key=lambda x: x[0])
-    most, turn, parts = found
+        blocks = np.stack([near[:, i].sum(axis=1) for i in np.array_split(np.arange(len(omega)), _BLOCKS)])
+        if (level := float(blocks.sum(axis=0).max())) > most:
+            most, turn, parts = level, direction, blocks
     whole = parts.sum(axis=0)
     lead = float(_LEADS[np.argmax(whole)])
     without = _LEADS[np.argmax(whole - parts, axis=1)]  # each block left out: the jackknife
@@ -207,7 +207,8 @@ def _at_one_place(phase, turn: float, weight) -> bool:
     """Whether phases change between two opposite directions, through one half plane, at least twice."""
     away = [np.abs(np.angle(np.exp(1j * (phase - o)))) < _HALF for o in (0, 0.5 * np.pi, np.pi, -0.5 * np.pi)]
     side = scipy.ndimage.median_filter(np.sign(np.cos(phase - turn)), 5)
-    return max(float(np.sum(weight * x)) for x in away) > _IN_HALF and np.count_nonzero(np.diff(side)) >= 2
+    changes = int(np.count_nonzero(np.diff(side)))
+    return max(float(np.sum(weight * x)) for x in away) > _IN_HALF and changes >= 2
 
 
 def _calm_end(omega, size) -> bool:

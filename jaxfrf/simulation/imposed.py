@@ -87,7 +87,7 @@ class Imposed(eqx.Module):
         """One Runge-Kutta step, and the mean torque in it."""
         plant = self.plant
         z, v, torque, memory = carry
-        ripple = 0.0
+        ripple: Array | float = 0.0
         if plant.rippling:
             ripple = plant.ripple(plant.motor(z) + 0.5 * step * plant.motor(v), jnp.zeros_like(torque))
         lead = plant.lead(z + 0.5 * step * v) if plant.erring else None

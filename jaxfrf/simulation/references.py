@@ -91,7 +91,7 @@ def references_of_record(robot: Robot, data: Experiment, run_in: float) -> Refer
             "r_quantity", "acceleration", "velocity or position", "A joint controller plays one of these."
         )
     run_in = _samples(run_in, data.fs)
-    r = _distinct(data.r)
+    r = _distinct(np.asarray(data.r))
     if not data.period:
         velocity, position = _once(r, data.fs, data.r_quantity)
         return References(velocity, position, data.fs, 0, data.n_time)

@@ -126,9 +126,9 @@ def _segments(study: Study, block: np.ndarray, lost: dict[int, float], player: P
     state, runs = _start(study, block, track)
     for start in range(0, references.n_time, _SEGMENT):
         played = references.stretch(start, _SEGMENT, tracks)
-        state, *stretch = player(loop, state, runs, jnp.asarray(start), played)
+        state, *played_out = player(loop, state, runs, jnp.asarray(start), played)
         left = min(_SEGMENT, references.n_time - start)
-        stretch = tuple(np.asarray(x)[:left] for x in stretch)
+        stretch = tuple(np.asarray(x)[:left] for x in played_out)
         astray = _astray(loop, stretch[1], played[:left, 1], runs)
         for run, when in zip(block, astray, strict=True):
             if np.isfinite(when):

@@ -1,7 +1,8 @@
 """Fourier coefficients of an experiment, and parts of them."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -96,8 +97,8 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
     return dataclasses.replace(spectra, **signals, lines=spectra.lines[inside], frequency=spectra.frequency[inside])
 
 
-def select_positions(spectra: Spectra, positions) -> Spectra:
-    """The same spectra at some operating points only (`positions`: a slice or a list of indices).
+def select_positions(spectra: Spectra, positions: slice | Sequence[int] | Int[Array, "pos"]) -> Spectra:
+    """The same spectra at some operating points only (`positions`: a slice or a list of indices, from 0).
 
     **Raises:** `jaxfrf.InputError` if `spectra` are none.
     """
@@ -107,17 +108,16 @@ def select_positions(spectra: Spectra, positions) -> Spectra:
     return dataclasses.replace(spectra, **changed_signals(spectra, lambda x: x[positions]), q=q)
 
 
-def changed_signals(spectra: Spectra, change: Callable[[Array], Array]) -> dict[str, Array]:
+def changed_signals(spectra: Spectra, change: Callable[[Array], Array]) -> dict[str, Any]:
     """`change` applied to U, Y, R and the noise covariance, as far as they are there, by field name."""
     names = [name for name in ("U", "Y", "R", "noise") if getattr(spectra, name) is not None]
     return {name: change(getattr(spectra, name)) for name in names}
 
 
-def differentiate(X, omega, times: int):
-    """Spectra `X`, (*batch, freq, channel), differentiated `times` times: times (j `omega`)^times, `omega` in rad/s.
-
-    **Returns:** (*batch, freq, channel).
-    """
+def differentiate(
+    X: Complex[Array, "*batch freq channel"], omega: Float[Array, "freq"], times: int
+) -> Complex[Array, "*batch freq channel"]:
+    """Spectra `X` differentiated `times` times: times (j `omega`)^times, `omega` in rad/s."""
     return X * ((1j * np.asarray(omega)) ** times)[:, None]
 
 

@@ -102,7 +102,7 @@ def at_lines(data: Experiment, lines, robust: bool = False) -> Spectra:
             Y[pos, exp], U[pos, exp] = mean[:, : data.n_out], mean[:, data.n_out :]
             if noise is not None:
                 noise[pos, exp] = scatter
-            if R is not None:
+            if R is not None and data.r is not None:
                 R[pos, exp], _ = coefficients(data.r[pos, exp], *steady, lines, weight)
     return Spectra(
         U=U,

@@ -78,7 +78,7 @@ def _linear(robot: Robot, amplitude) -> tuple[RobotModel, dict[str, float]]:
 
 def still(points: RobotPoint) -> RobotPoint:
     """The same operating points without motion, in the same shape, so that nothing is compiled anew."""
-    return RobotPoint(points.q, np.zeros_like(points.swing))
+    return RobotPoint(points.q, np.zeros_like(points.deflections))
 
 
 def measure(robot: Robot, q: Float[np.ndarray, "axis"], number: int, blocks: int, seed: int) -> Experiment:

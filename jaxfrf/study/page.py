@@ -324,8 +324,9 @@ def _hidden(hidden: dict, courses: Mapping[str, np.ndarray]) -> list[str]:
     names = list(hidden["torque"])
     return [
         paragraph(
-            f"Another machine, smaller for the sake of time: two axes, {len(hidden['fitted']) + len(hidden['sealed'])} "
-            f"positions, {hidden['experiments']} experiments of {hidden['period_s']:g} s at each. It differs from its "
+            f"Another machine, smaller for the sake of time: two axes, "
+            f"{len(hidden['fitted']) + len(hidden['heldout'])} positions, {hidden['experiments']} experiments of "
+            f"{hidden['period_s']:g} s at each. It differs from its "
             f"model ({off}), has ripple, and hides {plain(true['name'])} on {true['joint']}. The search is given "
             "records and model alone; it plays the records' references to the model, and asks what the motors gave "
             "beyond what the model would have asked."
@@ -333,7 +334,7 @@ def _hidden(hidden: dict, courses: Mapping[str, np.ndarray]) -> list[str]:
         verdict(hidden["verdict"], [hidden["says"]], good=hidden["verdict"] in ("named", "sufficient")),
         table(["found missing", "parameter", "unit", "value [95 % interval]", "true", "not told from it"], rows),
         paragraph(
-            f"The gap on {gap['on']} ({', '.join(map(str, hidden['sealed']))}), which nothing was fitted to: rms of "
+            f"The gap on {gap['on']} ({', '.join(map(str, hidden['heldout']))}), which nothing was fitted to: rms of "
             "the torque that the model does not explain, before and after the effect was added."
         ),
         table(["gap", "before", "after"], gaps),

@@ -16,7 +16,7 @@ from ..graybox import (
 )
 from ..graybox.fit import fit
 from ..graybox.in_motion import fit_in_motion
-from ..graybox.through import default_method, measured_frf
+from ..graybox.indirect import default_method, measured_frf
 from ..robot import Robot, parameters, r3x, with_parameters
 from ..simulation import random_positions
 from .bias import first_experiments, measure, still

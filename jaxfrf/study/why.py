@@ -10,7 +10,7 @@ import numpy as np
 from ..experiment import concatenate
 from ..graybox import RobotModel
 from ..graybox.in_motion import fit_in_motion
-from ..graybox.through import default_method, measured_frf
+from ..graybox.indirect import default_method, measured_frf
 from ..robot import Robot, parameters, r3x, r3x_ripple, with_parameters
 from ..simulation import simulate
 from .bias import bias_at

@@ -11,15 +11,15 @@ from ..experiment import Experiment
 from ..frf import FRF, LRM, AbstractMethod, JointInputOutput, estimate
 from ..simulation import replay
 from ..spectra import dft, with_output_quantity
-from .corrections import Correction, answer, next_point, stays
+from .corrections import Correction, next_point, settled, updated
 from .cost import vec
+from .deflections import robot_points
 from .fit import Fit, fit_target
 from .in_motion import fit_in_motion
 from .model import RobotModel, starting_at
 from .parameter import Coordinates
 from .slow_motion import response_at
 from .solver import AbstractSolver, LevenbergMarquardt
-from .swing import robot_points
 from .target import Target, Weights, shifted, target
 
 _NOT_SIMULATED = ("torque_gain", "delay")  # parameters of the linear model that no simulation knows
@@ -27,7 +27,7 @@ _NOT_SIMULATED = ("torque_gain", "delay")  # parameters of the linear model that
 Say = Callable[[str], None]
 
 
-class ThroughFit(eqx.Module):
+class IndirectFit(eqx.Module):
     """A fit through the experiment.
 
     **Fields:** `fit`: the result; its residuals are the logarithm of measured over simulated FRF. `direct`: the fit to
@@ -69,7 +69,7 @@ def fit_through_experiment(
     done: Sequence[Correction] = (),
     keep: Callable[[Correction], None] | None = None,
     say: Say | None = None,
-) -> ThroughFit:
+) -> IndirectFit:
     """Fit a robot's parameters by simulating the experiment itself.
 
     The simulated robot, nonlinear springs, friction and controller included, plays the references of the record; its
@@ -116,15 +116,15 @@ def fit_through_experiment(
         if keep is not None:
             keep(correction)
         wanted = loop.coordinates.wanted()
-        moved = np.abs(correction.answer - correction.x)[wanted]
-        converged = bool(stays(correction, loop.coordinates, latest)[wanted].all())
+        moved = np.abs(correction.update - correction.x)[wanted]
+        converged = bool(settled(correction, loop.coordinates, latest)[wanted].all())
         _say(
             say,
             f"round {len(history)}: gap {correction.gap_db:.3f} dB, largest change {100 * moved.max():.2f} %"
-            + (", it stays" if converged else ""),
+            + (", converged" if converged else ""),
         )
         if converged or len(history) >= rounds:
-            return ThroughFit(latest, direct, tuple(history), converged, measured, simulated)
+            return IndirectFit(latest, direct, tuple(history), converged, measured, simulated)
         x = next_point(history, loop.coordinates, latest)
 
 
@@ -157,9 +157,9 @@ class _Loop:
         simulated = measured_frf(played, self.method, self.model.quantity)
         points = robot_points(robot, played)
         linear = response_at(self.model, values, self.target.frequency, points)
-        ghost = np.asarray(vec(np.asarray(simulated.G)))
+        G_simulated = np.asarray(vec(np.asarray(simulated.G)))
         with np.errstate(invalid="ignore", divide="ignore"):
-            shift, gap = np.log(ghost / np.asarray(vec(linear))), np.log(self.g / ghost)
+            shift, gap = np.log(G_simulated / np.asarray(vec(linear))), np.log(self.g / G_simulated)
         tg = shifted(self.target, shift, points)
         found = fit_target(starting_at(self.model, values), tg, self.solver, 1)
         # The fit came from a single start on purpose; what it knows is counted both ways: distortion that repeats in
@@ -167,7 +167,7 @@ class _Loop:
         weight = np.square(self.target.magnitude) * tg.used
         rms = lambda part: float(np.sqrt(np.sum(weight * np.where(tg.used, part, 0) ** 2) / np.sum(weight)))
         correction = Correction(
-            np.asarray(x), answer(self.coordinates, found), 20 / np.log(10) * rms(gap.real), np.rad2deg(rms(gap.imag))
+            np.asarray(x), updated(self.coordinates, found), 20 / np.log(10) * rms(gap.real), np.rad2deg(rms(gap.imag))
         )
         return correction, found, simulated
 

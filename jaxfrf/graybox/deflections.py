@@ -21,21 +21,21 @@ def robot_points(robot: Robot, data: Experiment) -> RobotPoint:
 
     The torque in a gear is what the motor does not keep for itself, n (u - J_m q_m'' - friction), so it is measured;
     its part about the mean is added to gravity's torque and put through the inverse spring law of `robot`. Springs
-    across the transmission get no swing (they are taken as linear).
+    across the transmission get none (they are taken as linear).
 
     **Arguments:** `data`: periodic records with arm configurations q.
     """
-    return swinging_points(robot, data.q, gear_torque_swing(robot, data))
+    return points_under(robot, data.q, varying_gear_torque(robot, data))
 
 
-def swinging_points(
+def points_under(
     robot: Robot, q: Float[np.ndarray, "pos axis"], torque: Float[np.ndarray, "pos sample gear"]
 ) -> RobotPoint:
-    """Operating points at which the torque in the gears swings by these samples about gravity's."""
-    return RobotPoint(np.asarray(q), deflection_swing(robot, q, torque))
+    """Operating points at which the torque in the gears goes by these samples about gravity's."""
+    return RobotPoint(np.asarray(q), deflections_about_rest(robot, q, torque))
 
 
-def gear_torque_swing(robot: Robot, data: Experiment) -> Float[np.ndarray, "pos sample gear"]:
+def varying_gear_torque(robot: Robot, data: Experiment) -> Float[np.ndarray, "pos sample gear"]:
     """Samples of the torque in every flexible transmission about its mean, arm side, N m.
 
     From the part of one mean period up to 1.5 times the highest line, where the excitation and its slow sine are:
@@ -47,11 +47,11 @@ def gear_torque_swing(robot: Robot, data: Experiment) -> Float[np.ndarray, "pos 
             f"the {robot.n_axes} arm angles of {robot.name} at every position",
             "Store q with the records.",
         )
-    swings = []
+    found = []
     for pos in range(data.n_pos):
         every = gear_torque(robot, motion(data, pos)).reshape(-1, len(robot.flexible_axes))
-        swings.append(every[np.linspace(0, len(every) - 1, _SAMPLES).astype(int)])
-    return np.stack(swings)
+        found.append(every[np.linspace(0, len(every) - 1, _SAMPLES).astype(int)])
+    return np.stack(found)
 
 
 class Motion(eqx.Module):
@@ -93,7 +93,7 @@ def gear_torque(robot: Robot, moved: Motion) -> Float[np.ndarray, "exp time gear
     return in_gear - in_gear.mean(axis=1, keepdims=True)
 
 
-def deflection_swing(
+def deflections_about_rest(
     robot: Robot, q: Float[np.ndarray, "pos axis"], torque: Float[np.ndarray, "pos sample gear"]
 ) -> Float[np.ndarray, "pos sample spring"]:
     """Deflections about the point of rest that a torque in the gears (about gravity's) makes, rad."""
