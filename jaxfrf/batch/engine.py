@@ -92,8 +92,10 @@ def raised(outcome: Done, piece: str) -> Any:
         why = str(outcome.exception)
     elif type(outcome.exception).__name__ == "KilledWorker":
         why = "the processes that worked on it died one after the other. Was the memory too small?"
-    else:
+    elif outcome.exception is not None:
         raise outcome.exception
+    else:
+        why = outcome.error
     raise OSError(f"{piece}: {why}")
 
 
@@ -152,7 +154,8 @@ def _prepared(distributed, workers: int | None):
 
 
 def _there(client, work, pieces, patience: float, say) -> Iterator[Done]:
-    waiting, under_way, ended = iter(enumerate(pieces)), {}, queue.SimpleQueue()
+    waiting, ended = iter(enumerate(pieces)), queue.SimpleQueue[Any]()
+    under_way: dict[str, tuple[int, Any]] = {}
     ahead = _AHEAD * max(1, len(client.scheduler_info()["workers"]))
 
     def submit() -> None:
