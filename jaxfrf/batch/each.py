@@ -9,6 +9,7 @@ import os
 import pathlib
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 
@@ -64,7 +65,7 @@ def each(
     *,
     workers: int = 1,
     cluster: str | None = None,
-    client=None,
+    client: Any = None,
     patience: float | None = None,
     say: Say | None = None,
     progress: Callable[[float, str], None] | None = None,

@@ -41,7 +41,7 @@ def outcomes(
     *,
     workers: int = 1,
     cluster: str | None = None,
-    client=None,
+    client: Any = None,
     patience: float | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Iterator[Done]:

@@ -5,6 +5,7 @@ import functools
 import json
 import pathlib
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -86,7 +87,7 @@ def estimate_to(
     memory: float | None = None,
     workers: int = 1,
     cluster: str | None = None,
-    client=None,
+    client: Any = None,
     patience: float | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,

@@ -8,6 +8,7 @@ import pathlib
 import pickle
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -73,7 +74,7 @@ def simulate_to(
     memory: float | None = None,
     workers: int = 1,
     cluster: str | None = None,
-    client=None,
+    client: Any = None,
     patience: float | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,

@@ -6,6 +6,7 @@ import pathlib
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -55,7 +56,7 @@ def run_study(
     parts: Parts | None = None,
     workers: int = 1,
     cluster: str | None = None,
-    client=None,
+    client: Any = None,
     patience: float | None = None,
 ) -> dict:
     """Make the whole study and write it to a folder: `index.html`, `study.json`, both figures.
