@@ -78,13 +78,11 @@ def seen(page: pathlib.Path, width: int = 1100, action: str = "", media: str = "
 
 
 _ON_PAPER = """
-window.dispatchEvent(new window.Event("beforeprint"));
-await later();
 const shown = (x) => x.getClientRects().length > 0;
 const all = (name) => [...document.querySelectorAll(name)];
 return {
   controls: all("select, button, .tabs > label").filter(shown).length,
-  hidden: all("figure, table").filter((x) => !shown(x) && !x.closest("[hidden]")).length,
+  hidden: all("figure, table").filter((x) => !x.checkVisibility() && !x.closest("[hidden]")).length,
   cut: all(".wide, table, figure").filter((x) => x.scrollWidth > x.clientWidth + 1
     && window.getComputedStyle(x).overflowX !== "visible").length,
 };

@@ -72,19 +72,14 @@ class Fit(eqx.Module):
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviation of the fitted parameters, in their units; NaN where the FRF has no covariance."""
-        return scaled(self.coordinates, self.x, self._known_std)
-
-    @property
-    def _known_std(self) -> np.ndarray:
-        std = self.uncertainty.std
-        return std if np.any(self.uncertainty.cov) else np.full_like(std, np.nan)
+        """Standard deviation of the fitted parameters, in their units."""
+        return scaled(self.coordinates, self.x, self.uncertainty.std)
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Confidence interval of every fitted parameter; of a positive one symmetric in its logarithm. NaN as `std`."""
+        """Confidence interval of every fitted parameter; of a positive one symmetric in its logarithm."""
         from scipy.stats import norm
 
-        reach = float(norm.ppf(0.5 + level / 2)) * self._known_std
+        reach = float(norm.ppf(0.5 + level / 2)) * self.uncertainty.std
         low, high = (self.coordinates.values(self.x + sign * reach) for sign in (-1, 1))
         return {n: (float(low[n]), float(high[n])) for n in self.coordinates.names}
 

@@ -97,8 +97,7 @@ class Identification(eqx.Module):
             if p["nuisance"]:
                 continue
             spread = std.get(p.get("same_as", name))
-            known = f" +- {100 * spread:.2g} %" if spread else ", of unknown deviation"  # no covariance, no deviation
-            known = known if p["identifiable"] else "  not identifiable"
+            known = "  not identifiable" if not p["identifiable"] else f" +- {100 * spread:.2g} %"
             beside = "" if self.indirect is None else f", direct {direct[name]:.4g}"
             text.append(f"  {name:{width}}  {p['value']:.4g}{known} {p['unit']}  (start {p['start']:.4g}{beside})")
         text += [f"{self.result}: {self.explain()[0]}" if self.explain() else self.result, *self.explain()[1:]]

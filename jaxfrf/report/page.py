@@ -60,14 +60,10 @@ dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }
   .wide, table, figure { overflow: visible; } th, td { white-space: normal; padding-right: 8px; }
   table { font-size: 12px; max-width: 100%; } thead { display: table-header-group; }
   figure, tr, dl, .verdict { break-inside: avoid; } h2, h3 { break-after: avoid; }
+  details::details-content { content-visibility: visible; block-size: auto; }
   .verdict, .tabs { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
 }
 """
-
-# Paper cannot be clicked on.
-_SCRIPT = """addEventListener("beforeprint", () => {
-  for (const x of document.querySelectorAll("details")) x.open = true;
-});"""
 
 
 def page(title: str, sections: Sequence[str], subtitle: str = "") -> str:
@@ -76,7 +72,7 @@ def page(title: str, sections: Sequence[str], subtitle: str = "") -> str:
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{html.escape(title)}</title>\n'
-        f"<style>{_STYLE}</style>\n<script>{_SCRIPT}</script>\n</head>\n<body>\n<main>\n<h1>{html.escape(title)}</h1>\n{under}\n"
+        f"<style>{_STYLE}</style>\n</head>\n<body>\n<main>\n<h1>{html.escape(title)}</h1>\n{under}\n"
         + "\n".join(sections)
         + "\n</main>\n</body>\n</html>\n"
     )
