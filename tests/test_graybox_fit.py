@@ -216,7 +216,21 @@ class TestCost:
         frf = frf_of(noisy, np.full((1, 300, 4, 4), np.nan + 0j), frequency, None)
         tg = target(frf, jf.Weights(focus=1, off_diagonal=1.0), np.zeros((1, 0)))
         np.testing.assert_allclose(tg.magnitude**2, 1 / (found + 0.03**2), rtol=1e-12)
-        assert not tg.cov.any()
+        np.testing.assert_allclose(np.diagonal(tg.cov, axis1=-2, axis2=-1), found, rtol=1e-12)
+
+    def test_deviations_without_a_covariance(self):
+        """The scatter of neighbouring lines stands in for it, where the response is smooth between them."""
+        rng, frequency = np.random.default_rng(3), np.linspace(1.0, 40.0, 400)
+        s = 2j * np.pi * frequency
+        G = 1 / (2.0 * s + 30.0) * (1 + 0.02 * plants.circular(rng, s.shape))
+        model = jf.GrayBox(lambda w, v: 1 / (v["J"] * 1j * w + v["f"]), {"J": 1.5, "f": 40.0})
+        std = []
+        for known in (1.0, np.nan):
+            cov = (0.02 * np.abs(G)) ** 2 * known
+            frf = frf_of(G[None, :, None, None], cov[None, :, None, None] + 0j, frequency, None)
+            std.append(jf.fit(model, frf, starts=2, weights=jf.Weights(floor=0.0)).std)
+        for name in ("J", "f"):
+            assert 0.8 < std[1][name] / std[0][name] < 1.25
 
     def test_one_line_one_position_one_channel(self, measured):
         """A callable of omega and values, and an FRF of one number."""

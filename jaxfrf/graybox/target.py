@@ -69,9 +69,9 @@ class Target(eqx.Module):
 
     **Fields:** `log_G`: log of the measured elements, (pos, freq, vec), columns stacked; 0 where left out.
     `magnitude`, `phase`: square roots of the weights of Re E and Im E, (pos, freq, vec). `whitener`: matrix applied to
-    E before them, (pos, freq, vec, vec), or `None`. `cov`: covariance of E, (pos, freq, vec, vec), zero where unknown.
-    `overlap`: correlation between the estimates of two lines, one for each position, or `None` for
-    independent lines.
+    E before them, (pos, freq, vec, vec), or `None`. `cov`: covariance of E, (pos, freq, vec, vec); where it is not
+    known, what stands in for it in the weights (`roughness`). `overlap`: correlation between the estimates of two
+    lines, one for each position, or `None` for independent lines.
     `points`: operating points, leading axis pos. `used`: (pos, freq, vec). `scatter`: how much more the cost and the
     variance of its gradient are than weights from the true covariance would make them, because the weights come from
     a covariance of few degrees of freedom, (pos, freq, 2).
@@ -122,6 +122,7 @@ def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
     relative = np.where(known, cov, 0) / (size[..., :, None] * size.conj()[..., None, :])
     variance = np.real(np.diagonal(relative, axis1=-2, axis2=-1))
     variance = np.where(known[..., 0], variance, roughness(np.asarray(frf.frequency), size))
+    relative = np.where(known, relative, variance[..., None] * np.eye(size.shape[-1]))
     user = _user_weights(frf, weights)
     used = usable & ~worthless & (variance <= weights.reject) & (user > 0)
     if not used.any():
