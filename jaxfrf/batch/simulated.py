@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 from jaxtyping import PRNGKeyArray
@@ -156,12 +157,13 @@ def _simulated(study: Study, folder: pathlib.Path, advanced: Progress, block: ra
         return error
     with replacing(folder / _name(block)) as draft:
         np.savez(draft, u=u, y=y)
+    return None
 
 
 def _job(robot: Robot, design: Multisine, positions, key: PRNGKeyArray, run_in, noise: float, parts: Parts) -> _Job:
-    pickled, key = pickle.dumps(robot), np.asarray(jr.key_data(key))
-    about = numbers_text(np.frombuffer(pickled, np.uint8), positions, key, *jax.tree.leaves(design))
-    return _Job(pickled, _own_modules(robot), design, positions, key, run_in, noise, parts.folder.absolute(), about)
+    pickled, seed = pickle.dumps(robot), np.asarray(jr.key_data(key))
+    about = numbers_text(np.frombuffer(pickled, np.uint8), positions, seed, *jax.tree.leaves(design))
+    return _Job(pickled, _own_modules(robot), design, positions, seed, run_in, noise, parts.folder.absolute(), about)
 
 
 def _own_modules(robot: Robot) -> tuple[tuple[str, str], ...]:
@@ -174,6 +176,8 @@ def _robot_of(job: _Job) -> Robot:
     for name, file in job.modules:
         if name not in sys.modules:
             spec = importlib.util.spec_from_file_location(name, file)
+            if spec is None or spec.loader is None:
+                raise ImportError(f"{file}: found no Python file that defines {name}")
             sys.modules[name] = importlib.util.module_from_spec(spec)
             spec.loader.exec_module(sys.modules[name])
     return pickle.loads(job.robot)
@@ -184,7 +188,7 @@ _studies: dict[str, Study] = {}  # of this process, the last one
 
 def _work(job: _Job, block: range) -> InputError | None:
     if job.about not in _studies:
-        robot, key = _robot_of(job), jr.wrap_key_data(job.key)
+        robot, key = _robot_of(job), jr.wrap_key_data(jnp.asarray(job.key))
         _studies.clear()
         _studies[job.about] = study_of_design(robot, job.design, job.positions, key, job.run_in, job.noise, None)
     return _simulated(_studies[job.about], job.folder, lambda share: alive(), block)
