@@ -92,10 +92,8 @@ def raised(outcome: Done, piece: str) -> Any:
         why = str(outcome.exception)
     elif type(outcome.exception).__name__ == "KilledWorker":
         why = "the processes that worked on it died one after the other. Was the memory too small?"
-    elif outcome.exception is not None:
-        raise outcome.exception
     else:
-        why = outcome.error
+        raise outcome.exception or OSError(outcome.error)
     raise OSError(f"{piece}: {why}")
 
 
@@ -154,8 +152,9 @@ def _prepared(distributed, workers: int | None):
 
 
 def _there(client, work, pieces, patience: float, say) -> Iterator[Done]:
-    waiting, ended = iter(enumerate(pieces)), queue.SimpleQueue[Any]()
+    waiting = iter(enumerate(pieces))
     under_way: dict[str, tuple[int, Any]] = {}
+    ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
     ahead = _AHEAD * max(1, len(client.scheduler_info()["workers"]))
 
     def submit() -> None:

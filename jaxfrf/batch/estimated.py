@@ -110,7 +110,7 @@ def estimate_to(
     here = workers == 1 and cluster is None and client is None
     pieces = _pieces(data, chosen, memory)
     first = data.read(pieces[0]) if here else None
-    head, lines = _head(data, chosen, pieces, first.data) if here else _unscreened_head(data, chosen, pieces)
+    head, lines = _unscreened_head(data, chosen, pieces) if first is None else _head(data, chosen, pieces, first.data)
     method = adapted(chosen.method, head)
     method.check(head)
     parts.begin(_about(data, head, method, about), PART_FILES, BESIDE_PARTS)

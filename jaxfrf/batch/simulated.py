@@ -162,9 +162,9 @@ def _simulated(study: Study, folder: pathlib.Path, advanced: Progress, block: ra
 
 
 def _job(robot: Robot, design: Multisine, positions, key: PRNGKeyArray, run_in, noise: float, parts: Parts) -> _Job:
-    pickled, numbers = pickle.dumps(robot), np.asarray(jr.key_data(key))
-    about = numbers_text(np.frombuffer(pickled, np.uint8), positions, numbers, *jax.tree.leaves(design))
-    return _Job(pickled, _own_modules(robot), design, positions, numbers, run_in, noise, parts.folder.absolute(), about)
+    pickled, seed = pickle.dumps(robot), np.asarray(jr.key_data(key))
+    about = numbers_text(np.frombuffer(pickled, np.uint8), positions, seed, *jax.tree.leaves(design))
+    return _Job(pickled, _own_modules(robot), design, positions, seed, run_in, noise, parts.folder.absolute(), about)
 
 
 def _own_modules(robot: Robot) -> tuple[tuple[str, str], ...]:
@@ -177,7 +177,8 @@ def _robot_of(job: _Job) -> Robot:
     for name, file in job.modules:
         if name not in sys.modules:
             spec = importlib.util.spec_from_file_location(name, file)
-            assert spec is not None and spec.loader is not None  # a file of Python's, as it was imported there
+            if spec is None or spec.loader is None:
+                raise ImportError(f"{file}: found no Python file that defines {name}")
             sys.modules[name] = importlib.util.module_from_spec(spec)
             spec.loader.exec_module(sys.modules[name])
     return pickle.loads(job.robot)

@@ -22,7 +22,7 @@ from .arguments import (
 from .each import add_each_options
 from .progress import Progress
 
-_PROGRAM, _COPIES = 1.2e9, 22.0  # bytes beside the records, and how often these are held: R3X, friction missing, 193 MB
+_PROGRAM, _COPIES = 1.2e9, 23.0  # bytes beside the records, and how often these are held: R3X, friction missing, 193 MB
 
 EXAMPLES = (
     "jaxfrf diagnose run1.nc run2.nc --robot robot.toml -o gap.json --report gap.html --robot-out extended.toml",
