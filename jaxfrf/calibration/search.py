@@ -1,4 +1,4 @@
-"""The numbers of a robot from a record by Gauss-Newton: simulated, differentiated, moved, until they stay."""
+"""One robot on its way by Gauss-Newton: simulated, differentiated, moved."""
 
 from collections.abc import Callable, Sequence
 
@@ -16,9 +16,7 @@ from ..trajectory.ripple import Order, order_columns
 from .columns import number_columns
 from .least_squares import Posterior, solve
 from .numbers import Number, with_numbers
-from .result import Round
-from .ripple import sure_orders, with_found_orders
-from .rounds import Kept, Rounds
+from .ripple import order_key, sure_orders, with_found_orders
 
 _LONGEST = 0.5  # of a logarithm, in one step: columns hold no further
 _HALVINGS = 3
@@ -27,7 +25,6 @@ _REWEIGHED = 2  # times in a round
 _FEW, _BANDS = 4, 8  # runs whose scatter says too little: bands of lines stand for runs then
 _GAIN = 0.97  # of the misfit: a step that leaves more is of no use
 _STAYS = 0.3  # of its standard deviation that every number moves less
-_LOOKS_FOR_RIPPLE = 4  # first rounds in which more orders are looked for: far from the truth some are not there
 
 Say = Callable[[str], None]
 
@@ -49,7 +46,9 @@ class Look(eqx.Module):
 
 class Search:
     """What stays the same from round to round, and the floor, which follows what is left; `beside`: columns that stand
-    beside those of the numbers. `inside`: orders of ripple that the robot has, whose columns correct them."""
+    beside those of the numbers. `inside`: orders of ripple that the robot has, whose columns correct them.
+
+    All rounds with their beginning and end: `descent`."""
 
     def __init__(
         self,
@@ -63,36 +62,7 @@ class Search:
         self.robot, self.record, self.these, self.say = robot, record, these, say
         self.floor: np.ndarray | None = None
         self.beside = tuple(beside)
-        self.inside = {(o.kind, o.axis, o.order) for o in inside}
-
-    def run(self, rounds: int, kept: Rounds) -> tuple[Look, bool]:
-        """The last look, and whether the numbers stay; from where an earlier run was interrupted."""
-        if kept.done:
-            last = kept.done[-1]
-            self.floor = last.floor
-            look = self.look(last.x, last.orders, False)
-            self.say(f"goes on behind round {len(kept.done)}")
-        else:
-            look = self.look(np.zeros(len(self.these)), (), True)
-            self.tell(look, kept)
-        converged = self.stays(look)
-        while len(kept.done) < rounds and not converged:
-            further = self.further(look, len(kept.done) < _LOOKS_FOR_RIPPLE)
-            if further is None:
-                self.say("no step makes the misfit smaller")
-                break
-            look = further
-            self.tell(look, kept)
-            converged = self.stays(look)
-        return look, converged
-
-    def tell(self, look: Look, kept: Rounds) -> None:
-        found = Round(look.misfit, look.left, look.posterior.effect)
-        kept.keep(Kept(look.x, look.orders, look.evidence.floor, found))
-        self.say(
-            f"round {len(kept.done)}: {look.misfit**0.5:.3g} times the floor, {look.left**0.5:.3g} after its step; "
-            f"{len(look.orders)} orders of ripple, {look.posterior.effect:.3g} lines count as one"
-        )
+        self.inside = {order_key(o) for o in inside}
 
     def look(self, x, orders: tuple[Order, ...], more: bool) -> Look:
         """Simulate, differentiate, solve; `more`: whether to look for more orders of ripple."""
@@ -125,9 +95,7 @@ class Search:
     def further(self, look: Look, more: bool) -> Look | None:
         """The next robot, by a step that is short enough to leave less."""
         sure = sure_orders(look.orders, look.posterior)
-        sure = [
-            is_sure or (o.kind, o.axis, o.order) in self.inside for o, is_sure in zip(look.orders, sure, strict=True)
-        ]
+        sure = [is_sure or order_key(o) in self.inside for o, is_sure in zip(look.orders, sure, strict=True)]
         orders = tuple(o for o, is_sure in zip(look.orders, sure, strict=True) if is_sure)
         # Orders that go take nothing away any more: what they took is no reason to refuse a step.
         kept = np.flatnonzero(np.concatenate([np.ones(len(self.beside), bool), np.repeat(sure, 2)]))
