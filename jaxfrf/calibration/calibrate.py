@@ -138,8 +138,7 @@ def _split(record: Measured, heldout: Sequence[int]) -> tuple[Measured, Measured
 def _result(descent: Descent, kept: Rounds, judged: Measured | None) -> Calibration:
     robot, these, look, fitted = descent.robot, descent.these, descent.look, descent.record
     posterior, count = look.posterior, len(these)
-    x = look.x + posterior.change[:count] if descent.settled else look.x
-    x = np.where(np.abs(x) < _NOTHING, 0.0, x)
+    x = np.where(np.abs(descent.x) < _NOTHING, 0.0, descent.x)
     waves = descent.found_waves
     found = with_numbers(with_ripple(robot, waves), these, x)
     part = slice(0, count)

@@ -8,6 +8,7 @@ no column of any number.
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from .._errors import InputError
 from ..robot import Robot
@@ -22,15 +23,16 @@ from .search import Look, Say, Search
 
 _LOOKS_FOR_RIPPLE = 4  # first rounds in which more orders are looked for: far from the truth some are not there
 _LOOKS_AGAIN = 2  # the same, of rounds with ripple that is simulated: weak orders drowned before
-_NEAR = 0.5  # of the misfit: where a step leaves more, ripple is simulated
+_NEAR = 0.15  # of the misfit: where a step leaves more, the robot is near
 _WORSE = 1.05  # of what was left: ripple with which more is left is not simulated
 
 
 class Descent:
     """A robot's numbers on their way, round by round.
 
-    **Fields:** `look`: the last simulation. `inside`: ripple that it had beside the robot's own. `settled`: whether the
-    numbers stay.
+    **Fields:** `look`: the last simulation. `near`: whether the robot is so near the truth that ripple and the turn of
+    its friction are simulated. `inside`: ripple that it had beside the robot's own. `settled`: whether the numbers
+    stay.
     """
 
     def __init__(
@@ -42,14 +44,13 @@ class Descent:
         beside: Sequence[Column] = (),
     ):
         self.robot, self.record, self.these, self.say, self.beside = robot, record, these, say, tuple(beside)
-        self.settled = False
-        self._may_have_ripple, self._looks = True, 0
+        self.settled, self._looks = False, 0
 
     def run(self, rounds: int, kept: Rounds) -> None:
         """So many simulations, from where an earlier run was interrupted."""
         self._begin(kept)
         while len(kept.done) < rounds and not self.settled:
-            look = self._with_ripple()
+            look = self._nearer()
             if look is None:
                 look = self._further()
             if look is None:
@@ -60,22 +61,22 @@ class Descent:
 
     def _begin(self, kept: Rounds) -> None:
         if not kept.done:
-            self._take((), None)
+            self._take(False, (), None)
             self.look = self.search.look(np.zeros(len(self.these)), (), True)
             self._keep(kept)
             return
         last = kept.done[-1]
-        self._take(last.inside, last.floor)
-        self._may_have_ripple = last.may_have_ripple
-        self._looks = sum(bool(k.inside) == bool(last.inside) for k in kept.done)
+        self._take(last.near, last.inside, last.floor)
+        self._looks = sum(one.near == last.near for one in kept.done)
         self.look = self.search.look(last.x, last.orders, False)
         self.settled = self._settles()
         self.say(f"goes on behind round {len(kept.done)}")
 
-    def _take(self, inside: Sequence[Wave], floor) -> None:
-        self.inside = tuple(inside)
+    def _take(self, near: bool, inside: Sequence[Wave], floor) -> None:
+        self.near, self.inside = near, tuple(inside)
         robot = with_ripple(alike(self.robot, self.these), inside)
-        self.search = Search(robot, self.record, self.these, self.say, self.beside, [o for o, _ in inside])
+        orders = [o for o, _ in inside]
+        self.search = Search(robot, self.record, self.these, self.say, self.beside, orders, turns=near)
         self.search.floor = floor
 
     def _keep(self, kept: Rounds) -> None:
@@ -83,7 +84,7 @@ class Descent:
         self.settled = self._settles()
         round = Round(look.misfit, look.left, look.posterior.effect)
         floor, torque = look.evidence.floor, missed(look.evidence, self.record)
-        kept.keep(Kept(look.x, look.orders, floor, round, self.inside, self._may_have_ripple, torque))
+        kept.keep(Kept(look.x, look.orders, floor, round, self.near, self.inside, torque))
         self.say(
             f"round {len(kept.done)}: {look.misfit**0.5:.3g} times the floor, {look.left**0.5:.3g} after its step; "
             f"{len(look.orders)} orders of ripple"
@@ -93,35 +94,45 @@ class Descent:
 
     def _settles(self) -> bool:
         """A robot whose ripple stands beside it only is not done."""
-        waiting = self._may_have_ripple and not self.inside and bool(self.found_waves)
-        return not waiting and self.search.stays(self.look)
+        return (self.near or not self._refines) and self.search.stays(self.look)
+
+    @property
+    def _refines(self) -> bool:
+        """Whether there is anything that is simulated near the truth only."""
+        return bool(self.found_waves) or any(n.kind == "smoothing" for n in self.these)
 
     @property
     def found_waves(self) -> tuple[Wave, ...]:
         """Ripple of the robot as it would be written."""
         return found_waves(self.look.orders, self.look.posterior, self.inside)
 
-    def _further(self) -> Look | None:
-        looks = _LOOKS_AGAIN if self.inside else _LOOKS_FOR_RIPPLE
-        return self.search.further(self.look, self._looks < looks)
+    @property
+    def x(self) -> Float[np.ndarray, "number"]:
+        """Where the numbers are."""
+        if not self.settled:
+            return self.look.x
+        return self.search.followed(self.look.x + self.look.posterior.change[: len(self.these)])
 
-    def _with_ripple(self) -> Look | None:
-        """The next robot, its motors turning as they were found to; `None` where it is too early, and where that leaves
-        more."""
+    def _further(self) -> Look | None:
+        return self.search.further(self.look, self._looks < (_LOOKS_AGAIN if self.near else _LOOKS_FOR_RIPPLE))
+
+    def _nearer(self) -> Look | None:
+        """The next robot, its motors turning as they were found to; `None` where it is too early, where they turn
+        evenly, and where that leaves more."""
         before, waves = self.look, self.found_waves
-        if self.inside or not self._may_have_ripple or not waves or before.left < _NEAR * before.misfit:
+        if self.near or not self._refines or before.left < _NEAR * before.misfit:
             return None
-        x, floor = self.search.next(before), self.search.floor
-        self._take(waves, floor)
+        x, floor, self._looks = self.search.next(before), self.search.floor, 0
+        self._take(True, waves, floor)
+        if not waves:
+            return None
         try:
             look = self.search.look(x, tuple(o for o, _ in waves), True)
         except InputError as error:
             self.say(f"with the ripple that was found: {error}")
         else:
             if look.left < _WORSE * before.left:
-                self._looks = 0
                 return look
             self.say("ripple that is simulated leaves more: it stays beside the robot")
-        self._take((), floor)
-        self._may_have_ripple = False
+        self._take(True, (), floor)
         return None

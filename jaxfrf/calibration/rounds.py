@@ -21,15 +21,15 @@ PART_FILES = ("[0-9]" * 3 + ".json",)
 
 @dataclasses.dataclass(frozen=True)
 class Kept:
-    """A finished round: where the numbers were, the orders of ripple beside them, the floor, what was left, the ripple
-    that was simulated, whether any may be, and the part of every axis' torque that the simulated robot missed."""
+    """A finished round: where the numbers were, the orders of ripple beside them, the floor, what was left, whether the
+    robot was near the truth, the ripple that was simulated, and the part of every axis' torque that it missed."""
 
     x: np.ndarray
     orders: tuple[Order, ...]
     floor: np.ndarray
     round: Round
+    near: bool
     inside: tuple[Wave, ...]
-    may_have_ripple: bool
     missed: np.ndarray
 
 
@@ -54,7 +54,7 @@ class Rounds:
             "floor": round.floor.tolist(),
             "round": [round.round.misfit, round.round.left, round.round.design_effect],
             "inside": [[[o.kind, o.axis, o.order], wave] for o, wave in round.inside],
-            "may_have_ripple": round.may_have_ripple,
+            "near": round.near,
             "missed": round.missed.tolist(),
         }
         with replacing(self.parts.path(_name(len(self.done) - 1))) as draft:
@@ -70,7 +70,7 @@ def _read(path: pathlib.Path) -> Kept:
     orders = tuple(_order(*order) for order in said["orders"])
     inside = tuple((_order(*order), (float(sine), float(cosine))) for order, (sine, cosine) in said["inside"])
     x, floor, missed = (np.array(said[name], float) for name in ("x", "floor", "missed"))
-    return Kept(x, orders, floor, Round(*said["round"]), inside, bool(said["may_have_ripple"]), missed)
+    return Kept(x, orders, floor, Round(*said["round"]), bool(said["near"]), inside, missed)
 
 
 def _order(kind: str, axis: float, order: float) -> Order:
