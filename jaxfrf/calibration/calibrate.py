@@ -58,7 +58,8 @@ def calibrate(
     found, and looked for again: friction does not meet motors that turn evenly.
 
     How friction turns over near standstill is left open (two more columns a motor), so that another law there does not
-    go into viscous friction.
+    go into viscous friction. The speed over which it does, `friction.smoothing`, is no sharper than the steps of the
+    robot's simulation follow; a machine that sticks is fitted beyond that to first order.
 
     Intervals come from the scatter between positions (between runs, where there are less than three positions; between
     bands of lines, where there are less than four runs), so that errors
