@@ -247,7 +247,7 @@ def test_bands_of_lines_stand_for_runs():
     assert list(whole.position) == [0, 0, 1, 1] and len(set(cut.position)) == 16
 
 
-# --- ripple and the turn of friction, which are simulated near the truth
+# --- ripple, which is simulated near the truth
 
 
 def test_ripple_as_it_is_written():
@@ -282,15 +282,6 @@ def test_finished_rounds_come_back(tmp_path, monkeypatch):
         (back,) = rounds.Rounds(parts, None, (), None, ()).done
     for field in dataclasses.fields(rounds.Kept):
         np.testing.assert_equal(getattr(back, field.name), getattr(done, field.name))
-
-
-def test_friction_is_simulated_as_sharp_as_steps_follow():
-    robot = model()
-    point = operating_point(robot, Q)
-    smoothing = finest_smoothing(robot, like=robot)
-    turned = lambda eps: eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(eps))
-    steps = fine_steps(robot, point)
-    assert fine_steps(turned(1.001 * smoothing), point) == steps < fine_steps(turned(0.9 * smoothing), point)
 
 
 @pytest.mark.slow
@@ -456,3 +447,15 @@ def test_springs_have_options_of_their_own(commanded, capsys):
     assert "--starts: found the whole robot to be fitted; expected --springs" in capsys.readouterr().err
     assert main(["identify", *files, "--tolerance", "lnks=3"]) == 2
     assert "Did you mean 'links'?" in capsys.readouterr().err
+
+
+# --- the turn of friction
+
+
+def test_friction_is_simulated_as_sharp_as_steps_follow():
+    robot = model()
+    point = operating_point(robot, Q)
+    smoothing = finest_smoothing(robot, like=robot)
+    turned = lambda eps: eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(eps))
+    steps = fine_steps(robot, point)
+    assert fine_steps(turned(1.001 * smoothing), point) == steps < fine_steps(turned(0.9 * smoothing), point)

@@ -22,6 +22,7 @@ from .rounds import Kept, Rounds
 from .search import Look, Say, Search
 
 _LOOKS_FOR_RIPPLE = 4  # first rounds in which more orders are looked for: far from the truth some are not there
+_FEW_LOOKS = 2  # with less, ripple of a motor is not found yet
 _LOOKS_AGAIN = 2  # the same, of rounds with ripple that is simulated: weak orders drowned before
 _NEAR = 0.15  # of the misfit: where a step leaves more, the robot is near
 _WORSE = 1.05  # of what was left: ripple with which more is left is not simulated
@@ -120,7 +121,8 @@ class Descent:
         """The next robot, its motors turning as they were found to; `None` where it is too early, where they turn
         evenly, and where that leaves more."""
         before, waves = self.look, self.found_waves
-        if self.near or not self._refines or before.left < _NEAR * before.misfit:
+        early = self._looks < _FEW_LOOKS or before.left < _NEAR * before.misfit
+        if self.near or early or not self._refines:
             return None
         x, floor, self._looks = self.search.next(before), self.search.floor, 0
         self._take(True, waves, floor)
