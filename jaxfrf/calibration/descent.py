@@ -25,6 +25,7 @@ _LOOKS_FOR_RIPPLE = 4  # first rounds in which more orders are looked for: far f
 _FEW_LOOKS = 2  # with less, ripple of a motor is not found yet
 _LOOKS_AGAIN = 2  # the same, of rounds with ripple that is simulated: weak orders drowned before
 _NEAR = 0.15  # of the misfit: where a step leaves more, the robot is near
+_SAME = 0.99  # of the misfit: rounds near the truth that leave more, one after the other, bring nothing
 _WORSE = 1.05  # of what was left: ripple with which more is left is not simulated
 
 
@@ -46,6 +47,7 @@ class Descent:
     ):
         self.robot, self.record, self.these, self.say, self.beside = robot, record, these, say, tuple(beside)
         self.settled, self._looks = False, 0
+        self._before: float | None = None  # misfit of the round before
 
     def run(self, rounds: int, kept: Rounds) -> None:
         """So many simulations, from where an earlier run was interrupted."""
@@ -69,6 +71,7 @@ class Descent:
         last = kept.done[-1]
         self._take(last.near, last.inside, last.floor)
         self._looks = sum(one.near == last.near for one in kept.done)
+        self._before = kept.done[-2].round.misfit if len(kept.done) > 1 else None
         self.look = self.search.look(last.x, last.orders, False)
         self.settled = self._settles()
         self.say(f"goes on behind round {len(kept.done)}")
@@ -82,6 +85,7 @@ class Descent:
 
     def _keep(self, kept: Rounds) -> None:
         look, self._looks = self.look, self._looks + 1
+        self._before = kept.done[-1].round.misfit if kept.done else None
         self.settled = self._settles()
         round = Round(look.misfit, look.left, look.posterior.effect)
         floor, torque = look.evidence.floor, missed(look.evidence, self.record)
@@ -94,8 +98,13 @@ class Descent:
         )
 
     def _settles(self) -> bool:
-        """A robot whose ripple stands beside it only is not done."""
-        return (self.near or not self._refines) and self.search.stays(self.look)
+        """A robot whose ripple stands beside it only is not done; one whose misfit stays is, though numbers may creep
+        along what the record does not tell."""
+        if not self.near and self._refines:
+            return False
+        before, look = self._before, self.look
+        same = before is not None and look.misfit > _SAME * before and look.left > _SAME * look.misfit
+        return self.search.stays(look) or (self.near and self._looks > _LOOKS_AGAIN and same)
 
     @property
     def _refines(self) -> bool:
