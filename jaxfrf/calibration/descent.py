@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
+from ..effects import AbstractFriction
 from ..robot import Robot
 from ..trajectory.evidence import Column
 from ..trajectory.measured import Measured
@@ -80,7 +81,9 @@ class Descent:
         self.near, self.inside = near, tuple(inside)
         robot = with_ripple(alike(self.robot, self.these), inside)
         orders = [o for o, _ in inside]
-        self.search = Search(robot, self.record, self.these, self.say, self.beside, orders, turns=near)
+        # Laws of friction that turn over some speed of their own tell it together with the robot's.
+        turns = near and not any(isinstance(e, AbstractFriction) for e in robot.effects)
+        self.search = Search(robot, self.record, self.these, self.say, self.beside, orders, turns)
         self.search.floor = floor
 
     def _keep(self, kept: Rounds) -> None:
