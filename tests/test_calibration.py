@@ -14,14 +14,20 @@ from test_gap import FS, PERIOD, Q, small_robot
 import jaxfrf as jf
 from benchmarks._mujoco_records import mujoco_experiment
 from jaxfrf import effects as fx
+from jaxfrf.calibration import rounds
 from jaxfrf.calibration.columns import number_columns
-from jaxfrf.calibration.least_squares import solve
+from jaxfrf.calibration.least_squares import Posterior, solve
 from jaxfrf.calibration.numbers import Number, numbers, with_numbers
-from jaxfrf.robot import parameters, r3x, tolerances_from, with_parameters
+from jaxfrf.calibration.result import Round
+from jaxfrf.calibration.ripple import found_waves
+from jaxfrf.parts import Parts
+from jaxfrf.robot import operating_point, parameters, r3x, tolerances_from, with_parameters
 from jaxfrf.robot.regressor import link_parameters, link_regressor
+from jaxfrf.simulation import fine_steps, finest_smoothing
 from jaxfrf.trajectory.evidence import Evidence, Gram, Weighed, precise
 from jaxfrf.trajectory.joined import joined, places
 from jaxfrf.trajectory.measured import measured
+from jaxfrf.trajectory.ripple import Order
 
 WIDE = tolerances_from({"links": 0.05, "rotors": 0.05, "friction": 0.5, "smoothing": 0.7, "damping": 0.7}, ())
 
@@ -241,6 +247,69 @@ def test_bands_of_lines_stand_for_runs():
     assert list(whole.position) == [0, 0, 1, 1] and len(set(cut.position)) == 16
 
 
+# --- ripple, which is simulated near the truth
+
+
+def test_ripple_as_it_is_written():
+    """Orders that are there beyond chance, and those that were simulated, corrected by their columns."""
+    orders = [Order("torque", 0, 2.0), Order("torque", 1, 3.0), Order("resolver", 1, 2.0)]
+    change = np.array([0.4, 0.1, -0.2, 1e-4, 0.0, 3e-4, 2e-4])  # of one number, then of sines and cosines
+    scatter = 1e-3 * np.random.default_rng(0).standard_normal((8, 7))
+    posterior = Posterior(change, 1.0, np.eye(7), change + scatter, np.zeros(7))
+    kept = found_waves(orders, posterior)
+    assert [o for o, _ in kept] == orders[:1]
+    (first, one), (second, other) = found_waves(orders, posterior, [(orders[1], (0.05, 0.0))])
+    assert (first, second) == tuple(orders[:2])
+    np.testing.assert_allclose([one, other], [[0.1, -0.2], [0.0501, 0.0]])
+
+
+def test_finished_rounds_come_back(tmp_path, monkeypatch):
+    monkeypatch.setattr(rounds, "_about", lambda *what: {})
+    order = Order("torque", 1, 6.0)
+    done = rounds.Kept(
+        np.array([0.1, -2.0]),
+        (order, Order("resolver", 0, 2.0)),
+        np.full((3, 2), 0.25),
+        Round(1.5, 1.25, 3.0),
+        True,
+        ((order, (1e-3, -2e-3)),),
+        np.array([0.1, 0.2]),
+    )
+    with pytest.raises(KeyboardInterrupt), Parts(tmp_path / "fit.json", "identify") as parts:
+        rounds.Rounds(parts, None, (), None, ()).keep(done)
+        raise KeyboardInterrupt
+    with Parts(tmp_path / "fit.json", "identify", resume=True) as parts:
+        (back,) = rounds.Rounds(parts, None, (), None, ()).done
+    for field in dataclasses.fields(rounds.Kept):
+        np.testing.assert_equal(getattr(back, field.name), getattr(done, field.name))
+
+
+@pytest.mark.slow
+def test_friction_meets_motors_that_turn_unevenly():
+    """Ripple of known waves, own simulator: all that scales with torque is as true as its scale, which no motion tells,
+    and the speed over which friction turns comes out right."""
+    waves = [
+        fx.TorqueRipple("shoulder", [0.05, 0.03], (2, 6), [0.3, 1.0]),
+        fx.TorqueRipple("elbow", [0.03, 0.03], (3, 8), [0.7, -1.0]),
+        fx.ResolverRipple("elbow", [1e-3], (2,), [0.4]),
+    ]
+    data = jf.simulate(machine().with_effects(*waves), design(1), Q, key=jr.key(2), run_in=3.0, noise=2e-5)
+    found = jf.calibrate(model(), data)
+    assert found.converged
+    truth = {n.name: n.given for n in numbers(machine())}
+    scale = found.values["shoulder.stiffness"] / truth["shoulder.stiffness"]
+    for kind in ("stiffness", "damping", "coulomb_friction", "viscous_friction", "motor_inertia"):
+        for name in (n for n in truth if n.endswith(f".{kind}")):
+            assert found.values[name] / truth[name] == pytest.approx(scale, rel=2e-3), name
+    assert found.values["friction.smoothing"] == pytest.approx(truth["friction.smoothing"], rel=0.03)
+    amplitude = {(o.kind, o.axis, o.order): np.hypot(*wave) for o, wave in zip(found.orders, found.waves, strict=True)}
+    for wave in waves:
+        kind, axis = wave.name.removesuffix("_ripple"), found.given.axis_names.index(wave.joint)
+        for size, order in zip(np.asarray(wave.amplitude), wave.order, strict=True):
+            expected = size * (scale if kind == "torque" else 1.0)
+            assert amplitude[kind, axis, float(order)] == pytest.approx(expected, rel=3e-3), (wave.joint, order)
+
+
 # --- the whole
 
 
@@ -378,3 +447,15 @@ def test_springs_have_options_of_their_own(commanded, capsys):
     assert "--starts: found the whole robot to be fitted; expected --springs" in capsys.readouterr().err
     assert main(["identify", *files, "--tolerance", "lnks=3"]) == 2
     assert "Did you mean 'links'?" in capsys.readouterr().err
+
+
+# --- the turn of friction
+
+
+def test_friction_is_simulated_as_sharp_as_steps_follow():
+    robot = model()
+    point = operating_point(robot, Q)
+    smoothing = finest_smoothing(robot, like=robot)
+    turned = lambda eps: eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(eps))
+    steps = fine_steps(robot, point)
+    assert fine_steps(turned(1.001 * smoothing), point) == steps < fine_steps(turned(0.9 * smoothing), point)

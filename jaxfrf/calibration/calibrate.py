@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from .._arguments import expect
 from .._errors import input_error
@@ -18,15 +17,14 @@ from ..trajectory.following import compared, why_followed
 from ..trajectory.joined import joined, together
 from ..trajectory.measured import Measured, measured
 from ..trajectory.rigid_motion import check_rigid
-from ..trajectory.ripple import ripple_effects
+from ..trajectory.ripple import with_ripple
 from .columns import near_rest_columns
+from .descent import Descent
 from .from_motion import calibrate_from_motion
 from .heldout import heldout_numbers
 from .numbers import numbers, with_numbers
-from .result import Calibration
-from .ripple import sure_orders
+from .result import Calibration, missed
 from .rounds import Rounds
-from .search import Look, Search
 
 _NOTHING = 1e-12  # tolerances: what rounding moved
 
@@ -56,8 +54,12 @@ def calibrate(
     leaves around them. Without references, without a controller, or where the controller runs at another rate than the
     log, the motors are moved as measured instead (`trajectory/following.py`).
 
+    Ripple stands beside the robot until its numbers are near. Then it is simulated, too, with the orders that were
+    found, and looked for again: friction does not meet motors that turn evenly.
+
     How friction turns over near standstill is left open (two more columns a motor), so that another law there does not
-    go into viscous friction.
+    go into viscous friction. The speed over which it does, `friction.smoothing`, is no sharper than the steps of the
+    robot's simulation follow; a machine that sticks is fitted beyond that to first order.
 
     Intervals come from the scatter between positions (between runs, where there are less than three positions; between
     bands of lines, where there are less than four runs), so that errors
@@ -99,9 +101,9 @@ def calibrate(
         )
     fitted, judged = _split(measured(data, carried if any(p is not None for p in carried) else ()), heldout)
     kept = Rounds(parts, robot, these, fitted, heldout)
-    search = Search(robot, fitted, these, say, near_rest_columns(robot))
-    look, converged = search.run(rounds, kept)
-    return _result(robot, these, look, [one.round for one in kept.done], converged, fitted, judged)
+    descent = Descent(robot, fitted, these, say, near_rest_columns(robot))
+    descent.run(rounds, kept)
+    return _result(descent, kept, judged)
 
 
 def _carried(payloads: Sequence[Payload | None], records: Sequence[Experiment]) -> list[Payload | None]:
@@ -134,15 +136,12 @@ def _split(record: Measured, heldout: Sequence[int]) -> tuple[Measured, Measured
     return record.at([p for p in range(n) if p not in held]), record.at(held)
 
 
-def _result(robot: Robot, these, look: Look, rounds, converged: bool, fitted: Measured, judged) -> Calibration:
+def _result(descent: Descent, kept: Rounds, judged: Measured | None) -> Calibration:
+    robot, these, look, fitted = descent.robot, descent.these, descent.look, descent.record
     posterior, count = look.posterior, len(these)
-    x = look.x + posterior.change[:count] if converged else look.x
-    x = np.where(np.abs(x) < _NOTHING, 0.0, x)
-    sure = sure_orders(look.orders, posterior)
-    waves = posterior.change[len(posterior.change) - 2 * len(look.orders) :].reshape(-1, 2)
-    kept = [i for i, is_sure in enumerate(sure) if is_sure]
-    orders = tuple(look.orders[i] for i in kept)
-    found = with_numbers(robot, these, x).with_effects(*ripple_effects(robot.axis_names, orders, waves[kept]))
+    x = np.where(np.abs(descent.x) < _NOTHING, 0.0, descent.x)
+    waves = descent.found_waves
+    found = with_numbers(with_ripple(robot, waves), these, x)
     part = slice(0, count)
     return Calibration(
         given=robot,
@@ -153,22 +152,16 @@ def _result(robot: Robot, these, look: Look, rounds, converged: bool, fitted: Me
         half_width=posterior.half_width()[part],
         told=posterior.told[part],
         dependence=np.linalg.inv(posterior.normal)[part, part],
-        orders=orders,
-        waves=waves[kept],
-        rounds=tuple(rounds),
-        converged=converged,
-        missed_before=missed(Evidence(robot, fitted), fitted),
+        orders=tuple(o for o, _ in waves),
+        waves=np.array([w for _, w in waves]).reshape(-1, 2),
+        rounds=tuple(one.round for one in kept.done),
+        converged=descent.settled,
+        missed_before=kept.done[0].missed,
         missed_after=missed(Evidence(found, fitted), fitted),
         heldout=None if judged is None else _missed_pair(robot, found, judged),
         compared=compared(robot, fitted.data),
         sources=fitted.data.sources,
     )
-
-
-def missed(evidence: Evidence, record: Measured) -> Float[np.ndarray, "axis"]:
-    """Torque that the simulated robot misses, of the measured torque without its mean, rms by axis."""
-    squares = lambda x: np.sum(np.abs(x[:, :, 1:]) ** 2, axis=(0, 1, 2))
-    return np.sqrt(squares(evidence.residual) / squares(record.U))
 
 
 def _missed_pair(before: Robot, after: Robot, record: Measured):

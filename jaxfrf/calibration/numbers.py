@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -208,6 +209,14 @@ def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "nu
     for kind, rows in arrays.items():
         robot = eqx.tree_at(fields[kind][0], robot, jnp.asarray(rows))
     return _with_drives(robot, drives)
+
+
+def alike(robot: Robot, these: Sequence[Number]) -> Robot:
+    """The same robot, with an error of nothing of every torque constant that may have one, and its numbers as arrays:
+    all robots on the way of a fit then share what is compiled."""
+    had = {robot.axis_names[axis_of(robot, e.joint)] for e in robot.effects if isinstance(e, TorqueConstant)}
+    more = [TorqueConstant(n.joint, 0.0) for n in these if n.kind == "torque_constant" and n.joint not in had]
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.asarray(x).dtype), robot.with_effects(*more))
 
 
 def _with_parameter(robot: Robot, name: str, value: float) -> Robot:

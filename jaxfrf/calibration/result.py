@@ -8,6 +8,8 @@ from jaxtyping import Float
 
 from .. import __version__
 from ..robot import Robot
+from ..trajectory.evidence import Evidence
+from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order
 from .numbers import Number
 
@@ -23,6 +25,12 @@ class Round(eqx.Module):
     misfit: float = eqx.field(static=True)
     left: float = eqx.field(static=True)
     design_effect: float = eqx.field(static=True)
+
+
+def missed(evidence: Evidence, record: Measured) -> Float[np.ndarray, "axis"]:
+    """Torque that the simulated robot misses, of the measured torque without its mean, rms by axis."""
+    squares = lambda x: np.sum(np.abs(x[:, :, 1:]) ** 2, axis=(0, 1, 2))
+    return np.sqrt(squares(evidence.residual) / squares(record.U))
 
 
 class Calibration(eqx.Module):

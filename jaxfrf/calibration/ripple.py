@@ -1,4 +1,4 @@
-"""Ripple beside the numbers: at the orders that a residual holds, found one after the other."""
+"""Ripple beside the numbers: at the orders that a residual holds, found one after the other; and as it is simulated."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ import scipy.stats
 
 from ..trajectory.evidence import Evidence, Weighed, weigh
 from ..trajectory.remainder import remainder
-from ..trajectory.ripple import Order, find_orders, order_columns
+from ..trajectory.ripple import Order, Wave, find_orders, order_columns
 from .least_squares import Posterior
 
 TRIED = {"torque": np.arange(1, 51), "resolver": np.arange(1, 13)}  # whole orders of the motor's turn
@@ -39,3 +39,19 @@ def sure_orders(orders: Sequence[Order], posterior: Posterior, inside=0.0) -> li
     spread = np.sqrt(np.diag(posterior.covariance))[-2 * len(orders) :].reshape(-1, 2) if orders else waves
     size = np.sum((waves / np.where(spread > 0, spread, np.inf)) ** 2, axis=1)
     return list(size > scipy.stats.chi2.isf(_CHANCE, 2))
+
+
+def found_waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave] = ()) -> tuple[Wave, ...]:
+    """Ripple as it would be written: orders that are there beyond chance, and those that were simulated, `inside`,
+    whose columns correct them. The latter stay, sure or not: two of them may be told together only."""
+    had = {order_key(o): np.array(w) for o, w in inside}
+    own = np.array([had.get(order_key(o), np.zeros(2)) for o in orders]).reshape(-1, 2)
+    waves = own + posterior.change[len(posterior.change) - 2 * len(orders) :].reshape(-1, 2)
+    sure = sure_orders(orders, posterior, own)
+    kept = [i for i, o in enumerate(orders) if sure[i] or order_key(o) in had]
+    return tuple((orders[i], (float(waves[i, 0]), float(waves[i, 1]))) for i in kept if np.any(waves[i]))
+
+
+def order_key(order: Order) -> tuple[str, int, float]:
+    """What two equal orders have in common."""
+    return order.kind, order.axis, order.order

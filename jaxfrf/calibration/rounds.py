@@ -12,7 +12,7 @@ from .._files import replacing
 from ..parts import Parts, files_text, numbers_text
 from ..robot import Robot
 from ..trajectory.measured import Measured
-from ..trajectory.ripple import Order
+from ..trajectory.ripple import Order, Wave
 from .numbers import Number
 from .result import Round
 
@@ -21,12 +21,16 @@ PART_FILES = ("[0-9]" * 3 + ".json",)
 
 @dataclasses.dataclass(frozen=True)
 class Kept:
-    """A finished round: where the numbers were, the orders of ripple beside them, the floor, and what was left."""
+    """A finished round: where the numbers were, the orders of ripple beside them, the floor, what was left, whether the
+    robot was near the truth, the ripple that was simulated, and the part of every axis' torque that it missed."""
 
     x: np.ndarray
     orders: tuple[Order, ...]
     floor: np.ndarray
     round: Round
+    near: bool
+    inside: tuple[Wave, ...]
+    missed: np.ndarray
 
 
 class Rounds:
@@ -49,6 +53,9 @@ class Rounds:
             "orders": [[o.kind, o.axis, o.order] for o in round.orders],
             "floor": round.floor.tolist(),
             "round": [round.round.misfit, round.round.left, round.round.design_effect],
+            "inside": [[[o.kind, o.axis, o.order], wave] for o, wave in round.inside],
+            "near": round.near,
+            "missed": round.missed.tolist(),
         }
         with replacing(self.parts.path(_name(len(self.done) - 1))) as draft:
             draft.write_text(json.dumps(said), encoding="utf-8")
@@ -60,8 +67,14 @@ def _name(number: int) -> str:
 
 def _read(path: pathlib.Path) -> Kept:
     said = json.loads(path.read_text(encoding="utf-8"))
-    orders = tuple(Order(kind, int(axis), float(order)) for kind, axis, order in said["orders"])
-    return Kept(np.array(said["x"], float), orders, np.array(said["floor"], float), Round(*said["round"]))
+    orders = tuple(_order(*order) for order in said["orders"])
+    inside = tuple((_order(*order), (float(sine), float(cosine))) for order, (sine, cosine) in said["inside"])
+    x, floor, missed = (np.array(said[name], float) for name in ("x", "floor", "missed"))
+    return Kept(x, orders, floor, Round(*said["round"]), bool(said["near"]), inside, missed)
+
+
+def _order(kind: str, axis: float, order: float) -> Order:
+    return Order(kind, int(axis), float(order))
 
 
 def _about(robot: Robot, these: Sequence[Number], record: Measured, heldout) -> dict:

@@ -1,4 +1,4 @@
-"""The numbers of a robot from a record by Gauss-Newton: simulated, differentiated, moved, until they stay."""
+"""One robot on its way by Gauss-Newton: simulated, differentiated, moved."""
 
 from collections.abc import Callable, Sequence
 
@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from .._errors import InputError
 from ..robot import Robot
+from ..simulation import finest_smoothing
 from ..trajectory.evidence import Column, Evidence, Weighed, placed, precise, refloored, weigh
 from ..trajectory.joined import places
 from ..trajectory.measured import Measured
@@ -16,9 +17,7 @@ from ..trajectory.ripple import Order, order_columns
 from .columns import number_columns
 from .least_squares import Posterior, solve
 from .numbers import Number, with_numbers
-from .result import Round
-from .ripple import sure_orders, with_found_orders
-from .rounds import Kept, Rounds
+from .ripple import order_key, sure_orders, with_found_orders
 
 _LONGEST = 0.5  # of a logarithm, in one step: columns hold no further
 _HALVINGS = 3
@@ -27,7 +26,12 @@ _REWEIGHED = 2  # times in a round
 _FEW, _BANDS = 4, 8  # runs whose scatter says too little: bands of lines stand for runs then
 _GAIN = 0.97  # of the misfit: a step that leaves more is of no use
 _STAYS = 0.3  # of its standard deviation that every number moves less
-_LOOKS_FOR_RIPPLE = 4  # first rounds in which more orders are looked for: far from the truth some are not there
+
+_TURN = 0.3  # of the logarithm of the friction's smoothing, by which its column is simulated
+_SAME_TURN = 0.1  # of that logarithm: a column is not simulated again
+_FARTHEST_TURN = 1.0  # of that logarithm, in one step
+_AT_BOUND = 1e-9
+_MARGIN = 1.03  # between the sharpest friction that steps follow and the one that is simulated
 
 Say = Callable[[str], None]
 
@@ -48,8 +52,15 @@ class Look(eqx.Module):
 
 
 class Search:
-    """What stays the same from round to round, and the floor, which follows what is left; `beside`: columns that stand
-    beside those of the numbers. `inside`: orders of ripple that the robot has, whose columns correct them."""
+    """What stays the same from round to round, and the floor, which follows what is left.
+
+    `beside`: columns that stand beside those of the numbers. `inside`: orders of ripple that the robot has, whose
+    columns correct them. `turns`: whether the column of the friction's smoothing is the difference of two simulations:
+    a motor that stands still for a moment moves as its friction lets it, and the column along a given motion is many
+    times too large. The smoothing is not simulated finer than the robot's steps follow; beyond, its column stands
+    beside the robot.
+
+    All rounds with their beginning and end: `descent`."""
 
     def __init__(
         self,
@@ -59,54 +70,34 @@ class Search:
         say: Say,
         beside: Sequence[Column] = (),
         inside: Sequence[Order] = (),
+        turns: bool = False,
     ):
         self.robot, self.record, self.these, self.say = robot, record, these, say
+        kinds = [n.kind for n in these]
+        self.smoothing = kinds.index("smoothing") if "smoothing" in kinds else None
+        self.turns = turns and self.smoothing is not None
+        self._turned: tuple[float, np.ndarray] | None = None
         self.floor: np.ndarray | None = None
         self.beside = tuple(beside)
-        self.inside = {(o.kind, o.axis, o.order) for o in inside}
-
-    def run(self, rounds: int, kept: Rounds) -> tuple[Look, bool]:
-        """The last look, and whether the numbers stay; from where an earlier run was interrupted."""
-        if kept.done:
-            last = kept.done[-1]
-            self.floor = last.floor
-            look = self.look(last.x, last.orders, False)
-            self.say(f"goes on behind round {len(kept.done)}")
-        else:
-            look = self.look(np.zeros(len(self.these)), (), True)
-            self.tell(look, kept)
-        converged = self.stays(look)
-        while len(kept.done) < rounds and not converged:
-            further = self.further(look, len(kept.done) < _LOOKS_FOR_RIPPLE)
-            if further is None:
-                self.say("no step makes the misfit smaller")
-                break
-            look = further
-            self.tell(look, kept)
-            converged = self.stays(look)
-        return look, converged
-
-    def tell(self, look: Look, kept: Rounds) -> None:
-        found = Round(look.misfit, look.left, look.posterior.effect)
-        kept.keep(Kept(look.x, look.orders, look.evidence.floor, found))
-        self.say(
-            f"round {len(kept.done)}: {look.misfit**0.5:.3g} times the floor, {look.left**0.5:.3g} after its step; "
-            f"{len(look.orders)} orders of ripple, {look.posterior.effect:.3g} lines count as one"
-        )
+        self.inside = {order_key(o) for o in inside}
 
     def look(self, x, orders: tuple[Order, ...], more: bool) -> Look:
         """Simulate, differentiate, solve; `more`: whether to look for more orders of ripple."""
+        x = self.followed(x)
         now = with_numbers(self.robot, self.these, x)
         evidence = Evidence(now, self.record)
         if self.floor is not None:
             evidence.floor = self.floor
         own = number_columns(self.robot, self.these, x)
+        if self.turns:
+            own[self.smoothing] = self._turning(x, evidence)
         weighed = weigh(evidence, [*own, *self.beside, *order_columns(orders)])
         posterior = solve(weighed.gram, self.these, x)
         if more:
             orders, weighed = with_found_orders(evidence, weighed, orders, posterior.change)
             posterior = solve(weighed.gram, self.these, x)
-        misfit = _misfit(evidence, weighed, np.arange(len(self.these), weighed.gram.b.shape[1]))
+        free = np.arange(len(self.these), weighed.gram.b.shape[1])
+        misfit = _misfit(evidence, weighed, np.concatenate([self._at_bound(x), free]))
         for _ in range(_REWEIGHED):
             left = remainder(evidence, weighed, posterior.change)
             floor = usual_size(left, evidence.noise)
@@ -125,13 +116,11 @@ class Search:
     def further(self, look: Look, more: bool) -> Look | None:
         """The next robot, by a step that is short enough to leave less."""
         sure = sure_orders(look.orders, look.posterior)
-        sure = [
-            is_sure or (o.kind, o.axis, o.order) in self.inside for o, is_sure in zip(look.orders, sure, strict=True)
-        ]
+        sure = [is_sure or order_key(o) in self.inside for o, is_sure in zip(look.orders, sure, strict=True)]
         orders = tuple(o for o, is_sure in zip(look.orders, sure, strict=True) if is_sure)
         # Orders that go take nothing away any more: what they took is no reason to refuse a step.
         kept = np.flatnonzero(np.concatenate([np.ones(len(self.beside), bool), np.repeat(sure, 2)]))
-        before = _misfit(look.evidence, look.weighed, len(self.these) + kept)
+        before = _misfit(look.evidence, look.weighed, np.concatenate([self._at_bound(look.x), len(self.these) + kept]))
         step, part, longest = self._step(look)
         for _ in range(_HALVINGS):
             try:
@@ -150,9 +139,47 @@ class Search:
         return look.x + part * step
 
     def _step(self, look: Look):
-        step = look.posterior.change[: len(self.these)]
-        longest = max((abs(n.size * s) for n, s in zip(self.these, step, strict=True) if n.positive), default=0.0)
+        step = look.posterior.change[: len(self.these)].copy()
+        if self.turns:
+            farthest = _FARTHEST_TURN / self.these[self.smoothing].size
+            step[self.smoothing] = np.clip(step[self.smoothing], -farthest, farthest)
+        lengths = [abs(n.size * s) for n, s in zip(self.these, step, strict=True) if n.positive and not self._turn(n)]
+        longest = max(lengths, default=0.0)
         return step, min(1.0, _LONGEST / longest) if longest > 0 else 1.0, longest
+
+    def _turn(self, number: Number) -> bool:
+        return self.turns and number.kind == "smoothing"
+
+    def _finest(self, x) -> float:
+        """Where the friction's smoothing is what the robot's steps follow, as a coordinate."""
+        number = self.these[self.smoothing]
+        now = with_numbers(self.robot, self.these, x)
+        return number.coordinate(_MARGIN * finest_smoothing(now, like=self.robot))
+
+    def followed(self, x) -> Float[np.ndarray, "number"]:
+        """The same coordinates, the friction no sharper than it is simulated."""
+        x = np.array(x, float)
+        if self.turns:
+            x[self.smoothing] = max(x[self.smoothing], self._finest(x))
+        return x
+
+    def _at_bound(self, x) -> np.ndarray:
+        """The smoothing's column, where it may not become less."""
+        if self.turns and x[self.smoothing] <= self._finest(x) + _AT_BOUND:
+            return np.array([self.smoothing])
+        return np.array([], int)
+
+    def _turning(self, x, evidence: Evidence) -> Column:
+        """The column of the friction's smoothing, by another simulation; that of another round where it was the same,
+        nearly."""
+        number, at = self.these[self.smoothing], float(x[self.smoothing])
+        if self._turned is None or abs(at - self._turned[0]) * number.size > _SAME_TURN:
+            more = x.copy()
+            more[self.smoothing] += _TURN / number.size
+            turned = Evidence(with_numbers(self.robot, self.these, more), self.record).residual
+            self._turned = at, (evidence.residual - turned) * (number.size / _TURN)
+        columns = {id(scene): column for scene, column in zip(evidence.scenes, self._turned[1], strict=True)}
+        return lambda scene: columns[id(scene)]
 
     def stays(self, look: Look) -> bool:
         """Whether the next step would be small beside what is known of every number, and take little off the misfit.

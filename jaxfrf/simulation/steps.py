@@ -39,6 +39,12 @@ def fine_steps(robot: Robot, point: OperatingPoint) -> int:
     return max(_LEAST, math.ceil(needed))
 
 
+def finest_smoothing(robot: Robot, like: Robot) -> float:
+    """Smoothing of the friction, rad/s, that needs no more steps than that of another robot, or than the fewest."""
+    most = max(_friction_rate(like), _LEAST * _DECAY * robot.sampling_frequency)
+    return float(robot.drives.friction.smoothing) * _friction_rate(robot) / most
+
+
 def _friction_rate(robot: Robot) -> float:
     """Largest slope of the friction near rest over the motor's inertia, 1/s."""
     speed = np.full(robot.n_axes, 1e-6)

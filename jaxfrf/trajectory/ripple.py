@@ -131,6 +131,9 @@ def gear_orders(scenes, residuals, floor, axis: int, most: int = 4) -> list[floa
     return result
 
 
+Wave = tuple[Order, tuple[float, float]]  # with coefficients of sine and cosine, N m or rad
+
+
 def order_columns(orders: Sequence[Order]) -> list[Callable[[Scene], Signature]]:
     """Sine and cosine of each order, (2 order) columns."""
     return [lambda scene, o=o, i=i: o.columns(scene)[i] for o in orders for i in (0, 1)]
@@ -147,6 +150,13 @@ def ripple_effects(names: Sequence[str], orders: Sequence[Order], waves) -> list
                 phase = np.arctan2(waves[rows, 1], waves[rows, 0])
                 found.append(make(joint, amplitude, [int(orders[i].order) for i in rows], phase))
     return found
+
+
+def with_ripple(robot: Robot, waves: Sequence[Wave]) -> Robot:
+    """The robot with this ripple beside its own."""
+    if not waves:
+        return robot
+    return robot.with_effects(*ripple_effects(robot.axis_names, [o for o, _ in waves], np.array([w for _, w in waves])))
 
 
 def without_silent_orders(robot: Robot) -> Robot:
