@@ -74,8 +74,8 @@ class Search:
     ):
         self.robot, self.record, self.these, self.say = robot, record, these, say
         kinds = [n.kind for n in these]
-        self.smoothing = kinds.index("smoothing") if "smoothing" in kinds else None
-        self.turns = turns and self.smoothing is not None
+        self.smoothing = kinds.index("smoothing") if "smoothing" in kinds else -1
+        self.turns = turns and self.smoothing >= 0
         self._turned: tuple[float, np.ndarray] | None = None
         self.floor: np.ndarray | None = None
         self.beside = tuple(beside)

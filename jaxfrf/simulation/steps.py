@@ -7,7 +7,7 @@ import numpy as np
 from .._errors import input_error
 from ..effects import AbstractGearTorque
 from ..effects.acting import groups
-from ..robot import OperatingPoint, Robot, friction_effects, linearise, local_stiffness, spring_directions
+from ..robot import Friction, OperatingPoint, Robot, friction_effects, linearise, local_stiffness, spring_directions
 
 _LEAST = 3  # steps at which the error of R3X is below that of holding the inertia over a sample
 _DECAY = 2.2  # rate times step up to which friction near rest is stable: the limit of the method is 2.79
@@ -42,6 +42,7 @@ def fine_steps(robot: Robot, point: OperatingPoint) -> int:
 def finest_smoothing(robot: Robot, like: Robot) -> float:
     """Smoothing of the friction, rad/s, that needs no more steps than that of another robot, or than the fewest."""
     most = max(_friction_rate(like), _LEAST * _DECAY * robot.sampling_frequency)
+    assert isinstance(robot.drives.friction, Friction)  # another law has none
     return float(robot.drives.friction.smoothing) * _friction_rate(robot) / most
 
 
