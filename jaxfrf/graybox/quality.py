@@ -203,7 +203,8 @@ def residual_quality(
     shape, floor = (frf.n_out, frf.n_in), (Weights() if weights is None else weights).floor
     used = np.asarray(tg.used)
     variance = np.real(np.diagonal(np.asarray(tg.cov), axis1=-2, axis2=-1))
-    known = used & (variance > 0)
+    stated = ~np.isnan(np.asarray(frf.cov)).any(axis=(-1, -2))  # elsewhere something stands in for the variance
+    known = used & (variance > 0) & stated[..., None]
     ratio = np.where(known, np.abs(E) ** 2, 0) / np.where(known, variance, 1)
     edges = _edges(np.asarray(tg.frequency)[used.any(axis=(0, 2))], bands)
     inside = _membership(np.asarray(tg.frequency), edges)  # (band, freq)
