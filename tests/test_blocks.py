@@ -16,6 +16,7 @@ import jax.random as jr
 import numpy as np
 import pytest
 import two_axes
+from gap_examples import OWN
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
@@ -188,34 +189,6 @@ def test_a_simulation_in_blocks_is_that_of_all_at_once(tmp_path, monkeypatch):
         np.testing.assert_allclose(getattr(data, name), getattr(whole, name), atol=1e-9)
     np.testing.assert_array_equal(data.q, q)
     assert not (tmp_path / "run.nc.parts").exists()
-
-
-OWN = """
-from typing import ClassVar
-
-import equinox as eqx
-import jax.numpy as jnp
-
-from jaxfrf.effects import AbstractFriction
-
-
-class Quadratic(AbstractFriction):
-    name: ClassVar = "quadratic_friction"
-    units: ClassVar = {"level": "N m s^2"}
-    bounds: ClassVar = {"level": (0.0, 1.0)}
-    signature: ClassVar = "grows with the square of the speed"
-    confusable: ClassVar = {}
-
-    joint: int | str = eqx.field(static=True)
-    level: float
-
-    @classmethod
-    def typical(cls, robot, joint):
-        return cls(joint, 1e-5)
-
-    def torque(self, speed, load):
-        return self.level * speed * jnp.abs(speed)
-"""
 
 
 @pytest.mark.slow

@@ -507,7 +507,7 @@ class TestRecords:
         twice = joined([data, changed(data, u=2 * np.asarray(data.u))])  # another amplitude at the same places
         assert opened_positions(twice, None).tolist() == [True, True, False] * 2
         for wrong in (-1, 3):
-            with pytest.raises(jf.InputError, match=r"sealed positions.*0 to 2"):
+            with pytest.raises(jf.InputError, match=r"held-out positions.*0 to 2"):
                 opened_positions(data, wrong)
 
     def test_joined(self):

@@ -6,40 +6,13 @@ import re
 
 import numpy as np
 import pytest
-from gap_examples import NAMES, example
+from gap_examples import NAMES, OWN, example
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
 from jaxfrf.cli.own_effects import own_effects
 from jaxfrf.io.gaps import read_gap
 from jaxfrf.report.gap_words import headline
-
-OWN = '''
-import equinox as eqx
-import jax.numpy as jnp
-from typing import ClassVar
-from jaxfrf.effects import AbstractFriction, CoulombFriction
-
-
-class Quadratic(AbstractFriction):
-    """Friction that grows with the square of the speed, tau = level v |v|."""
-
-    name: ClassVar = "quadratic_friction"
-    units: ClassVar = {"level": "N m s^2"}
-    bounds: ClassVar = {"level": (0.0, 1.0)}
-    signature: ClassVar = "a torque residual that grows with the square of the speed"
-    confusable: ClassVar = {}
-
-    joint: int | str = eqx.field(static=True)
-    level: float
-
-    @classmethod
-    def typical(cls, robot, joint):
-        return cls(joint, 1e-5)
-
-    def torque(self, speed, load):
-        return self.level * speed * jnp.abs(speed)
-'''
 
 
 @pytest.fixture(scope="module")

@@ -141,7 +141,7 @@ def opened_positions(record: Experiment, sealed: int | None) -> np.ndarray:
         sealed = count // 3 if count >= 3 else 0
     if not 0 <= sealed < count:
         raise input_error(
-            "sealed positions", f"{sealed}", f"0 to {count - 1} of {count} positions", "Leave some for the fit."
+            "held-out positions", f"{sealed}", f"0 to {count - 1} of {count} positions", "Leave some for the fit."
         )
     order = dict.fromkeys(place.tolist())
     names = list(order)

@@ -206,7 +206,7 @@ def _ranking(search: Search, stands: Verified) -> tuple[Ranked, ...]:
         if scored.candidate.key in taken:
             why = "taken" if taken[scored.candidate.key] == 0 else "taken after the first"
         elif scored.candidate.key in taken_back:
-            why = "taken back: the sealed positions speak against it"
+            why = "taken back: the held-out positions speak against it"
         elif scored.candidate.key in simulated:
             why = simulated[scored.candidate.key]
         elif scored.size < 0.5:
@@ -231,7 +231,7 @@ def _gap_between(search: Search, before, after, floor) -> Gap:
     b, a = (np.sqrt(mean_square(x[where] / floor)) for x in (before, after))
     low = min(np.sqrt(FLOOR), _AT_MOST * b)
     shrink = float(np.clip(1.0 - (a - low) / (b - low), -9.0, 1.0))
-    on = "sealed positions" if not search.opened.all() else "the fitted positions (none were sealed)"
+    on = "held-out positions" if not search.opened.all() else "the fitted positions (none were held out)"
     torque = (relative_torque(search, x, where) for x in (before, after))
     return Gap(float(b), float(a), float(low), shrink, "1", on, *torque)
 
