@@ -27,6 +27,7 @@ _LEAST_NEAR = 2  # lines on either side
 _OTHERS = 0.25  # weight of all elements together beside the element itself, for the interval
 _UNSEEN = 0.1  # bias that no test sees, of the variance of the difference of two windows
 _LEAST = 0.1  # of the narrower estimate's variance: what a difference of two estimates at least varies by
+_LOCAL, _LEAST_LOCAL = 16, 2  # part of a window, and lines on either side, over which noise counts as of one size
 
 
 class Auto(AbstractMethod):
@@ -41,7 +42,8 @@ class Auto(AbstractMethod):
 
     element by element: a resonance keeps its narrow windows, smooth responses and nearly constant ones get the widest.
     s^2 is the mean square error, bias included, that is stated as variance; for it bias is averaged over more lines,
-    and a tenth of s^2 - s_w^2 is added for what no test sees. Where there are more experiments than inputs, the first
+    and a tenth of s^2 - s_w^2 is added for what no test sees. s_w^2 counts as larger where a window's noise is: at
+    resonances, if torques are disturbed. Where there are more experiments than inputs, the first
     of all is `H1` (through the reference), which has no window and no bias of one.
 
     Fractions are fitted in two stages, which removes the bias of the noise in their regressors
@@ -56,11 +58,9 @@ class Auto(AbstractMethod):
     - `widths`: windows to choose from, in lines; by default at least six from the narrowest useful one to a third of
       the band.
     - `use_reference`: estimate through r where it is recorded.
-    - `stages`: 2 suits noise that y has beside the response. Of disturbances that enter where the input does (torques)
-      it errs about as much as 1, but its intervals are too narrow at resonances then: .83 of them hold with six
-      experiments, .90 to .99 with 1 (`benchmarks/bench_coverage.py --disturbance-at input`). R3X, whose error is
-      friction's distortion and an arm that moves, is a seventh to a fifth nearer to the truth with 1
-      (`notebooks/paper.md`).
+    - `stages`: 2 suits noise that y has beside the response; of disturbances that enter where the input does (torques)
+      it errs about as much as 1. R3X, whose error is friction's distortion and an arm that moves, is a seventh to a
+      fifth nearer to the truth with 1 (`notebooks/paper.md`).
     """
 
     method: AbstractLocal = LRM(variable="frequency")
@@ -101,7 +101,9 @@ class Auto(AbstractMethod):
         return self._with_width(self.candidates(signals)[0], signals).residual_dof(signals)
 
     def at_point(self, signals: Signals, lines=None) -> Estimate:
-        blended = _blend(self._tried(signals), self._reach(signals))
+        tried = self._tried(signals)
+        widths = self._reach(signals)
+        blended = _blend(tried, widths, _local_noise(tried, signals.U, signals.Y, widths))
         return blended if lines is None else jax.tree.map(lambda x: x[lines], blended)
 
     def estimate(self, spectra: Spectra) -> Estimate:
@@ -113,7 +115,7 @@ class Auto(AbstractMethod):
             methods = [_OneWidth(self, w) for w in self.candidates(spectra)]
             again = [solved_again(x, m, spectra) for x, m in zip(each[first:], methods, strict=True)]
             tried = jax.tree.map(lambda *x: np.stack(x, axis=1), *each[:first], *again)
-        return on_host(compiled(_blended)(tried, self._reach(spectra)))
+        return on_host(compiled(_blended)(tried, np.asarray(spectra.U), np.asarray(spectra.Y), self._reach(spectra)))
 
     def _reach(self, spectra: Spectra | Signals) -> tuple[int, ...]:
         widths = self.candidates(spectra)
@@ -205,17 +207,39 @@ def _of_kind(cov: KroneckerSum, like):
     return KroneckerSum(wide(cov.left), wide(cov.right)) if missing else cov
 
 
-def _blended(tried: Estimate, widths: tuple[int, ...]) -> Estimate:
+def _blended(tried: Estimate, U, Y, widths: tuple[int, ...]) -> Estimate:
     """`_blend` at every operating point, from (pos, width, freq, ...)."""
-    return jax.vmap(lambda x: _blend(x, widths))(tried)
+    return jax.vmap(lambda x, u, y: _blend(x, widths, _local_noise(x, u, y, widths)))(tried, U, Y)
 
 
-def _blend(tried: Estimate, widths: tuple[int, ...]) -> Estimate:
-    """From narrow to wide windows, (width, freq, ...), the mean that errs least; see `Auto`."""
+def _local_noise(tried: Estimate, U, Y, widths: tuple[int, ...]):
+    """How much more noise a line has than the mean of each window around it, at least 1: (width, freq, out).
+
+    A window takes its noise as of one size. That of a torque's disturbance is largest at resonances, where a window
+    knows less of G than it states then.
+    """
+    narrow = min(len(widths) - 1, 1 + (widths[0] == 1))
+    left = jnp.abs(Y - jnp.einsum("foi,efi->efo", tried.G[narrow], U)) ** 2
+    power = jnp.where(jnp.isfinite(left), left, 0.0).mean(axis=0)
+    n_exp, n_freq = Y.shape[:2]
+
+    def more(width: int):
+        reach = max(_LEAST_LOCAL, width // _LOCAL)
+        local, whole = (_mean(power, _neighbours(n_freq, lines)) for lines in (reach, max(width // 2, 1)))
+        chance = 1 + 1 / math.sqrt((2 * reach + 1) * n_exp)  # as far as a mean of so few strays
+        return jnp.maximum(local / jnp.where(whole > 0, whole, 1.0) / chance, 1.0)
+
+    return jnp.stack([more(width) if width > 1 else jnp.ones_like(power) for width in widths])
+
+
+def _blend(tried: Estimate, widths: tuple[int, ...], noise) -> Estimate:
+    """From narrow to wide windows, (width, freq, ...), the mean that errs least; see `Auto`.
+
+    `noise`: by which the variance of each output's row is larger than stated, (width, freq, out)."""
     if len(widths) == 1:
         return jax.tree.map(lambda x: x[0], dataclasses.replace(tried, cov=_as_it_is(tried.cov)))
     own = jnp.maximum(variances(tried.cov), 0)
-    every = own.reshape(*own.shape[:2], tried.G.shape[3], tried.G.shape[2]).mT
+    every = own.reshape(*own.shape[:2], tried.G.shape[3], tried.G.shape[2]).mT * noise[..., None]
     every = jnp.where(jnp.isfinite(every), every, jnp.inf)
     n_freq = tried.G.shape[1]
     near, far = (
