@@ -75,7 +75,7 @@ def faulty():
 def test_blocks_are_the_record_and_say_the_same(tmp_path, shift):
     more = [] if shift is None else [record(1, periods=3, shift=shift)]
     paths = files(tmp_path, faulty(), *more)
-    data, whole = data_set(*paths), jf.io.read(*paths)
+    data, whole = data_set(*paths).named(), jf.io.read(*paths)
     blocks = [data.read(at) for at in data.blocks(1)]
     assert len(blocks) == data.n_pos == whole.n_pos and all(x.data.n_pos == 1 for x in blocks)
     for name in "uyrq":

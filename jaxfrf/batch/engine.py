@@ -1,6 +1,7 @@
 """Pieces of work that know nothing of each other: one after the other, or on a Dask cluster."""
 
 import contextlib
+import importlib
 import itertools
 import logging
 import queue
@@ -62,21 +63,35 @@ def outcomes(
     **Raises:** `jaxfrf.InputError` for a number of workers below 1, no patience, or a cluster that does not answer;
     `ImportError` where Dask is needed and not installed.
     """
-    if workers != int(workers) or workers < 1:
-        raise input_error("workers", f"{workers}", "a whole number, 1 or more", "One for each core is a good start.")
     if patience is not None and not patience > 0:
         raise input_error("patience", f"{patience:g} s", "more than 0", "Take longer than a piece of work lasts.")
-    if not pieces:
-        return
-    if client is None and cluster is None and workers == 1:
-        yield from (_here(work, number, piece) for number, piece in enumerate(pieces))
-        return
-    with contextlib.ExitStack() as stack:
+    with crew(len(pieces), workers=workers, cluster=cluster, client=client, say=say) as client:
         if client is None:
-            client = stack.enter_context(_client(min(workers, len(pieces)), cluster))
-            if say is not None:
-                say(f"watch the work at {client.dashboard_link}")
-        yield from _there(client, work, pieces, _PATIENCE if patience is None else patience, say or (lambda text: None))
+            yield from (_here(work, number, piece) for number, piece in enumerate(pieces))
+        else:
+            yield from _there(client, work, pieces, patience or _PATIENCE, say or (lambda text: None))
+
+
+@contextlib.contextmanager
+def crew(
+    count: int,
+    *,
+    workers: int = 1,
+    cluster: str | None = None,
+    client: Any = None,
+    say: Callable[[str], None] | None = None,
+) -> Iterator[Any]:
+    """The client of the workers that `count` pieces are shared among, as of `outcomes`; `None`: this process does it
+    all. For those who have something else to do while workers start."""
+    if workers != int(workers) or workers < 1:
+        raise input_error("workers", f"{workers}", "a whole number, 1 or more", "One for each core is a good start.")
+    if client is not None or count == 0 or (cluster is None and workers == 1):
+        yield client
+        return
+    with _client(min(workers, count), cluster) as client:
+        if say is not None:
+            say(f"watch the work at {client.dashboard_link}")
+        yield client
 
 
 def raised(outcome: Done, piece: str) -> Any:
@@ -147,6 +162,7 @@ def _prepared(distributed, workers: int | None):
             _environment.prepare()
             if workers is not None and isinstance(worker.name, int):
                 _environment.take_cores(worker.name, workers)
+            importlib.import_module("jaxfrf.frf")  # what every piece needs, while its giver prepares
 
     return Prepared()
 

@@ -29,7 +29,7 @@ from ..io.uff import write_uff
 from ..parts import Parts, files_text
 from ..screening import Finding, Looked, Severity, across_all
 from ..spectra import Spectra, added_power, check_power, lines_in, select_positions, silent_lines, weighed_power
-from .engine import Done, outcomes, positions_text, raised
+from .engine import Done, crew, outcomes, positions_text, raised
 
 PART_FILES, BESIDE_PARTS = ("[0-9]" * 5 + ".npz",), ("[0-9]" * 5 + ".json",)
 _BLOCK = 3.2e7  # bytes of signals: fewer positions at a time cost more in opening files than they save
@@ -106,33 +106,37 @@ def estimate_to(
 
     **Raises:** `jaxfrf.InputError` as `jaxfrf.io.read` and `jaxfrf.estimate` do; nothing is kept then.
     """
-    shared = {"workers": workers, "cluster": cluster, "client": client, "patience": patience, "say": say}
     here = workers == 1 and cluster is None and client is None
+    if here:
+        data = data.named()
     pieces = _pieces(data, chosen, memory)
     first = data.read(pieces[0]) if here else None
     head, lines = _unscreened_head(data, chosen, pieces) if first is None else _head(data, chosen, pieces, first.data)
     method = adapted(chosen.method, head)
     method.check(head)
-    parts.begin(_about(data, head, method, about), PART_FILES, BESIDE_PARTS)
-    _check_room(path, data, head)
-    job = _Job(data, chosen, lines, parts.folder)
-    told = {piece.start: found for piece in pieces if (found := _finished(parts, piece)) is not None}
-    waiting = [piece for piece in pieces if piece.start not in told]
-    done = data.n_pos - sum(map(len, waiting))
+    with crew(len(pieces), workers=workers, cluster=cluster, client=client, say=say) as client:
+        data = data.named()
+        head = dataclasses.replace(head, sources=data.sources)
+        parts.begin(_about(data, head, method, about), PART_FILES, BESIDE_PARTS)
+        _check_room(path, data, head)
+        job = _Job(data, chosen, lines, parts.folder)
+        told = {piece.start: found for piece in pieces if (found := _finished(parts, piece)) is not None}
+        waiting = [piece for piece in pieces if piece.start not in told]
+        done = data.n_pos - sum(map(len, waiting))
 
-    def advanced(count: int) -> None:
-        nonlocal done
-        done += count
-        if progress is not None:
-            progress(done / data.n_pos)
+        def advanced(count: int) -> None:
+            nonlocal done
+            done += count
+            if progress is not None:
+                progress(done / data.n_pos)
 
-    work = functools.partial(_work, job, **({"read": [first], "advanced": advanced} if here else {}))
-    del first  # nobody else holds its memory
-    for outcome in outcomes(work, waiting, **shared):
-        piece = waiting[outcome.number]
-        told[piece.start] = _checked(outcome, piece, parts)
-        if not here:
-            advanced(len(piece))
+        work = functools.partial(_work, job, **({"read": [first], "advanced": advanced} if here else {}))
+        del first  # nobody else holds its memory
+        for outcome in outcomes(work, waiting, client=client, patience=patience, say=say):
+            piece = waiting[outcome.number]
+            told[piece.start] = _checked(outcome, piece, parts)
+            if not here:
+                advanced(len(piece))
     return Estimated(_assembled(path, data, parts, [told[piece.start] for piece in pieces]), head)
 
 

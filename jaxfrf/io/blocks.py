@@ -3,14 +3,16 @@
 import dataclasses
 import os
 import pathlib
+import threading
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
 
 import numpy as np
 
 from .._errors import InputError
 from ..experiment import Experiment, Source, check_compatible, concatenate, same_numbers
 from ..screening import Looked, look, refused
-from ._container import load, positions_in
+from ._container import check_file, load, positions_in
 from ._joined import part_of
 from .record_arguments import check_names, check_scale, check_values
 from .records import as_given, record_of, source_of
@@ -35,7 +37,7 @@ class Block:
 @dataclasses.dataclass(frozen=True)
 class _File:
     path: pathlib.Path
-    source: Source
+    source: Source  # without a digest until all are `named`
     n_pos: int
     sliced: bool
 
@@ -54,9 +56,19 @@ class DataSet:
     bytes_each: float
     given: object
     kept: dict = dataclasses.field(default_factory=dict, compare=False)  # small files that were read as a whole
+    digests: dict[pathlib.Path, Future[Source]] = dataclasses.field(default_factory=dict, compare=False)
 
     def __getstate__(self):
-        return self.__dict__ | {"kept": {}}
+        return self.__dict__ | {"kept": {}, "digests": {}}
+
+    def named(self) -> "DataSet":
+        """The same, with the digests of all files, which threads have begun to make: of large files that lasts."""
+        if not self.digests:
+            return self
+        sources = {path: digest.result() for path, digest in self.digests.items()}
+        kept = {x: (dataclasses.replace(data, sources=(sources[x],)), told) for x, (data, told) in self.kept.items()}
+        files = tuple(dataclasses.replace(f, source=sources[f.path]) for f in self.files)
+        return dataclasses.replace(self, files=files, kept=kept, digests={})
 
     @property
     def n_pos(self) -> int:
@@ -145,8 +157,11 @@ def data_set(
         return None
     found, heads, places, kept = [], [], [], {}
     for path in files:
+        check_file(path)
+    digests = _begun(files)
+    for path in files:
         n_pos = positions_in(path)
-        source = source_of(path)
+        source = Source(path.name)
         head, remarks = record_of(path, given, source, slice(0, 1) if n_pos else None)
         if n_pos is None and 8 * head.u.size < _SMALL:
             kept[path] = head, remarks
@@ -161,7 +176,22 @@ def data_set(
         return None  # reading it whole says what is wrong
     n_exp = sum(h.n_exp for h in heads) if beside else heads[0].n_exp
     bytes_each = n_exp * heads[0].u[0, 0].nbytes * _width(heads[0]) / heads[0].n_in
-    return DataSet(tuple(found), beside, n_exp, heads[0].period, bytes_each, given, kept)
+    return DataSet(tuple(found), beside, n_exp, heads[0].period, bytes_each, given, kept, digests)
+
+
+def _begun(paths: Sequence[pathlib.Path]) -> dict[pathlib.Path, Future[Source]]:
+    """`source_of` of files, one after the other, beside what else is done; a program that ends does not wait for it."""
+    found: dict[pathlib.Path, Future[Source]] = {path: Future() for path in paths}
+
+    def work() -> None:
+        for path, source in found.items():
+            try:
+                source.set_result(source_of(path))
+            except Exception as error:
+                source.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    return found
 
 
 def _width(data: Experiment) -> int:
@@ -175,6 +205,9 @@ class Held:
     def __init__(self, data: Experiment):
         self.data, self.files, self.sources, self.n_pos = data, (), data.sources, data.n_pos
         self.n_exp, self.period, self.bytes_each = data.n_exp, data.period, data.u[0].nbytes * _width(data) / data.n_in
+
+    def named(self) -> "Held":
+        return self
 
     def blocks(self, size: int) -> list[range]:
         return [range(self.n_pos)]
