@@ -252,3 +252,17 @@ def test_a_limit_behind_noise_beside_a_slow_sine(limit):
 def test_several_periods_given_as_one(record):
     findings = examine(record, period=2 * PERIOD)
     assert f"repeats every {PERIOD} samples already" in the_one(findings, "period").says
+
+
+@pytest.mark.parametrize("times", [1, 30])
+def test_a_crest_that_is_sampled_finely_is_no_limit(times):
+    """One crest of nine samples is one visit to the end of the range; thirty of them are a limit."""
+    rng = np.random.default_rng(5)
+    n, lines = 20_000, np.arange(21, 400, 4)
+    wave = lambda: np.cos(2 * np.pi * np.outer(np.arange(n), lines) / n + rng.uniform(0, 2 * np.pi, len(lines))).sum(1)
+    u, y = wave(), wave()
+    limit = 1.05 * y.max()
+    for at in rng.choice(n // 20, times, replace=False) * 20:
+        y[at : at + 9] = limit + 0.05 * rng.random(9)
+    found = jf.examine(jf.Experiment(u[None, None, :, None], y[None, None, :, None], 2000.0, n, lines=lines))
+    assert bool([f for f in found if f.kind == "saturated"]) == (times > 1)

@@ -121,17 +121,27 @@ def _heap_of_lines(c: Channel) -> float:
 
 def _sharp_edge(c: Channel) -> tuple[float, float]:
     """Samples in the fullest two of the outermost bins over those beside, and their share; 0, 0 where that is chance,
-    or how the signal crowds at wider scales, too. Periods that repeat count once."""
-    count = np.histogram(c.x[c.first :], _EDGE_BINS)[0] / max(c.n_periods, 1)
-    for side in (count, count[::-1]):
+    or how the signal crowds at wider scales, too. Periods that repeat count once, and chance is that of visits: one
+    crest of a signal that is sampled finely is many samples."""
+    x = c.x[c.first :]
+    count, edges = np.histogram(x, _EDGE_BINS)
+    for side, ends in ((count / max(c.n_periods, 1), edges), (count[::-1] / max(c.n_periods, 1), edges[::-1])):
         first = int(np.argmax(side[:4] + side[1:5]))
         top, beside = side[first : first + 2].sum(), side[first + 2 : first + 8].sum() / 6
         ratio = top / 2 / max(beside, _EDGE_LEAST)
         coarse = side[: first + 8].mean() / max(side[first + 8 : first + 32].mean(), _EDGE_LEAST)
-        sure = top - 2 * beside > _EDGE_SURE * np.sqrt(max(8 / 3 * beside, 4 / 3))
-        if ratio > _EDGE and sure and ratio > _EDGE_FINE * coarse:
-            return float(ratio), float(top / max(count.sum(), 1))
+        if ratio > _EDGE and ratio > _EDGE_FINE * coarse:
+            low, high = sorted((ends[first], ends[first + 2]))
+            sure = _EDGE_SURE * np.sqrt(max(8 / 3 * beside, 4 / 3) * _stay((x >= low) & (x <= high)))
+            if top - 2 * beside > sure:
+                return float(ratio), float(top / max(len(x) / max(c.n_periods, 1), 1))
     return 0.0, 0.0
+
+
+def _stay(inside: np.ndarray) -> float:
+    """Samples of a visit, in the mean."""
+    visits = np.count_nonzero(inside[1:] & ~inside[:-1]) + bool(inside[0])
+    return np.count_nonzero(inside) / max(visits, 1)
 
 
 def _piled_up(x: np.ndarray, top: np.ndarray) -> float:
