@@ -7,7 +7,7 @@ import hashlib
 import json
 import pathlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -295,7 +295,15 @@ class Results:
             self._say(f"{len(found)} of {len(jobs)} files stand in {self.folder} already")
         if reasons:
             self._say(f"{len(reasons)} of {len(jobs)} were made otherwise and are made again ({reasons[0]})")
+        self._tidy({name for name in jobs if name not in found} | {"table", "index"})
         return found
+
+    def _tidy(self, names: Collection[str]) -> None:
+        """Without what a killed process left of files that are written again."""
+        for path in [*self.folder.iterdir(), *(self.folder / _OUTCOMES).iterdir()]:
+            draft = _DRAFT.fullmatch(path.name)
+            if draft is not None and draft[1] in names and _plain(path):
+                path.unlink(missing_ok=True)
 
     def keep(self, name: str, outcome: Mapping[str, Any], about: Mapping[str, str]) -> None:
         _write_json(self.folder / _OUTCOMES / f"{name}.json", {**outcome, "made_from": dict(about)})

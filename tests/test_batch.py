@@ -69,8 +69,12 @@ def test_again_makes_what_is_new_or_different(logs, tmp_path):
     (logs / "d.txt").write_text("4")
     (logs / "c.txt").write_text("5")
     (folder / "a.json").unlink()
+    left = [folder / ".a-0123abcd.json", folder / "outcomes" / ".c-0123abcd.json"]  # by a killed process
+    for draft in (*left, folder / ".mine.json"):
+        draft.write_text("{")
     batch = each(asked(folder, f"{logs}/*.txt"))
     again = made_at(folder)
+    assert not any(draft.exists() for draft in left) and (folder / ".mine.json").exists()
     assert again["b.json"] == first["b.json"] and batch.failed == ["b"]  # bad input stays bad
     assert all(again[name] > first.get(name, 0) for name in ("a.json", "c.json", "d.json"))
     assert json.loads((folder / "c.json").read_text())["twice"] == 10
