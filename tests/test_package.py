@@ -214,7 +214,8 @@ def test_names_open_no_device_and_change_no_setting():
 
 # --- directions of the imports
 
-BASE = {"alive", "errors", "types", "status", "environment", "files", "arguments", "memory", "compile", "units"}
+LOWEST = {"errors", "text"}
+BASE = LOWEST | {"alive", "types", "status", "environment", "files", "arguments", "memory", "compile", "units"}
 EXCITATION = BASE | {"excitation", "periodic"}
 EXPERIMENT = EXCITATION | {"experiment"}
 SPECTRA = EXPERIMENT | {"spectra"}
@@ -227,8 +228,9 @@ IO = GRAYBOX | {"parts", "io"}
 WHOLE = IO | {"trajectory", "calibration", "pipeline"}
 
 MAY_IMPORT = {
-    **{name: {"errors"} for name in BASE},
-    "parts": {"errors", "files", "parts"},
+    **{name: set() for name in LOWEST},
+    **{name: LOWEST for name in BASE - LOWEST},
+    "parts": LOWEST | {"files", "parts"},
     "excitation": BASE | {"excitation"},
     "periodic": BASE | {"periodic"},
     "experiment": BASE | {"periodic", "experiment"},

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
+from .._text import number
 from ..experiment import Experiment
 from ..frf import FRF
 from .corrections import Correction, next_point, settled, updated
@@ -57,7 +58,7 @@ def fit_in_motion(
     slow = slow_motion(model.robot, data, slow_limit(measured.frequency))
     if slow is not None and say is not None:
         turn = np.rad2deg(np.abs(slow.q - np.asarray(data.q)[:, None]).max())
-        say(f"slow motion turns the arm by up to {turn:.2g} degrees: fitted is its mean response over the way")
+        say(f"slow motion turns the arm by up to {number(turn, 2)} degrees: fitted is its mean response over the way")
     x, history = np.asarray(found.x), []
     for _ in range(_AGAIN):
         values = {n: float(v) for n, v in found.coordinates.values(x).items()}

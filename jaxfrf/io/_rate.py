@@ -3,6 +3,7 @@
 import numpy as np
 
 from .._errors import InputError
+from .._text import number
 from ._select import column, time_like
 from ._variables import File, numbers, scalar, scaled
 
@@ -25,9 +26,9 @@ def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
         if deviation > _UNIFORM:
             raise file.error(
                 "t",
-                f"time stamps up to {deviation:.2g} sample intervals off a uniform grid",
+                f"time stamps up to {number(deviation, 2)} sample intervals off a uniform grid",
                 "uniform sampling",
-                f"Resample the record, or, if only the stamps jitter, say the rate: --set fs={rate:.6g}.",
+                f"Resample the record, or, if only the stamps jitter, say the rate: --set fs={number(rate, 6)}.",
             )
         return rate, []
     if fs > 0 and abs(rate / fs - 1) > _RATE:
@@ -39,7 +40,7 @@ def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
         )
     if deviation > _UNIFORM:
         return fs, [
-            f"the time stamps {file.label('t')} stand up to {deviation:.2g} sample intervals off a uniform "
+            f"the time stamps {file.label('t')} stand up to {number(deviation, 2)} sample intervals off a uniform "
             "grid: samples may be missing or late."
         ]
     return fs, []
@@ -74,7 +75,7 @@ def _rate_advice(ratio: float, rate: float) -> str:
     for unit, factor in (("ms", 1e-3), ("microseconds", 1e-6), ("ns", 1e-9)):
         if abs(ratio / factor - 1) < _RATE:
             return f"The time vector looks like {unit}: --scale t={factor:g}."
-    return f"Correct one of them, e.g. --set fs={rate:.6g}."
+    return f"Correct one of them, e.g. --set fs={number(rate, 6)}."
 
 
 _RATES = ("fs", "f_s", "rate", "samplerate", "sample_rate", "samplingrate", "sampling_rate", "sampling_frequency")

@@ -12,6 +12,7 @@ import numpy as np
 from .._arguments import expect
 from .._errors import InputError, input_error
 from .._files import digest
+from .._text import number
 from ..experiment import UNITS, Experiment, Source, concatenate
 from ..screening import ACROSS, CHECKS, screened
 from ..units import DEFAULT_INPUT, input_unit, output_unit, quantity_of
@@ -272,7 +273,9 @@ def _conversions(file: File) -> list[str]:
         unit, factor = unit_of(file, key)
         stated = f"{key}_unit" in file.given.values
         if factor != 1.0 and key not in file.given.scale and not stated and file.get(key) is not None:
-            said.append(f"{file.label(key)}: converted to {unit}, as the file states its unit (factor {factor:.6g}).")
+            said.append(
+                f"{file.label(key)}: converted to {unit}, as the file states its unit (factor {number(factor, 6)})."
+            )
     return said
 
 

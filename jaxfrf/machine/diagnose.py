@@ -8,6 +8,7 @@ from jaxtyping import Bool, Complex, Float
 
 from .._arguments import expect
 from .._errors import InputError, input_error
+from .._text import number, percent
 from ..effects import AbstractEffect, Backlash, CoulombFriction, FrictionAsymmetry, StiffnessHardening, StribeckFriction
 from ..experiment import Experiment
 from .fit import FLOOR, MachineFit, fit_machine, measured_lines, share_left
@@ -49,7 +50,7 @@ class MachineDiagnosis(eqx.Module):
     tried: tuple[tuple[str, str, float], ...] = eqx.field(static=True)
 
     def __str__(self) -> str:
-        gap = " -> ".join(f"{100 * x:.3g} %" for x in self.heldout)
+        gap = " -> ".join(percent(x, 3) for x in self.heldout)
         named = "; ".join(f"{e.name} at {e.joint}" for e in self.effects) or "no effect"
         more = f"; or, in the place of the last: {', '.join(f'{e.name} at {e.joint}' for e in self.rivals)}"
         return f"{self.verdict}: {named} (left on the held-out part: {gap}){more if self.rivals else ''}"
@@ -94,7 +95,7 @@ def diagnose_machine(
     used = _fitted_lines(measured_lines(machine, data, band, floor)[1])
     before = fit = fit_machine(machine, data, **options, used=used)
     heldout = [_gap(fit, used)]
-    say(f"as it is: misfit {fit.misfit:.3g}, {100 * heldout[0]:.3g} % left on the held-out part")
+    say(f"as it is: misfit {number(fit.misfit)}, {percent(heldout[0], 3)} left on the held-out part")
     effects, rivals, tried = [], [], []
     while fit.misfit > _ENOUGH and len(effects) < most:
         own = _typical(fit.machine, data) if candidates is None else candidates
@@ -105,7 +106,7 @@ def diagnose_machine(
                 one = _with(fit, effect, data, options | {"used": used})
                 left = _gap(one, used) if one is not None else np.inf
                 tried.append((str(effect.joint), effect.name, left))
-                say(f"{effect.name} at {effect.joint}: {100 * left:.3g} % left")
+                say(f"{effect.name} at {effect.joint}: {percent(left, 3)} left")
                 found.append((left, effect, one))
         found = [x for x in found if x[0] < (1 - _LEAST_GAIN) * heldout[-1] and _stands(x[1], x[2])]
         if not found:

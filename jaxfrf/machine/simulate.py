@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from .._arguments import expect
 from .._errors import input_error
+from .._text import number
 from .._types import Array, require_x64
 from ..experiment import Experiment
 from .forces import force
@@ -87,7 +88,7 @@ def fine_steps(machine: Machine, values, fs: float) -> int:
     if not needed < 200:
         raise input_error(
             "machine",
-            f"a mode or friction at a rate of {max(rate, decay):.3g}/s",
+            f"a mode or friction at a rate of {number(max(rate, decay))}/s",
             f"what 200 steps in a sample of {1 / fs:g} s can follow",
             "Raise the smoothing of friction, or make that spring rigid.",
         )

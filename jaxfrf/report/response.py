@@ -12,6 +12,7 @@ import numpy as np
 from .._arguments import expect
 from .._errors import input_error
 from .._status import Status
+from .._text import number, plus_minus
 from ..frf import FRF
 from ..frf.covariance import variances
 from ..frf.features import features
@@ -145,7 +146,7 @@ def frf_page(
         _provenance(frfs, labels),
     ]
     shape = f"{first.n_out} x {first.n_in}, {first.n_pos} position{'s' if first.n_pos > 1 else ''}, "
-    band = f"{len(first.frequency)} lines from {first.frequency[0]:.4g} to {first.frequency[-1]:.4g} Hz"
+    band = f"{len(first.frequency)} lines from {number(first.frequency[0], 4)} to {number(first.frequency[-1], 4)} Hz"
     return page(f"FRF of {names}" if names else "FRF", [s for s in sections if s], shape + band)
 
 
@@ -237,8 +238,8 @@ def _features(frf: FRF) -> str:
     for k in range(min(frf.n_out, frf.n_in)):
         for x in sorted(features(frf, k, k)[:_LINES], key=lambda x: x.frequency):
             known = np.isfinite(x.damping)
-            damping = f"{100 * x.damping:.2g} ± {196 * x.damping_std:.1g} %" if known else ""
-            rows.append([f"G{k + 1}{k + 1}", x.kind, f"{x.frequency:.5g} ± {1.96 * x.frequency_std:.1g}", damping])
+            damping = f"{plus_minus(100 * x.damping, 196 * x.damping_std, '±')} %" if known else ""
+            rows.append([f"G{k + 1}{k + 1}", x.kind, plus_minus(x.frequency, 1.96 * x.frequency_std, "±"), damping])
     if not rows:
         return ""
     at = " at the first position" if frf.n_pos > 1 else ""

@@ -10,6 +10,7 @@ import scipy.ndimage
 from jaxtyping import Complex, Float
 
 from .._errors import input_error
+from .._text import number
 from ..effects import Payload
 from ..experiment import Experiment
 from ..robot.quantity import derivatives
@@ -133,8 +134,8 @@ def _continued(data: Experiment, order: int, frequency):
     if low > 0.9 * high:
         raise input_error(
             "lines",
-            f"lines up to {frequency[-1]:.4g} Hz in a single period sampled at {data.fs:g} Hz",
-            f"lines up to {0.9 * high / _BEYOND:.4g} Hz, or two periods",
+            f"lines up to {number(frequency[-1], 4)} Hz in a single period sampled at {data.fs:g} Hz",
+            f"lines up to {number(0.9 * high / _BEYOND, 4)} Hz, or two periods",
             "Use two or more steady periods, whose scatter shows the noise, or a faster sampled record.",
         )
     middle = np.sqrt(low * high)
