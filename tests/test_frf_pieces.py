@@ -258,8 +258,8 @@ def test_features_of_two_masses():
 
 
 def test_features_between_dense_lines():
-    """The pole of a speed from a torque lies beside the highest line; with lines of a long record it is many lines away,
-    and errors that all of them share hide neither it nor the zeros."""
+    """The pole of a speed from a torque lies beside the highest line; with lines of a long record it is many lines
+    away, and errors that all of them share hide neither it nor the zeros."""
     f = np.arange(2.0, 40.0, 0.004)
     s = 2j * np.pi * f
     motor, load, stiffness, damping = 1.0, 2.0, 2e4, 6.0

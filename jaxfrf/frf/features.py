@@ -20,8 +20,9 @@ class Feature(eqx.Module):
     """An extremum of the magnitude of one element: `kind` is `resonance` or `antiresonance`.
 
     **Fields:** `frequency`: Hz, of the pole or zero where the lines tell it, else of the line. `frequency_std`: its
-    standard deviation (of a line, by the 3 dB band around it); a 95 % interval is +-1.96 of it. `damping`, `damping_std`: ratio to the critical one; NaN where
-    the lines do not tell it. `magnitude_db`, `prominence_db`: at the line, and over the surroundings.
+    standard deviation (of a line, by the 3 dB band around it); a 95 % interval is +-1.96 of it. `damping`,
+    `damping_std`: ratio to the critical one; NaN where the lines do not tell it. `magnitude_db`, `prominence_db`: at
+    the line, and over the surroundings.
     """
 
     kind: str = eqx.field(static=True)

@@ -94,8 +94,9 @@ def identify(
         raise input_error("starts and rounds", f"{starts} and {rounds}", "1 or more", "20 and 12 are the defaults.")
     positions = tuple(p for p in range(data.n_pos) if p not in held)
     part, rest = _at(data, positions), _at(data, held) if held else None
-    settings = {
-        "method": None,
+    used = (Auto() if isinstance(data, FRF) or data.r is None else default_method()) if method is None else method
+    settings: dict[str, Any] = {
+        "method": None if isinstance(data, FRF) else describe_method(used),
         "starts": starts,
         "seed": seed,
         "rounds": None if why else rounds,
@@ -110,9 +111,7 @@ def identify(
     if isinstance(data, FRF):
         frf_of = lambda frf: frf
     else:
-        method = (Auto() if data.r is None else default_method()) if method is None else method
-        settings["method"] = describe_method(method)
-        frf_of = lambda record: _frf_of_record(record, method, band)
+        frf_of = lambda record: _frf_of_record(record, used, band)
     done, keep = ((), None) if parts is None else kept_rounds(parts, model, part, settings)
     if guess:
         model = _guessed(model, frf_of(part), say)
@@ -123,8 +122,9 @@ def identify(
         measured = frf_of(part)
         found = _direct(model, part, measured, weights, starts, key, say)
     else:
-        options = {"weights": weights, "starts": starts, "key": key, "rounds": rounds}
-        indirect = fit_through_experiment(model, part, method, **options, done=done, keep=keep, say=say)
+        indirect = fit_through_experiment(
+            model, part, method, weights=weights, starts=starts, key=key, rounds=rounds, done=done, keep=keep, say=say
+        )
         measured, found = dataclasses.replace(indirect.measured, warnings=data.warnings), indirect.direct
     judged = None if rest is None else _judged(found, indirect, rest, frf_of(rest), held, method, weights)
     direct_quality = quality(found, measured, weights)
@@ -140,8 +140,11 @@ def _within(weights: Weights, band) -> Weights:
     low, high = band[0] or 0.0, np.inf if band[1] is None else band[1]
     if not low < high:
         raise input_error("band", f"{low:g} to {high:g} Hz", "a low end below the high one", "Correct it.")
-    outside = ((0.0, np.nextafter(low, 0), 0.0),) if low > 0 else ()
-    outside += ((np.nextafter(high, np.inf), np.inf, 0.0),) if np.isfinite(high) else ()
+    outside: list[tuple[float, float, float]] = []
+    if low > 0:
+        outside.append((0.0, float(np.nextafter(low, 0)), 0.0))
+    if np.isfinite(high):
+        outside.append((float(np.nextafter(high, np.inf)), np.inf, 0.0))
     return dataclasses.replace(weights, bands=(*weights.bands, *outside))
 
 

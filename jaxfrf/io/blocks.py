@@ -52,7 +52,7 @@ class DataSet:
     n_exp: int
     period: int
     bytes_each: float
-    given: object
+    given: Given
     kept: dict = dataclasses.field(default_factory=dict, compare=False)  # small files that were read as a whole
 
     def __getstate__(self):
@@ -186,13 +186,13 @@ class Held:
 in_memory = Held
 
 
-def _places(path: pathlib.Path, given, n_pos: int | None, head: Experiment) -> np.ndarray | None:
+def _places(path: pathlib.Path, given: Given, n_pos: int | None, head: Experiment) -> np.ndarray | None:
     """The configurations at all positions of a file."""
     if n_pos is None or n_pos == 1 or head.q is None or "q" in given.values:
-        return head.q
+        return None if head.q is None else np.asarray(head.q)
     small = load(path, part=slice(0, n_pos), without="time")
     q = small.get(given.names.get("q", "q"))
-    return head.q if q is None else np.asarray(q, float)
+    return np.asarray(head.q if q is None else q, float)
 
 
 def _short(data: Experiment) -> Experiment:

@@ -156,24 +156,29 @@ def record_of(
     """The record in a file, or at some of its positions, not screened; and what is to be said of reading it."""
     variables = load(path, part=part)
     values = dict(given.values)
-    if part is not None and np.ndim(values.get("q")) == 2 and len(values["q"]) >= part.stop:
-        values["q"] = values["q"][part]
+    q = np.asarray(values.get("q", 0.0))
+    if part is not None and q.ndim == 2 and len(q) >= part.stop:
+        values["q"] = q[part]
     return _record(File(path, _with_units(variables), dataclasses.replace(given, values=values)), (source,))
 
 
 def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[str]]:
     """The record as the file has it, and what is to be said of that."""
-    signals = {key: _signal(file, key) for key in SIGNALS}
-    fs, late = sampling_frequency(file, signals["u"].shape[-2])
+    u, y = (_signal(file, key) for key in ("u", "y"))
+    signals = {"r": _signal(file, "r") if file.get("r") is not None else None, "u": u, "y": y}
+    fs, late = sampling_frequency(file, u.shape[-2])
     y_quantity, asked = _output_quantity(file)
     remarks = [*late, *_restored_axes(file, signals), *asked, *_conversions(file)]
-    optional = {key: file.get(key) for key in ("q", "lines")}
-    if optional["q"] is not None:
-        optional["q"] = scaled(file, "q", numbers(file, "q", optional["q"]))
+    q = file.get("q")
+    if q is not None:
+        q = scaled(file, "q", numbers(file, "q", q))
     with _naming(file):
         data = Experiment(
-            **{key: _cut(file, key, x) for key, x in signals.items()},
-            **optional,
+            u=_cut(file, "u", signals["u"]),
+            y=_cut(file, "y", signals["y"]),
+            r=None if signals["r"] is None else _cut(file, "r", signals["r"]),
+            q=q,
+            lines=file.get("lines"),
             fs=fs,
             period=scalar(file, "period", 0),
             transient_periods=scalar(file, "transient_periods", 0),
@@ -186,12 +191,10 @@ def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[s
     return data, remarks
 
 
-def _signal(file: File, key: str) -> np.ndarray | None:
+def _signal(file: File, key: str) -> np.ndarray:
     """A record as the file has it, a vector made one channel, its units converted."""
     value = file.get(key)
     if value is None:
-        if key == "r":
-            return None
         raise missing(file.path, file.variables, key, key)
     x = column(numbers(file, key, value))
     if _lost_its_channel(file, x):

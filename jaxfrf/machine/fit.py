@@ -1,5 +1,6 @@
 """A machine fitted through the experiment: its motion under the measured input against the measured output."""
 
+import functools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -225,11 +226,11 @@ def rank_effects(
 
     **Arguments:** `band`, `settle`, `floor`: as of `fit_machine`.
     """
-    options = {"band": band, "settle": settle, "floor": floor}
-    plain = fit_machine(machine, data, **options)
+    fitted = functools.partial(fit_machine, data=data, band=band, settle=settle, floor=floor)
+    plain = fitted(machine)
     ranked = []
     for effect in candidates:
-        found = fit_machine(plain.machine.with_effects(effect), data, **options)
+        found = fitted(plain.machine.with_effects(effect))
         more, dof = len(found.values) - len(plain.values), max(2 * len(found.lines) * data.n_exp - len(found.values), 1)
         before, after = plain.misfit**2, found.misfit**2
         statistic = max(before / max(after, 1e-300) - 1.0, 0.0) * dof / max(more, 1)

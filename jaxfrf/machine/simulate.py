@@ -46,9 +46,10 @@ def simulate_machine(
     expect("data", data, Experiment)
     values = {n: jnp.asarray(p.start) for n, p in machine.parameters.items()} if values is None else values
     u = driving(data)
-    if settle is None and data.period:
-        settle = settling(machine, values, data.period / data.fs, _SETTLED)
-    played = np.tile(u, (1, settle + 1 if data.period else 1, 1))
+    before = 0
+    if data.period:
+        before = settling(machine, values, data.period / data.fs, _SETTLED) if settle is None else settle
+    played = np.tile(u, (1, before + 1, 1))
     steps = fine_steps(machine, values, data.fs) if steps is None else steps
     y = motion(machine, values, jnp.asarray(played), data.fs, steps)
     return y[:, -u.shape[1] :]
@@ -80,7 +81,7 @@ def fine_steps(machine: Machine, values, fs: float) -> int:
     rate = np.sqrt(np.max(np.abs(np.linalg.eigvals(np.linalg.solve(M, K))), initial=0.0))
     decay = np.max(np.abs(np.linalg.eigvals(np.linalg.solve(M, D))), initial=0.0)
     for effect in machine.effects:
-        p = machine.places[effect.joint]
+        p = machine.places[str(effect.joint)]
         inverse = float(p @ np.linalg.solve(M, p))
         slope = abs(float(np.asarray(getattr(effect, "level", 0.0)))) / machine.smoothing
         decay = max(decay, inverse * slope)
@@ -98,7 +99,7 @@ def fine_steps(machine: Machine, values, fs: float) -> int:
 def motion(machine: Machine, values, u: Float[Array, "exp time in"], fs: float, steps: int):
     """(exp, time, out); differentiable by `values`."""
     M, D, K = machine.matrices(values)
-    effects = [(e, jnp.asarray(machine.places[e.joint])) for e in machine.effects_at(values)]
+    effects = [(e, jnp.asarray(machine.places[str(e.joint)])) for e in machine.effects_at(values)]
     own = [1.0 / jnp.maximum(p @ jnp.linalg.pinv(K) @ p, 1e-30) for _, p in effects]
 
     def acceleration(q, v, pull):

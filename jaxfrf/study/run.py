@@ -101,7 +101,8 @@ class _Records:
     kept: every step asks for it."""
 
     def __init__(self, settings: Settings):
-        self._settings, self._kept, self._lock = settings, {}, threading.Lock()
+        self._settings, self._lock = settings, threading.Lock()
+        self._kept: dict[int, Experiment] = {}
 
     def at(self, number: int) -> Experiment:
         """Of Table I, at the position of this number; at all positions where they are simulated at once."""
@@ -206,7 +207,9 @@ def _work(tasks: list[Task], together: int, say: Say) -> None:
     if len(waiting) < len(tasks):
         say(f"{len(tasks) - len(waiting)} of {len(tasks)} steps are done already")
     total, began = len(waiting), time.monotonic()
-    done, failed, lock = [], [], threading.Lock()
+    done: list[float] = []
+    failed: list[BaseException] = []
+    lock = threading.Lock()
 
     def lane() -> None:
         while True:

@@ -114,8 +114,9 @@ def uncertain_row(settings: Settings, seed: int, count: int, say=None) -> dict:
 
 def _springs(settings: Settings, seed: int, given: Trial, data: Experiment, say) -> Fit:
     model = RobotModel(given.robot, slow_amplitude=np.asarray(given.plan.slow.amplitude))
-    options = {"starts": settings.starts, "key": jr.key(seed), "rounds": settings.rounds}
-    return fit_through_experiment(model, data, say=say, **options).fit
+    return fit_through_experiment(
+        model, data, starts=settings.starts, key=jr.key(seed), rounds=settings.rounds, say=say
+    ).fit
 
 
 def _number(number: Number, true: float, whole: Calibration, alone: Fit | None) -> dict:

@@ -41,8 +41,9 @@ class Measured(eqx.Module):
         """Some of the positions."""
         positions = np.asarray(positions, int)
         d = self.data
-        some = lambda x: None if x is None else np.asarray(x)[positions]
-        data = dataclasses.replace(d, u=some(d.u), y=some(d.y), r=some(d.r), q=some(d.q))
+        some = lambda x: np.asarray(x)[positions]
+        r, q = (None if x is None else some(x) for x in (d.r, d.q))
+        data = dataclasses.replace(d, u=some(d.u), y=some(d.y), r=r, q=q)
         payloads = tuple(self.payloads[p] for p in positions) if self.payloads else ()
         return Measured(data, self.U[positions], self.Y[positions], self.noise, self.frequency, payloads)
 
@@ -86,8 +87,8 @@ def fewer(data: Experiment, most: int) -> Experiment:
     if data.n_exp <= most:
         return data
     some = np.linspace(0, data.n_exp - 1, most).round().astype(int)
-    pick = lambda x: None if x is None else np.asarray(x)[:, some]
-    return dataclasses.replace(data, u=pick(data.u), y=pick(data.y), r=pick(data.r))
+    pick = lambda x: np.asarray(x)[:, some]
+    return dataclasses.replace(data, u=pick(data.u), y=pick(data.y), r=None if data.r is None else pick(data.r))
 
 
 def mean_period(data: Experiment, pos: int, signal=None) -> Float[np.ndarray, "exp time channel"]:
