@@ -1,12 +1,13 @@
 """Numbers as people write them, in messages, summaries and pages."""
 
 import math
+from typing import SupportsFloat
 
 _WHOLE = 7  # digits before the point that are written out
 _SMALL = -4  # the power of ten below which there is an exponent
 
 
-def number(x: float, digits: int = 3, *, zeros: bool = False) -> str:
+def number(x: SupportsFloat, digits: int = 3, *, zeros: bool = False) -> str:
     """So many significant digits, thousands whole and no exponent where there is room: `0.25`, `1234`, `2.5e-7`.
 
     **Arguments:** `zeros`: keep those behind the point that say how many digits are meant, `1.000`.
@@ -22,12 +23,12 @@ def number(x: float, digits: int = 3, *, zeros: bool = False) -> str:
     return f"{mantissa if zeros else _short(mantissa)}e{size}"
 
 
-def percent(part: float, digits: int = 2) -> str:
+def percent(part: SupportsFloat, digits: int = 2) -> str:
     """A part of the whole in per cent: `0.25 %`, `200 %`."""
     return f"{number(100 * float(part), digits)} %"
 
 
-def plus_minus(value: float, half: float, sign: str = "+-") -> str:
+def plus_minus(value: SupportsFloat, half: SupportsFloat, sign: str = "+-") -> str:
     """A value and half its interval, with two digits of the interval: `71.27 +- 0.16`; the value alone, with four
     digits, where the interval is not known."""
     value, half = float(value), float(half)

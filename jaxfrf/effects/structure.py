@@ -163,7 +163,7 @@ class Payload(AbstractStructure):
     signature: ClassVar = "coherent over axes and positions; static torque"
     confusable: ClassVar = {"payload": "mass against centre of mass: several positions"}
 
-    mass: Number
+    mass: Number  # type: ignore[misc]  # the abstract `joint` of the base counts as a field with a default
     place: Float[Array, "3"] | None = None
     joint: Joint = eqx.field(static=True, default="")
 

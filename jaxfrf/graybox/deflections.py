@@ -25,7 +25,7 @@ def robot_points(robot: Robot, data: Experiment) -> RobotPoint:
 
     **Arguments:** `data`: periodic records with arm configurations q.
     """
-    return points_under(robot, data.q, varying_gear_torque(robot, data))
+    return points_under(robot, np.asarray(data.q), varying_gear_torque(robot, data))
 
 
 def points_under(

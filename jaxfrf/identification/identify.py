@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax.random as jr
 import numpy as np
@@ -123,10 +124,10 @@ def identify(
         found = _direct(model, part, measured, weights, starts, key, say)
     else:
         indirect = fit_through_experiment(
-            model, part, method, weights=weights, starts=starts, key=key, rounds=rounds, done=done, keep=keep, say=say
+            model, part, used, weights=weights, starts=starts, key=key, rounds=rounds, done=done, keep=keep, say=say
         )
         measured, found = dataclasses.replace(indirect.measured, warnings=data.warnings), indirect.direct
-    judged = None if rest is None else _judged(found, indirect, rest, frf_of(rest), held, method, weights)
+    judged = None if rest is None else _judged(model, found, indirect, rest, frf_of(rest), held, used, weights)
     direct_quality = quality(found, measured, weights)
     own = direct_quality if indirect is None else quality(indirect.fit, measured, weights)
     return Identification(
@@ -184,15 +185,17 @@ def _guessed(model: RobotModel, measured: FRF, say: Say | None) -> RobotModel:
     return starting_near(model, found.values)
 
 
-def _judged(found: Fit, indirect: IndirectFit | None, rest, frf: FRF, held, method, weights) -> HeldOut:
+def _judged(
+    model: RobotModel, found: Fit, indirect: IndirectFit | None, rest, frf: FRF, held, method, weights
+) -> HeldOut:
     """Errors at positions that were not fitted: of the linear model, and of the simulated experiment."""
     if isinstance(rest, Experiment) and rest.period:
-        direct = response_quality(response_in_motion(found.model, found.values, frf.frequency, rest), frf, weights)
+        direct = response_quality(response_in_motion(model, found.values, frf.frequency, rest), frf, weights)
     else:
         direct = model_quality(found, frf, weights)
     if indirect is None:
         return HeldOut(held, direct, None)
-    played = replay(indirect.fit.model.at(indirect.fit.values), rest)
+    played = replay(model.at(indirect.fit.values), rest)
     simulated = measured_frf(played, method, QUANTITY)
     return HeldOut(held, direct, response_quality(simulated.G, frf, weights))
 

@@ -53,7 +53,7 @@ class Identification(eqx.Module):
     @property
     def robot(self) -> Robot:
         """The robot with the stiffnesses and dampings of the result."""
-        return self.fit.model.at(self.fit.values)
+        return self.model.at(self.fit.values)
 
     @property
     def result(self) -> str:
@@ -98,7 +98,7 @@ class Identification(eqx.Module):
             if p["nuisance"]:
                 continue
             spread = std.get(p.get("same_as", name))
-            known = "  not identifiable" if not p["identifiable"] else f" +- {percent(spread)}"
+            known = "  not identifiable" if not p["identifiable"] or spread is None else f" +- {percent(spread)}"
             beside = "" if self.indirect is None else f", direct {number(direct[name], 4)}"
             text.append(
                 f"  {name:{width}}  {number(p['value'], 4)}{known} {p['unit']}  (start {number(p['start'], 4)}{beside})"

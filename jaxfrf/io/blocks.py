@@ -12,6 +12,7 @@ from ..experiment import Experiment, Source, check_compatible, concatenate, same
 from ..screening import Looked, look, refused
 from ._container import load, positions_in
 from ._joined import part_of
+from ._variables import Given
 from .record_arguments import check_names, check_scale, check_values
 from .records import as_given, record_of, source_of
 

@@ -94,7 +94,7 @@ def write(path: str | os.PathLike, data: Experiment) -> None:
         variables["q"] = Variable(("position", "joint"), np.asarray(data.q), "rad")
     if data.lines is not None:
         variables["lines"] = Variable(("line",), np.asarray(data.lines))
-    attributes = {
+    attributes: dict[str, float | int | str] = {
         "fs": data.fs,
         "period": data.period,
         "transient_periods": data.transient_periods,
@@ -165,7 +165,8 @@ def record_of(
 def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[str]]:
     """The record as the file has it, and what is to be said of that."""
     u, y = (_signal(file, key) for key in ("u", "y"))
-    signals = {"r": _signal(file, "r") if file.get("r") is not None else None, "u": u, "y": y}
+    r = _signal(file, "r") if file.get("r") is not None else None
+    signals = {"r": r, "u": u, "y": y}
     fs, late = sampling_frequency(file, u.shape[-2])
     y_quantity, asked = _output_quantity(file)
     remarks = [*late, *_restored_axes(file, signals), *asked, *_conversions(file)]
@@ -174,14 +175,14 @@ def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[s
         q = scaled(file, "q", numbers(file, "q", q))
     with _naming(file):
         data = Experiment(
-            u=_cut(file, "u", signals["u"]),
-            y=_cut(file, "y", signals["y"]),
-            r=None if signals["r"] is None else _cut(file, "r", signals["r"]),
+            u=_cut(file, "u", u),
+            y=_cut(file, "y", y),
+            r=None if r is None else _cut(file, "r", r),
             q=q,
             lines=file.get("lines"),
             fs=fs,
-            period=scalar(file, "period", 0),
-            transient_periods=scalar(file, "transient_periods", 0),
+            period=_count(file, "period"),
+            transient_periods=_count(file, "transient_periods"),
             r_quantity=text(file, "r_quantity", quantity_of(unit_of(file, "r")[0]) or "velocity"),
             y_quantity=y_quantity,
             u_unit=_kept_unit(file, "u", DEFAULT_INPUT),
@@ -282,10 +283,10 @@ def _conversions(file: File) -> list[str]:
     return said
 
 
-def _cut(file: File, key: str, x: np.ndarray | None) -> np.ndarray | None:
+def _cut(file: File, key: str, x: np.ndarray) -> np.ndarray:
     """The part of the record that `samples` keeps."""
     kept = file.given.values.get("samples")
-    if x is None or kept is None:
+    if not isinstance(kept, slice):
         return x
     n = x.shape[-2]
     start, stop = kept.start or 0, n if kept.stop is None else kept.stop
@@ -312,10 +313,17 @@ def _naming(file: File) -> Iterator[None]:
         raise InputError(f"{file.path}: {what}{colon}{rest}") from error
 
 
+def _count(file: File, key: str) -> float:
+    """A number of samples or periods, as it is written; 0 where nothing is."""
+    found = scalar(file, key, 0.0)
+    return 0.0 if found is None else found
+
+
 def _cut_advice(file: File) -> str:
     """The cut that keeps all whole periods."""
-    kept = file.given.values.get("samples") or slice(0, None)
-    period = int(scalar(file, "period", 0))
+    samples = file.given.values.get("samples")
+    kept = samples if isinstance(samples, slice) else slice(0, None)
+    period = int(_count(file, "period"))
     n_time = column(np.asarray(file.get("u"))).shape[-2]
     start, stop, _ = kept.indices(n_time)
     whole = (stop - start) // period * period

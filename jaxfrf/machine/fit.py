@@ -98,12 +98,14 @@ def fit_machine(
         raise input_error("used", f"{used.shape}, {used.sum()} of them", f"{measured.shape[:2]}, some", "Correct it.")
     period, given = data.period / data.fs, settle
     settle = settling(machine, _starts(machine), period, floor / 3) if given is None else given
-    for left in reversed(range(_RETRIES + 1)):
-        found = _fitted(machine, data, lines, measured, sigma, used, settle, steps)
+    found = _fitted(machine, data, lines, measured, sigma, used, settle, steps)
+    for _ in range(_RETRIES):
         needed = settling(found.machine, _starts(found.machine), period, floor / 3)
-        if given is not None or needed <= settle or not left:
-            return found
-        machine, settle = found.machine, needed
+        if given is not None or needed <= settle:
+            break
+        settle = needed
+        found = _fitted(found.machine, data, lines, measured, sigma, used, settle, steps)
+    return found
 
 
 def _starts(machine: Machine) -> dict[str, float]:

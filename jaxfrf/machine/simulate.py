@@ -24,7 +24,7 @@ _TURN = 1.5  # rad of the fastest mode, or of friction's decay, in a step
 def simulate_machine(
     machine: Machine,
     data: Experiment,
-    values: Mapping[str, float] | None = None,
+    values: Mapping[str, float | Array] | None = None,
     *,
     steps: int | None = None,
     settle: int | None = None,

@@ -94,7 +94,7 @@ def _bar(figure, image, left: float, bottom: float, height: float, top: float) -
 
 
 def torque_courses(
-    courses: Mapping[str, tuple[np.ndarray, ...]],
+    courses: Mapping[str, Sequence[np.ndarray] | np.ndarray],
     axis_names: Sequence[str],
     shown: Sequence[str],
     *,

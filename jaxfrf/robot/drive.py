@@ -16,8 +16,8 @@ from .._types import Array
 class AbstractSpring(eqx.Module):
     """Springs and dampers, one for every flexible transmission and elastic joint.
 
-    `deflection` (*batch, spring) is in rad on the arm side, the torque in N m. `stiffness` (at high deflection, N m/rad)
-    and `damping` (N m s/rad): of every spring.
+    `deflection` (*batch, spring) is in rad on the arm side, the torque in N m. `stiffness` (at high deflection,
+    N m/rad) and `damping` (N m s/rad): of every spring.
     """
 
     stiffness: eqx.AbstractVar[Float[Array, "spring"]]

@@ -155,9 +155,9 @@ class Plant(eqx.Module):
         if self.coupling is not None:
             pull = self.coupling * arm  # zero on rigid axes
             arm = arm + jnp.concatenate([pull[1:], jnp.zeros_like(pull[:1])])
-        for group in self.pulling:
+        for pull_of in self.pulling:
             row = slice(w.motors, w.motors + w.axes)
-            arm = group.added(arm, -group(lambda e, q, v: e.torque(q, v), z[row], rate[row]))
+            arm = pull_of.added(arm, -pull_of(lambda e, q, v: e.torque(q, v), z[row], rate[row]))
         force = jnp.concatenate([arm, spring[w.motors :]]) - slow.bias
         return jnp.concatenate([motor, product(slow.inverse, force)])
 

@@ -65,10 +65,10 @@ def _headline(results: dict) -> str:
     for count in results["settings"]["through"]:
         entry, direct = _entry(results, count, "through the experiment"), _direct(results, count)
         published = PUBLISHED_PARAMETERS.get(count, {}).get("LRM, JIO")
+        theirs = "" if published is None else f" (published, LRM, JIO: {100 * published:.1f} %)"
         said.append(
             f"n_e = {count}: mean parameter bias {spread(entry['mean_bias'])} % through the experiment, "
-            f"{spread(direct['mean_bias'])} % by the direct fit to {direct['method']} "
-            f"(published, LRM, JIO: {100 * published:.1f} %)"
+            f"{spread(direct['mean_bias'])} % by the direct fit to {direct['method']}{theirs}"
         )
     said += [in_a_sentence(entry) for entry in results["uncertain"]["summary"]]
     made = claims(results)
@@ -119,7 +119,7 @@ def _table_one(results: dict) -> list[str]:
     for truth, words in (("in motion", "arm in motion"), ("at rest", "same robot as if its arm were at rest")):
         bias = results["bias"]["bias"][truth]
         names = list(dict.fromkeys(name for by in bias.values() for name in by))
-        rows = []
+        rows: list[list[object]] = []
         for count, by in bias.items():
             published = PUBLISHED_BIAS.get(int(count), {})
             rows.append([f"n_e = {count}", *(_mean(by.get(name)) for name in names)])

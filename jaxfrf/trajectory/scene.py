@@ -249,7 +249,7 @@ class Scene:
         if _differ(changed.springs, own.springs):
             more = np.asarray(changed.springs.torque(self.deflection, self.deflection_rate)) - self.spring_torque
             for spring in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
-                total += self.by_spring(spring, more[..., spring])
+                total += self.by_spring(int(spring), more[..., spring])
         if _differ(changed.drives.friction, own.drives.friction):
             more = np.asarray(changed.drives.friction.torque(self.speed)) - self._friction
             for axis in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
