@@ -201,6 +201,7 @@ def distortion_summary(found: Distortion) -> DistortionSummary:
     return DistortionSummary(found)
 
 
+_CLEAR = 3.0  # decibels
 _NOTHING = 1e-30  # power of rounding, relative to the output's
 
 
@@ -210,8 +211,8 @@ def _decibels_below(level, output) -> float | None:
 
 
 def _level(band: dict, name: str) -> str:
-    """What is left of a level when the noise is taken off is chance where it is less than the noise."""
+    """What is left of a level when the noise is taken off may be chance where it is not clearly more than the noise."""
     noise = band["noise"]
-    if name in ("even", "odd") and noise is not None and band[name] < noise:
-        return f"{name} below the noise"
+    if name in ("even", "odd") and noise is not None and band[name] < noise + _CLEAR:
+        return f"{name} within the noise"
     return f"{name} {band[name]:.0f} dB"

@@ -289,6 +289,20 @@ def main_exit(arguments):
     return stopped.value.code
 
 
+def test_formats_stand_in_help_and_book():
+    """One table of formats: what the readers know is what the help and the book list."""
+    from jaxfrf.cli.arguments import FRFS, RECORDS
+    from jaxfrf.io._container import _FORMATS
+    from jaxfrf.io.responses import _WRITERS, UNIVERSAL
+
+    assert sorted(RECORDS.split()) == sorted(_FORMATS)
+    assert sorted(FRFS.split()) == sorted((*_WRITERS, *UNIVERSAL))
+    table = (pathlib.Path(__file__).parents[1] / "notebooks" / "files.md").read_text()
+    for what, known in (("records", _FORMATS), ("FRFs", (*_WRITERS, *UNIVERSAL))):
+        row = next(line for line in table.splitlines() if line.startswith(f"| {what} |"))
+        assert set(re.findall(r"\.\w+", row.split("|")[2])) == set(known), what
+
+
 def test_help_tells_exit_codes_and_results_what_is_next(tmp_path, capsys):
     assert main_exit(["--help"]) == 0
     out = capsys.readouterr().out

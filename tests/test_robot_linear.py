@@ -494,3 +494,7 @@ class TestFriction:
         torque = np.asarray(law.torque((30 * np.sin(phase) + fast)[..., None]))[..., 0]
         slope = np.sum(torque * fast) / np.sum(fast * fast)
         np.testing.assert_allclose(jr.effective_friction(law, 30.0), slope, rtol=1e-2)
+
+    def test_a_law_without_coulomb_friction_has_its_viscous_slope(self):
+        viscous = jnp.array([1e-3, 2e-3])
+        np.testing.assert_array_equal(jr.effective_friction(jr.ViscousFriction(viscous), 30.0), viscous)

@@ -6,6 +6,7 @@ from .._errors import InputError, OutputError, input_error
 from .._text import number
 from . import own_effects
 from .arguments import (
+    RECORDS,
     add_anyway_option,
     add_memory_option,
     add_resume_option,
@@ -33,7 +34,7 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "diagnose", run, "Find the effect that a robot's model lacks, from records.")
-    parser.add_argument("data", nargs="+", metavar="DATA", help="records (.nc .mat .npz .csv)")
+    parser.add_argument("data", nargs="+", metavar="DATA", help=f"records: {RECORDS}")
     parser.add_argument(
         "--robot",
         required=True,

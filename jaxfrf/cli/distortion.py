@@ -5,6 +5,7 @@ import sys
 
 from .arguments import (
     RECORD_FILES,
+    RECORDS,
     add_record_options,
     check_picture,
     check_result,
@@ -27,7 +28,7 @@ def add(commands) -> None:
         run,
         "Estimate the best linear approximation, and tell noise, even and odd distortion apart.",
     )
-    parser.add_argument("data", nargs="+", metavar="DATA", help="periodic records: one data set")
+    parser.add_argument("data", nargs="+", metavar="DATA", help=f"periodic records, one data set: {RECORDS}")
     parser.add_argument("-o", "--output", help="FRF to write, with the total level: .nc, .mat or .npz")
     parser.add_argument("--plot", metavar="FILE", help="picture of the levels to write: .png, .pdf, .svg")
     add_record_options(parser, method="auto", default="auto")

@@ -5,7 +5,8 @@ import pathlib
 import sys
 
 from .arguments import (
-    RECORD_FILES,
+    FRFS,
+    RECORDS,
     add_memory_option,
     add_record_options,
     add_resume_option,
@@ -36,8 +37,8 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "estimate", run, "Estimate frequency response functions from records.")
-    parser.add_argument("data", nargs="+", metavar="DATA", help="experiment files, .nc .mat .npz .csv: one data set")
-    parser.add_argument("-o", "--output", required=True, help="FRF to write: .nc, .mat, .npz or .uff")
+    parser.add_argument("data", nargs="+", metavar="DATA", help=f"records, one data set: {RECORDS}")
+    parser.add_argument("-o", "--output", required=True, help=f"FRF to write: {FRFS}")
     add_record_options(parser, method="auto", default="auto")
     parser.add_argument(
         "--segment",
@@ -127,7 +128,7 @@ def _write_report(given, frf, about) -> list[str]:
 
 def _check_outputs(given) -> None:
     """Everything that could not be written, before anything is read."""
-    check_target(given.output, (*RECORD_FILES, ".uff", ".unv"))
+    check_target(given.output, FRFS.split())
     check_result(given.output, given.data, "measurement")
     if pathlib.Path(given.output).suffix.lower() == ".nc":
         from ..io._optional import require

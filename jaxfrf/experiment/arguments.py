@@ -70,7 +70,7 @@ def as_signal(name: str, value) -> np.ndarray:
         raise input_error(
             name,
             f"numbers up to {number(max(x.max(), -x.min()))}",
-            f"at most {_LARGEST:g}, whose squares are finite",
+            f"at most {number(_LARGEST)}, whose squares are finite",
             "The file is damaged, or these are no numbers of a record.",
         )
     return x

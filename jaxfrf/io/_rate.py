@@ -1,5 +1,7 @@
 """The sampling frequency of a record, from what the file, the caller and the time vector say."""
 
+import re
+
 import numpy as np
 
 from .._errors import InputError
@@ -78,20 +80,30 @@ def _rate_advice(ratio: float, rate: float) -> str:
     return f"Correct one of them, e.g. --set fs={number(rate, 6)}."
 
 
+def _argument(name: str) -> str:
+    """t=NAME as a shell takes it."""
+    return f"t={name}" if re.fullmatch(r"[\w.]+", name) else f'"t={name}"'
+
+
 _RATES = ("fs", "f_s", "rate", "samplerate", "sample_rate", "samplingrate", "sampling_rate", "sampling_frequency")
+
+
+_INTERVALS = ("ts", "dt", "t_s", "tsample", "sample_time", "sampletime", "sampling_time", "sampling_interval")
 
 
 def _no_rate(file: File, n_time: int) -> InputError:
     like = time_like(file.variables, n_time)
-    named = [
-        n
-        for n, v in file.variables.items()
-        if n.lower() in _RATES and isinstance(v, np.ndarray | str) and np.size(v) == 1
-    ]
-    if named:
-        return file.error(
-            "fs", "no such variable", "the sampling frequency fs (Hz)", f"Is it {named[0]}? --map fs={named[0]}."
-        )
+    for n, v in file.variables.items():
+        if not isinstance(v, np.ndarray | str) or np.size(v) != 1:
+            continue
+        last = n.split(".")[-1].lower()
+        if last in _RATES:
+            return file.error("fs", "no such variable", "the sampling frequency fs (Hz)", f"Is it {n}? --map fs={n}.")
+        if last in _INTERVALS and isinstance(v, np.ndarray) and v.dtype.kind in "fiu" and v.item() > 0:
+            rate = number(1 / v.item(), 6)
+            return file.error(
+                "fs", "no such variable", "the sampling frequency fs (Hz)", f"Is {n} the interval? --set fs={rate}."
+            )
     if not like:
         return file.error(
             "fs",
@@ -103,6 +115,6 @@ def _no_rate(file: File, n_time: int) -> InputError:
         "fs",
         "no such variable",
         "the sampling frequency fs (Hz), or a time vector t (s)",
-        f"Set it, e.g. --set fs=2000, or name the time vector: --map t={like[0]} (--scale t=1e-6 if it is in "
-        "microseconds).",
+        f"Set it, e.g. --set fs=2000, or name the time vector: --map {_argument(like[0])} (--scale t=1e-6 if it is "
+        "in microseconds).",
     )

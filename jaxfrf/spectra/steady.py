@@ -33,9 +33,10 @@ def dft(data: Experiment, *, robust: bool = False, silent: bool = False) -> Spec
     """
     expect("data", data, Experiment)
     if not data.period:
+        seen = seen_period(data.r, data.u, data.y)
         raise input_error(
             where(data, "period"),
-            "0: the record is not periodic",
+            "0: the record is not periodic" if seen is None else "0: the record does not say that it is periodic",
             "whole steady periods, which this method needs (the DFT of anything else leaks)",
             f"{period_advice(data)} Otherwise use a local method with a transient term (--method auto --option "
             "transient=2), which takes the record whole, or --method welch.",
