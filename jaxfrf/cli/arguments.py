@@ -14,10 +14,6 @@ from .progress import wipe_progress
 
 _SMALLEST = 1e9  # bytes, that Python, JAX and a block take
 _QUICK = 5e6  # bytes that are read twice without being noticed
-RECORD_FILES = (".nc", ".mat", ".npz", ".zarr")  # that are written
-# For --help, which is to come at once; a test holds them against the tables of the readers.
-RECORDS = ".nc .zarr .mat .npz .csv .txt .tsv .lvm .parquet .mf4 .mdf .dat"
-FRFS = ".nc .zarr .mat .npz .uff .unv"
 
 
 def command(commands, name: str, run, text: str) -> argparse.ArgumentParser:

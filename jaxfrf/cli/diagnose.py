@@ -4,9 +4,9 @@ import sys
 
 from .._errors import InputError, OutputError, input_error
 from .._text import number
+from ..io._formats import RECORDS
 from . import own_effects
 from .arguments import (
-    RECORDS,
     add_anyway_option,
     add_memory_option,
     add_resume_option,
@@ -34,7 +34,7 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "diagnose", run, "Find the effect that a robot's model lacks, from records.")
-    parser.add_argument("data", nargs="+", metavar="DATA", help=f"records: {RECORDS}")
+    parser.add_argument("data", nargs="+", metavar="DATA", help=f"records: {' '.join(RECORDS)}")
     parser.add_argument(
         "--robot",
         required=True,

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from .._errors import InputError, input_error
+from ..io._formats import FRFS, RECORDS
 from . import own_effects
 from .arguments import (
-    FRFS,
-    RECORDS,
     add_memory_option,
     add_record_options,
     add_resume_option,
@@ -47,7 +46,9 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "identify", run, "Calibrate a robot from records, or its springs from FRFs.")
-    parser.add_argument("data", nargs="+", metavar="DATA", help=f"records ({RECORDS}), or FRFs ({FRFS})")
+    parser.add_argument(
+        "data", nargs="+", metavar="DATA", help=f"records ({' '.join(RECORDS)}), or FRFs ({' '.join(FRFS)})"
+    )
     parser.add_argument(
         "--robot",
         required=True,

@@ -4,7 +4,8 @@ import pathlib
 
 from .._errors import input_error
 from .._text import number, plus_minus
-from .arguments import FRFS, check_picture, check_result, check_target, command, naming, range_of
+from ..io._formats import FRFS
+from .arguments import check_picture, check_result, check_target, command, naming, range_of
 
 EXAMPLES = (
     "jaxfrf modal frf.nc -o modes.json --plot stabilisation.png",
@@ -14,7 +15,7 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "modal", run, "Find the modes of an FRF: frequencies, damping, residues, intervals.")
-    parser.add_argument("frf", metavar="FRF", help=f"FRF: {FRFS}")
+    parser.add_argument("frf", metavar="FRF", help=f"FRF: {' '.join(FRFS)}")
     parser.add_argument("-o", "--output", required=True, help="modes to write: .json")
     parser.add_argument("--plot", metavar="FILE", help="stabilisation diagram to write: .png, .pdf, .svg")
     parser.add_argument("--band", metavar="LOW:HIGH", help="use only the lines in this band, Hz")

@@ -3,9 +3,9 @@
 import sys
 
 from .._errors import InputError
+from ..io._formats import SAVED
 from . import own_effects
 from .arguments import (
-    RECORD_FILES,
     add_memory_option,
     add_resume_option,
     check_seed,
@@ -54,7 +54,7 @@ def run(given) -> dict:
     from ..batch.simulated import simulate_to
     from ..io import read_design
 
-    check_target(given.output, RECORD_FILES)
+    check_target(given.output, SAVED)
     robot, design = own_effects.robot_of(given), read_design(given.design)
     check_seed(given.seed)
     places, noise = jr.split(jr.key(given.seed))

@@ -4,7 +4,8 @@ import pathlib
 import tempfile
 import webbrowser
 
-from .arguments import FRFS, check_result, check_target, command
+from ..io._formats import FRFS
+from .arguments import check_result, check_target, command
 
 EXAMPLES = (
     "jaxfrf view frf.nc",
@@ -14,7 +15,7 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "view", run, "Look at FRFs: a page on which to choose, zoom and read values.")
-    parser.add_argument("frf", nargs="+", metavar="FRF", help=f"FRFs: {FRFS}")
+    parser.add_argument("frf", nargs="+", metavar="FRF", help=f"FRFs: {' '.join(FRFS)}")
     parser.add_argument("-o", "--output", metavar="FILE", help="page to write, .html, not opened then")
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from .._errors import InputError, input_error
 from ..frf import FRF, concatenate_positions
 from ._container import load
-from .responses import UNIVERSAL, read_frf
+from ._formats import SAVED, UNIVERSAL
+from .responses import read_frf
 
 
 def holds_frf(path: str | os.PathLike) -> bool:
@@ -19,7 +20,7 @@ def holds_frf(path: str | os.PathLike) -> bool:
     path = pathlib.Path(path)
     if path.suffix.lower() in UNIVERSAL:
         return True
-    if path.suffix.lower() not in (".nc", ".mat", ".npz", ".zarr"):
+    if path.suffix.lower() not in SAVED:
         return False
     try:
         if path.suffix.lower() == ".npz":

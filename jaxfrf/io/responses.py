@@ -42,6 +42,7 @@ from ..frf import FRF
 from ..units import response_unit
 from . import _netcdf, _zarr
 from ._container import Later, Unreadable, Variable, load
+from ._formats import UNIVERSAL
 from ._netcdf import write_dataset
 from ._optional import require
 
@@ -354,9 +355,6 @@ def _write_zarr(path: pathlib.Path, names: Mapping) -> None:
 
 
 _WRITERS: dict[str, Callable] = {".nc": _write_nc, ".mat": _write_mat, ".npz": _write_npz, ".zarr": _write_zarr}
-
-
-UNIVERSAL = (".uff", ".unv")  # universal files, text, in a module of their own
 
 
 def _suffix(path: pathlib.Path) -> str:
