@@ -41,5 +41,10 @@ def plus_minus(value: SupportsFloat, half: SupportsFloat, sign: str = "+-") -> s
     return f"{value:.{places}f} {sign} {half:.{places}f}"
 
 
+def counted(n: int, noun: str) -> str:
+    """`1 period`, `6 periods`."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
 def _short(text: str) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text

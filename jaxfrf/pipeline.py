@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from ._status import describe
-from ._text import number, percent, plus_minus
+from ._text import counted, number, percent, plus_minus
 from .frf import FRF, Distortion
 from .frf.features import features
 from .spectra import Spectra
@@ -56,18 +56,18 @@ class Summary(eqx.Module):
         spectra = self.spectra
         if spectra.segments:
             each = spectra.n_exp // spectra.segments
-            return f"{each} experiment(s), {spectra.segments} segments of {spectra.period} samples each"
+            return f"{counted(each, 'experiment')}, {spectra.segments} segments of {spectra.period} samples each"
         if not spectra.periodic:
-            return f"{spectra.n_exp} experiment(s) without a period, {spectra.period} samples each"
-        return f"{spectra.n_exp} experiment(s) of {spectra.n_periods} period(s)"
+            return f"{counted(spectra.n_exp, 'experiment')} without a period, {spectra.period} samples each"
+        return f"{counted(spectra.n_exp, 'experiment')} of {counted(spectra.n_periods, 'period')}"
 
     def lines(self) -> list[str]:
         """For a person."""
         about = self.as_dict()
         frf = self.frf
         text = [
-            f"{frf.n_out} x {frf.n_in} FRF at {about['positions']} operating point(s), {about['lines']} lines from "
-            f"{number(about['band_hz'][0], 4)} to {number(about['band_hz'][1], 4)} Hz, from {self._data()}",
+            f"{frf.n_out} x {frf.n_in} FRF at {counted(about['positions'], 'operating point')}, {about['lines']} "
+            f"lines from {number(about['band_hz'][0], 4)} to {number(about['band_hz'][1], 4)} Hz, from {self._data()}",
             f"method: {about['method']}",
         ]
         if about["median_relative_std"] is None:

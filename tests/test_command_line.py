@@ -83,7 +83,7 @@ def test_example_to_files(tmp_path, capsys):
     assert estimate(run, "-o", frf, "--plot", bode) == 0
     out, error = capsys.readouterr()
     assert f"wrote {frf}, {bode}" in out and error == ""
-    assert "2 x 2 FRF at 1 operating point(s), 93 lines" in out and "standard deviation: " in out
+    assert "2 x 2 FRF at 1 operating point, 93 lines" in out and "standard deviation: " in out
     assert pathlib.Path(bode).read_bytes().startswith(b"\x89PNG")
     written = jf.io.read_frf(frf)
     truth = jf.example_response(written.frequency)
@@ -210,7 +210,7 @@ def test_six_axes_and_several_positions(tmp_path, capsys):
     u, y = (np.array([[plants.multisine_record(x, LINES, PERIOD) for x in at] for at in X]) for X in (U, Y))
     data = write(tmp_path / "run.npz", {"u": u, "y": y}, q=rng.uniform(-1, 1, (3, 6)))
     assert estimate(data, "-o", tmp_path / "frf.npz") == 0
-    assert "6 x 6 FRF at 3 operating point(s)" in capsys.readouterr().out
+    assert "6 x 6 FRF at 3 operating points" in capsys.readouterr().out
     frf = jf.io.read_frf(tmp_path / "frf.npz")
     assert frf.G.shape == (3, len(LINES), 6, 6) and frf.q.shape == (3, 6)
     assert np.median(np.linalg.norm(frf.G - G, axis=(-2, -1)) / np.linalg.norm(G, axis=(-2, -1))) < 0.05
@@ -651,7 +651,7 @@ def test_excite(tmp_path, capsys, design, suffix):
     target = tmp_path / f"reference.{suffix}"
     assert main(["excite", design, "-o", str(target)]) == 0
     out = capsys.readouterr().out
-    assert "4 experiments of 2 input(s), 6 s each; 48 lines from 2.5 to 49.5 Hz" in out
+    assert "4 experiments of 2 inputs, 6 s each; 48 lines from 2.5 to 49.5 Hz" in out
     assert f"wrote {target}, {tmp_path / 'reference.png'}" in out
     assert (tmp_path / "reference.png").read_bytes().startswith(b"\x89PNG")
     r = jf.io.read_reference(target).r

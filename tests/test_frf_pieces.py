@@ -163,8 +163,8 @@ def test_levels_of_several_inputs():
 
 
 def test_levels_need_realisations_and_periods():
-    refused(lambda: jf.levels(jf.dft(realisations(1, 4, 0, 0.1, 0))), r"levels: found 1 realisation\(s\) of 4 period")
-    refused(lambda: jf.levels(jf.dft(realisations(3, 1, 0, 0.1, 0))), r"levels: found 3 realisation\(s\) of 1 period")
+    refused(lambda: jf.levels(jf.dft(realisations(1, 4, 0, 0.1, 0))), r"levels: found 1 realisation of 4 period")
+    refused(lambda: jf.levels(jf.dft(realisations(3, 1, 0, 0.1, 0))), r"levels: found 3 realisations of 1 period")
 
 
 @pytest.mark.parametrize(("power", "parity"), [(3, 1), (2, 0)])

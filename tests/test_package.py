@@ -270,8 +270,12 @@ def room(path):
 
 
 def imported(path):
-    """(module, at module level or not) of every import in a file, absolute."""
+    """(module, at module level or not) of every import in a file, absolute, but for those that a type checker alone
+    sees."""
     tree = ast.parse(path.read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = []
     inside = {id(node) for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) for node in ast.walk(f)}
     here = ("jaxfrf", *path.relative_to(PACKAGE).parts[:-1])
     for node in ast.walk(tree):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxfrf
-from jaxfrf._text import number, percent, plus_minus
+from jaxfrf._text import counted, number, percent, plus_minus
 
 
 @pytest.mark.parametrize(
@@ -41,6 +41,10 @@ def test_numbers_keep_zeros_where_they_say_how_many_digits_are_meant():
 
 def test_percentages():
     assert [percent(x) for x in (2.0, 0.0025, 12.34, 0.999)] == ["200 %", "0.25 %", "1234 %", "100 %"]
+
+
+def test_counts():
+    assert [counted(n, "period") for n in (0, 1, 6)] == ["0 periods", "1 period", "6 periods"]
 
 
 def test_values_are_as_long_as_their_intervals_tell():

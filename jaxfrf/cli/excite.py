@@ -2,7 +2,7 @@
 
 import pathlib
 
-from .._text import number
+from .._text import counted, number
 from .arguments import check_picture, check_target, command
 
 EXAMPLES = (
@@ -37,7 +37,7 @@ def run(given) -> dict:
     about = levels(made)
     frequency = made.lines * made.fs / made.period
     text = [
-        f"{made.n_exp} experiments of {made.n_in} input(s), {made.n_time / made.fs:g} s each; "
+        f"{made.n_exp} experiments of {counted(made.n_in, 'input')}, {made.n_time / made.fs:g} s each; "
         f"{len(made.lines)} lines from {number(frequency[0], 4)} to {number(frequency[-1], 4)} Hz",
         *(
             f"  input {i + 1}: rms {number(about.rms[:, i].max())}, peak speed {number(about.velocity[:, i].max())} "

@@ -3,7 +3,7 @@
 import pathlib
 
 from .._errors import input_error
-from .._text import number, plus_minus
+from .._text import counted, number, plus_minus
 from ..io._formats import FRFS
 from .arguments import check_picture, check_result, check_target, command, naming, range_of
 
@@ -73,7 +73,8 @@ def _contents(found, source: str) -> dict:
 
 def _lines(found) -> list[str]:
     lines = [
-        f"{len(found.modes)} mode(s) from {number(found.frequency[0], 4)} to {number(found.frequency[-1], 4)} Hz (95 %)"
+        f"{counted(len(found.modes), 'mode')} from {number(found.frequency[0], 4)} to "
+        f"{number(found.frequency[-1], 4)} Hz (95 %)"
     ]
     lines += [
         f"  {plus_minus(m.frequency, 1.96 * m.frequency_std)} Hz, damping "
@@ -83,7 +84,8 @@ def _lines(found) -> list[str]:
     if found.misfit > 2:
         lines.append(
             f"the modes leave {number(found.misfit, 2)} times the standard deviation of the FRF: a mode is missing "
-            "(--near, --order), or it is not linear"
+            "(--near, --order), the input was held or delayed, which shows towards high lines (--band), or the "
+            "machine is not linear"
         )
     return lines
 

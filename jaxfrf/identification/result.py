@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from .. import __version__
-from .._text import number, percent
+from .._text import counted, number, percent
 from ..frf import FRF
 from ..graybox import Fit, IndirectFit, RobotModel
 from ..graybox.quality import Quality
@@ -70,7 +70,7 @@ class Identification(eqx.Module):
         rounds = len(self.indirect.corrections)
         gap = self.indirect.corrections[-1]
         text = (
-            f"the parameters stay after {rounds} round(s) of simulation"
+            f"the parameters stay after {counted(rounds, 'round')} of simulation"
             if self.indirect.converged
             else f"the parameters still moved after {rounds} rounds of simulation: more of them may help, "
             "or robot and experiment differ in what is not fitted"
@@ -90,7 +90,7 @@ class Identification(eqx.Module):
         frequency = self.measured.frequency
         kind = f"direct fit only ({self.why_direct})" if self.indirect is None else "fit through the experiment"
         text = [
-            f"{self.model.robot.name}: {kind}, {len(self.positions)} position(s), {len(frequency)} lines from "
+            f"{self.model.robot.name}: {kind}, {counted(len(self.positions), 'position')}, {len(frequency)} lines from "
             f"{number(frequency[0], 4)} to {number(frequency[-1], 4)} Hz, {len(self.direct.starts)} starts"
         ]
         width = max(len(name) for name in own)

@@ -99,7 +99,7 @@ def _beyond_play(x, gap):
     return jnp.where(open_gap, x - keep * inside, x), jnp.where(open_gap, 1.0 - keep * slope, 1.0)
 
 
-class AbstractFriction(eqx.Module):
+class AbstractFrictionLaw(eqx.Module):
     """Friction of the motors, on the motor side, one for every driven joint; `viscous`: its linear part, N m s/rad."""
 
     viscous: eqx.AbstractVar[Float[Array, "axis"]]
@@ -109,7 +109,7 @@ class AbstractFriction(eqx.Module):
         """Torque against the motor speed (*batch, axis), rad/s; N m."""
 
 
-class Friction(AbstractFriction):
+class Friction(AbstractFrictionLaw):
     """Viscous and smoothed Coulomb friction, tau = f v + c tanh(v/eps).
 
     It is not to be linearised at rest, where its slope f + c/eps holds for speeds below eps only: see
@@ -126,7 +126,7 @@ class Friction(AbstractFriction):
         return self.viscous * speed + self.coulomb * jnp.tanh(speed / self.smoothing)
 
 
-class ViscousFriction(AbstractFriction):
+class ViscousFrictionLaw(AbstractFrictionLaw):
     """Viscous friction alone, tau = f v; `viscous`: (axis,), N m s/rad."""
 
     viscous: Float[Array, "axis"]
@@ -135,7 +135,7 @@ class ViscousFriction(AbstractFriction):
         return self.viscous * speed
 
 
-def effective_friction(friction: AbstractFriction, amplitude: Float[Array, "axis"] | float) -> Float[Array, "axis"]:
+def effective_friction(friction: AbstractFrictionLaw, amplitude: Float[Array, "axis"] | float) -> Float[Array, "axis"]:
     """Gain of the friction for small motion on top of a slow sine of this speed: f + 2 c/(pi A), N m s/rad.
 
     The mean slope of c sgn(v) over v = A sin(phi) is 2 c/(pi A). It fails where the speed does not reverse
@@ -163,5 +163,5 @@ class Drives(eqx.Module):
     motor_inertia: Float[Array, "axis"]
     gear_ratio: Float[Array, "axis"]
     torque_limit: Float[Array, "axis"]
-    friction: AbstractFriction
+    friction: AbstractFrictionLaw
     zero: Float[Array, "axis"] | None = None

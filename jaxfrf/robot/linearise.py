@@ -22,7 +22,7 @@ from ..effects import (
 from ..effects._place import spring_of
 from ..effects.acting import Group, groups
 from .chain import gravity_forces
-from .drive import ViscousFriction, effective_friction
+from .drive import ViscousFrictionLaw, effective_friction
 from .robot import (
     Robot,
     arm_torques,
@@ -276,7 +276,7 @@ def linearise(
 
 @eqx.filter_jit
 def _linearised(robot: Robot, point: OperatingPoint, friction, deflections) -> LinearRobot:
-    smooth = dataclasses.replace(robot, drives=dataclasses.replace(robot.drives, friction=ViscousFriction(friction)))
+    smooth = dataclasses.replace(robot, drives=dataclasses.replace(robot.drives, friction=ViscousFrictionLaw(friction)))
     z, rest, motors = _without_errors(robot, point), jnp.zeros_like(point.z), robot.n_motors
     stiffness = -_jacobian(lambda x: drive_forces(smooth, x, rest, point.torque), z)
     damping = -_jacobian(lambda x: drive_forces(smooth, z, x, point.torque), rest)

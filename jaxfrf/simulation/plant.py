@@ -16,7 +16,7 @@ from jaxtyping import Float
 from .._types import Array
 from ..effects import AbstractArmTorque, AbstractFriction, AbstractGearError, AbstractGearTorque, AbstractMotorTorque
 from ..effects.acting import Group, groups
-from ..robot import AbstractFriction as MotorFriction, AbstractSpring, Robot, arm_inertia_and_bias_columns
+from ..robot import AbstractFrictionLaw, AbstractSpring, Robot, arm_inertia_and_bias_columns
 from ..robot.robot import gear_coupling
 
 Columns = Float[Array, "row run"]
@@ -78,7 +78,7 @@ class Plant(eqx.Module):
     gear: Columns
     inertia: Columns
     springs: AbstractSpring
-    friction: MotorFriction
+    friction: AbstractFrictionLaw
     wiring: Wiring
     rubbing: tuple[Group[AbstractFriction], ...]
     pulling: tuple[Group[AbstractArmTorque], ...]

@@ -4,7 +4,7 @@ import numpy as np
 
 from .._arguments import expect
 from .._errors import input_error
-from .._text import number
+from .._text import counted, number
 from ..experiment import Experiment, how_to_set, seen_period
 from .fourier import coefficients, period_weights
 from .lines import known_lines, where
@@ -44,7 +44,7 @@ def dft(data: Experiment, *, robust: bool = False, silent: bool = False) -> Spec
     if robust and data.n_periods < 3:
         raise input_error(
             where(data, "robust"),
-            f"{data.n_periods} steady period(s)",
+            f"{counted(data.n_periods, 'steady period')}",
             "at least three, of which most agree",
             "Leave robust out, or record more periods.",
         )
