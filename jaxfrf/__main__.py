@@ -130,7 +130,8 @@ def _plain(error: Exception) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="jaxfrf",
-        description=__doc__.split(":")[0] + " of jaxfrf.",
+        description="From the records of an experiment to frequency response functions, to the parameters of a model, "
+        "to what the model is missing.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -13,6 +13,7 @@ import stat
 from collections.abc import Iterator
 
 from ._errors import input_error, output_error
+from ._text import number
 
 _WRITABLE = 0o222  # permission bits; they say what is meant to stay even to root, whom they do not stop
 
@@ -101,7 +102,7 @@ def check_room(path: pathlib.Path, n_bytes: int) -> None:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             return  # the file system cannot say; writing will
         raise output_error(
-            str(path.parent), f"no room for {n_bytes / 1e6:.3g} MB ({error.strerror})", "room", "Write elsewhere."
+            str(path.parent), f"no room for {number(n_bytes / 1e6)} MB ({error.strerror})", "room", "Write elsewhere."
         ) from None
     finally:
         path.unlink(missing_ok=True)
@@ -120,8 +121,8 @@ def check_space(path: str | os.PathLike, n_bytes: float) -> None:
     if n_bytes > free:
         raise output_error(
             str(folder),
-            f"{free / 1e9:.3g} GB free",
-            f"{n_bytes / 1e9:.3g} GB for the result and its parts",
+            f"{number(free / 1e9)} GB free",
+            f"{number(n_bytes / 1e9)} GB for the result and its parts",
             "Make room.",
         )
 

@@ -4,6 +4,7 @@ import os
 import pathlib
 
 from ._errors import input_error
+from ._text import number
 
 _MEMORY = pathlib.Path("/proc/meminfo")
 _GROUP = pathlib.Path("/sys/fs/cgroup")
@@ -36,7 +37,7 @@ def check_memory(what: str, n_bytes: float, do: str) -> None:
 def size_text(n_bytes: float) -> str:
     for unit in ("bytes", "kB", "MB", "GB", "TB"):
         if n_bytes < 1000 or unit == "TB":
-            return f"{n_bytes:.3g} {unit}"
+            return f"{number(n_bytes)} {unit}"
         n_bytes = n_bytes / 1000
     raise AssertionError
 

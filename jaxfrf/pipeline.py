@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from ._status import describe
+from ._text import counted, number, percent, plus_minus
 from .frf import FRF, Distortion
 from .frf.features import features
 from .spectra import Spectra
@@ -55,25 +56,25 @@ class Summary(eqx.Module):
         spectra = self.spectra
         if spectra.segments:
             each = spectra.n_exp // spectra.segments
-            return f"{each} experiment(s), {spectra.segments} segments of {spectra.period} samples each"
+            return f"{counted(each, 'experiment')}, {spectra.segments} segments of {spectra.period} samples each"
         if not spectra.periodic:
-            return f"{spectra.n_exp} experiment(s) without a period, {spectra.period} samples each"
-        return f"{spectra.n_exp} experiment(s) of {spectra.n_periods} period(s)"
+            return f"{counted(spectra.n_exp, 'experiment')} without a period, {spectra.period} samples each"
+        return f"{counted(spectra.n_exp, 'experiment')} of {counted(spectra.n_periods, 'period')}"
 
     def lines(self) -> list[str]:
         """For a person."""
         about = self.as_dict()
         frf = self.frf
         text = [
-            f"{frf.n_out} x {frf.n_in} FRF at {about['positions']} operating point(s), {about['lines']} lines from "
-            f"{about['band_hz'][0]:.4g} to {about['band_hz'][1]:.4g} Hz, from {self._data()}",
+            f"{frf.n_out} x {frf.n_in} FRF at {counted(about['positions'], 'operating point')}, {about['lines']} "
+            f"lines from {number(about['band_hz'][0], 4)} to {number(about['band_hz'][1], 4)} Hz, from {self._data()}",
             f"method: {about['method']}",
         ]
         if about["median_relative_std"] is None:
             text.append("standard deviation: unknown (no residual degree of freedom)")
         else:
             text.append(
-                f"standard deviation: {100 * about['median_relative_std']:.2g} % of |G| (median of the diagonal); "
+                f"standard deviation: {percent(about['median_relative_std'])} of |G| (median of the diagonal); "
                 f"about {about['effective_independent_lines']:.0f} independent lines, the others share their data"
             )
             text += _causes(about)
@@ -88,10 +89,10 @@ class Summary(eqx.Module):
 
 def _at(feature) -> str:
     """Frequency and damping with their 95 % intervals."""
-    text = f"{feature.frequency:.5g} +- {1.96 * feature.frequency_std:.1g} Hz"
+    text = f"{plus_minus(feature.frequency, 1.96 * feature.frequency_std)} Hz"
     if not np.isfinite(feature.damping):
         return text
-    return f"{text} (damping {100 * feature.damping:.2g} +- {196 * feature.damping_std:.1g} %)"
+    return f"{text} (damping {plus_minus(100 * feature.damping, 196 * feature.damping_std)} %)"
 
 
 def summary(spectra: Spectra, frf: FRF) -> Summary:
@@ -126,10 +127,16 @@ def _causes(about: dict) -> list[str]:
         ("median_relative_total", "{} % noise and nonlinear distortion"),
         ("median_relative_bias", "{} % bias of the window (from the pointwise estimate)"),
     )
-    told = [text.format(f"{100 * about[name]:.2g}") for name, text in parts if about[name] is not None]
-    return (
-        [f"in it: {', '.join(told)}; what is left is distortion, disturbances and bias not told apart"] if told else []
-    )
+    told = [text.format(number(100 * about[name], 2)) for name, text in parts if about[name] is not None]
+    if not told:
+        return []
+    known = sum(about[name] ** 2 for name, _ in parts if about[name] is not None)
+    rest = known < _ALL**2 * about["median_relative_std"] ** 2
+    return [f"in it: {', '.join(told)}{_REST if rest else ''}"]
+
+
+_ALL = 0.9  # of the standard deviation: what is left is not worth a word
+_REST = "; what is left is distortion, disturbances and bias not told apart"
 
 
 def _finite(x: float) -> float | None:
@@ -181,13 +188,11 @@ class DistortionSummary(eqx.Module):
             )
         for out, bands in enumerate(about["outputs"]):
             for band in bands:
-                told = [
-                    f"{name} {band[name]:.0f} dB"
-                    for name in ("noise", "even", "odd", "total")
-                    if band[name] is not None
-                ]
+                told = [_level(band, name) for name in ("noise", "even", "odd", "total") if band[name] is not None]
                 low, high = band["band_hz"]
-                text.append(f"y{out + 1}, {low:.4g} to {high:.4g} Hz: {', '.join(told) or 'nothing known'}")
+                text.append(
+                    f"y{out + 1}, {number(low, 4)} to {number(high, 4)} Hz: {', '.join(told) or 'nothing known'}"
+                )
         return text
 
 
@@ -196,6 +201,18 @@ def distortion_summary(found: Distortion) -> DistortionSummary:
     return DistortionSummary(found)
 
 
+_CLEAR = 3.0  # decibels
+_NOTHING = 1e-30  # power of rounding, relative to the output's
+
+
 def _decibels_below(level, output) -> float | None:
     power, whole = np.mean(level**2), np.mean(output**2)
-    return float(10 * np.log10(max(power, 1e-300) / whole)) if np.isfinite(power) and whole > 0 else None
+    return float(10 * np.log10(max(power / whole, _NOTHING))) if np.isfinite(power) and whole > 0 else None
+
+
+def _level(band: dict, name: str) -> str:
+    """What is left of a level when the noise is taken off may be chance where it is not clearly more than the noise."""
+    noise = band["noise"]
+    if name in ("even", "odd") and noise is not None and band[name] < noise + _CLEAR:
+        return f"{name} within the noise"
+    return f"{name} {band[name]:.0f} dB"

@@ -83,7 +83,7 @@ def test_example_to_files(tmp_path, capsys):
     assert estimate(run, "-o", frf, "--plot", bode) == 0
     out, error = capsys.readouterr()
     assert f"wrote {frf}, {bode}" in out and error == ""
-    assert "2 x 2 FRF at 1 operating point(s), 93 lines" in out and "standard deviation: " in out
+    assert "2 x 2 FRF at 1 operating point, 93 lines" in out and "standard deviation: " in out
     assert pathlib.Path(bode).read_bytes().startswith(b"\x89PNG")
     written = jf.io.read_frf(frf)
     truth = jf.example_response(written.frequency)
@@ -210,7 +210,7 @@ def test_six_axes_and_several_positions(tmp_path, capsys):
     u, y = (np.array([[plants.multisine_record(x, LINES, PERIOD) for x in at] for at in X]) for X in (U, Y))
     data = write(tmp_path / "run.npz", {"u": u, "y": y}, q=rng.uniform(-1, 1, (3, 6)))
     assert estimate(data, "-o", tmp_path / "frf.npz") == 0
-    assert "6 x 6 FRF at 3 operating point(s)" in capsys.readouterr().out
+    assert "6 x 6 FRF at 3 operating points" in capsys.readouterr().out
     frf = jf.io.read_frf(tmp_path / "frf.npz")
     assert frf.G.shape == (3, len(LINES), 6, 6) and frf.q.shape == (3, 6)
     assert np.median(np.linalg.norm(frf.G - G, axis=(-2, -1)) / np.linalg.norm(G, axis=(-2, -1))) < 0.05
@@ -287,6 +287,21 @@ def main_exit(arguments):
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
     return stopped.value.code
+
+
+def test_one_table_of_formats(capsys):
+    """Help lists it, FRFs are written as it says, and the book claims nothing else."""
+    from jaxfrf.io._formats import FRFS, RECORDS, SAVED
+    from jaxfrf.io.responses import _WRITERS
+
+    assert set(_WRITERS) == set(SAVED)
+    assert main_exit(["identify", "--help"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert " ".join(RECORDS) in told and " ".join(FRFS) in told
+    table = (pathlib.Path(__file__).parents[1] / "notebooks" / "files.md").read_text()
+    for what, known in (("records", RECORDS), ("FRFs", FRFS)):
+        row = next(line for line in table.splitlines() if line.startswith(f"| {what} |"))
+        assert {".nc", ".mat"} < set(re.findall(r"\.\w+", row.split("|")[2])) <= set(known), what
 
 
 def test_help_tells_exit_codes_and_results_what_is_next(tmp_path, capsys):
@@ -407,7 +422,7 @@ BAD = {
     "fs against the time vector": (None, {"t": np.arange(800) / 100}, [], r"fs: found 200 Hz against 100 Hz"),
     "no fs": (None, {"fs": None}, [], r"fs: found neither fs nor a time vector; expected the sampling freq"),
     "wrong period": (None, {"period": 399}, [], r"period: found 800 samples, 2\.0\d* periods of 399"),
-    "no period": (None, {"period": 0}, ["--method", "h1"], r"period: found 0: the record is not periodic.*transient"),
+    "no period": (None, {"period": 0}, ["--method", "h1"], r"period: found 0: the record does not say .*transient"),
     "all transient": (None, {"transient_periods": 2}, [], r"transient_periods: found 2 of 2"),
     "too few experiments": (_one_experiment, {}, ["--method", "h1"], r"experiments: found 1 .*at least 2.*local"),
     "rank-deficient excitation": (_copied_input, {}, [], r"u: found 2 inputs of which only 1 .*independent"),
@@ -636,7 +651,7 @@ def test_excite(tmp_path, capsys, design, suffix):
     target = tmp_path / f"reference.{suffix}"
     assert main(["excite", design, "-o", str(target)]) == 0
     out = capsys.readouterr().out
-    assert "4 experiments of 2 input(s), 6 s each; 48 lines from 2.5 to 49.5 Hz" in out
+    assert "4 experiments of 2 inputs, 6 s each; 48 lines from 2.5 to 49.5 Hz" in out
     assert f"wrote {target}, {tmp_path / 'reference.png'}" in out
     assert (tmp_path / "reference.png").read_bytes().startswith(b"\x89PNG")
     r = jf.io.read_reference(target).r

@@ -1,12 +1,14 @@
 """Noise, even and odd distortion of simulated nonlinear records, and what becomes of the covariance."""
 
 import dataclasses
+import re
 
 import numpy as np
 import plants
 import pytest
 
 import jaxfrf as jf
+from jaxfrf.pipeline import distortion_summary
 
 FS, PERIOD = 1000.0, 1000
 LINES = np.setdiff1d(np.arange(5, 200, 2), np.arange(9, 200, 8))  # odd, every fourth of them left out
@@ -62,6 +64,16 @@ def test_robust_way_where_all_lines_are_excited():
     found = jf.best_linear_approximation(record(odd=0.1, noise=1e-3, n_exp=6, lines=lines), jf.H1())
     assert found.way == "robust" and np.isnan(found.odd).all()
     assert relative(found.total, found) > relative(found.noise, found) + 10
+
+
+def test_levels_in_words():
+    """Of a linear machine: what is left when the noise is taken off is told as that, not as a level."""
+    found = distortion_summary(jf.best_linear_approximation(record(noise=1e-3), jf.H1()))
+    levels = [line for line in found.lines() if line.startswith("y1, ")]
+    assert levels and all("even within the noise, odd within the noise" in line for line in levels)
+    assert min(band["even"] for bands in found.as_dict()["outputs"] for band in bands) >= -300
+    crooked = distortion_summary(jf.best_linear_approximation(record(odd=0.1, noise=1e-3), jf.H1()))
+    assert re.search(r"even within the noise, odd -\d\d dB", crooked.lines()[-1])
 
 
 def test_one_experiment_of_several_periods_has_a_covariance():

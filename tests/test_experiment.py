@@ -78,7 +78,7 @@ def test_opposite_infinities_and_huge_numbers():
     u = np.zeros((20, 2))
     u[3], u[4] = np.inf, -np.inf
     assert "4 NaN or Inf samples" in message(u, u, 10.0)
-    assert "numbers up to 1e+308" in message(np.full(20, 1e308), u, 10.0)  # their squares are not finite
+    assert "numbers up to 1e308" in message(np.full(20, 1e308), u, 10.0)  # their squares are not finite
 
 
 @pytest.mark.parametrize(

@@ -170,10 +170,10 @@ def test_an_effect_that_is_hidden(drag):
 
 def test_a_record_format(new_file, tmp_path, monkeypatch, capsys):
     """Names, units, other files beside it and messages come with it."""
-    from jaxfrf.io._container import _FORMATS
+    from jaxfrf.io._formats import RECORDS
 
     new_file("jaxfrf.io._log", FORMAT)
-    monkeypatch.setitem(_FORMATS, ".log", "_log")  # the line
+    monkeypatch.setitem(RECORDS, ".log", "_log")  # the line
     t = np.arange(1000) / 500.0
     table = np.column_stack([np.sin(40 * t), np.cos(40 * t), 3 * t])
     rows = "\n".join(" ".join(map(repr, row.tolist())) for row in table)

@@ -7,7 +7,8 @@ import pyuff
 
 from jaxfrf import FRF, InputError, Status
 from jaxfrf.io.control import from_control, to_control
-from jaxfrf.io.responses import frf_from_arrays
+from jaxfrf.io.frf_or_record import holds_frf, read_frfs
+from jaxfrf.io.responses import frf_from_arrays, read_frf, write_frf
 from jaxfrf.io.sdypy import from_sdypy, from_sep005
 from jaxfrf.io.uff import frf_from_uff, read_uff, write_uff
 
@@ -52,6 +53,15 @@ def test_grids_with_and_without_a_step(tmp_path, regular):
     back = read_uff(tmp_path / "frf.uff")
     assert pyuff.UFF(str(tmp_path / "frf.uff")).read_sets(1)["abscissa_spacing"] == int(regular)
     np.testing.assert_allclose(back.frequency, frequency, rtol=0 if regular else 1e-5)
+
+
+def test_universal_files_are_read_and_written_like_every_other(tmp_path):
+    """What `estimate -o frf.uff` writes, `view`, `modal` and `identify` read."""
+    frf, path = random_frf((2, 40, 2, 2), 2.5 + 0.5 * np.arange(40)), tmp_path / "frf.uff"
+    write_frf(path, frf)
+    assert holds_frf(path)
+    for back in (read_frf(path), read_frfs(path)):
+        np.testing.assert_allclose(back.G, frf.G, rtol=1e-10)
 
 
 def test_universal_file_comes_back_with_its_name_and_hash(tmp_path):

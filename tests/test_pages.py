@@ -96,6 +96,8 @@ def test_view(tmp_path, monkeypatch, capsys):
     assert main(["view", *both, "-o", str(tmp_path / "both.html")]) == 0 and len(opened) == 1
     page = (tmp_path / "both.html").read_text()
     assert [e["name"] for e in data_of(page)["estimates"]] == ["a/frf.npz", "b/frf.npz"]
+    for label in ("a/frf.npz", "b/frf.npz"):  # whose resonance, remark, method
+        assert f"<td>{label}</td><td>" in page and f"<li>{label}: " in page and f"{label}: " in page
     assert main(["view", both[0], "-o", both[1]]) == 2 and "the suffix '.npz'" in capsys.readouterr().err
 
 

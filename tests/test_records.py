@@ -597,6 +597,27 @@ def test_a_missing_variable_lists_and_proposes_what_works(tmp_path):
     np.testing.assert_array_equal(read(path, names=parse_map(proposal)).y[0, 0], y)
 
 
+def test_what_loggers_call_their_columns(tmp_path):
+    """A commanded torque is the input, time is neither; what is proposed is what a shell takes, and works."""
+    u, y = signals()
+    table = np.column_stack([np.arange(len(u)) / FS, u[:, 0], y[:, 0]])
+    path = tmp_path / "a.csv"
+    np.savetxt(path, table, delimiter=",", header="Time [s],Torque_cmd [Nm],Motor speed [rpm]", comments="")
+    proposal = re.search(r'--map "([^"]+)"', message(path))[1]
+    assert proposal == "u=Torque_cmd [Nm],y=Motor speed [rpm]"
+    assert '--map "t=Time [s]"' in message(path, names=parse_map(proposal))
+    assert read(path, names=parse_map(f"{proposal},t=Time [s]")).fs == FS
+
+
+def test_a_sampling_interval_is_recognised(tmp_path):
+    u, y = signals()
+    path = saved(tmp_path / "a.mat", log={"tau": u[:, 0], "spd": y[:, 0], "Ts": 1 / FS})
+    text = message(path, names={"u": "log.tau", "y": "log.spd"})
+    assert f"Is log.Ts the interval? --set fs={FS:g}." in text
+    path = saved(tmp_path / "b.mat", log={"tau": u[:, 0], "spd": y[:, 0]})
+    assert "log.tau" not in message(path, names={"u": "log.tau", "y": "log.spd"}).partition("fs:")[2]
+
+
 def test_a_wrong_channel_number(tmp_path):
     u, y = signals()
     path = saved(tmp_path / "a.npz", u=u, y=y, fs=FS)

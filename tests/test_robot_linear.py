@@ -121,7 +121,7 @@ class TestOperatingPoint:
 class TestLinearisation:
     def test_is_the_derivative_of_the_dynamics(self, robot):
         """Against plain forward differentiation of the whole nonlinear right-hand side."""
-        robot = eqx.tree_at(lambda r: r.drives.friction, robot, jr.ViscousFriction(robot.drives.friction.viscous))
+        robot = eqx.tree_at(lambda r: r.drives.friction, robot, jr.ViscousFrictionLaw(robot.drives.friction.viscous))
         point = jr.operating_point(robot, FEW)
         system = jr.state_space(jr.linearise(robot, point))
         state = jnp.concatenate([point.z, 0 * point.z], axis=1)
@@ -494,3 +494,7 @@ class TestFriction:
         torque = np.asarray(law.torque((30 * np.sin(phase) + fast)[..., None]))[..., 0]
         slope = np.sum(torque * fast) / np.sum(fast * fast)
         np.testing.assert_allclose(jr.effective_friction(law, 30.0), slope, rtol=1e-2)
+
+    def test_a_law_without_coulomb_friction_has_its_viscous_slope(self):
+        viscous = jnp.array([1e-3, 2e-3])
+        np.testing.assert_array_equal(jr.effective_friction(jr.ViscousFrictionLaw(viscous), 30.0), viscous)

@@ -16,6 +16,7 @@ from .._errors import InputError, OutputError
 from .._files import check_space, replacing
 from .._memory import block_memory
 from .._status import ADVICE, SERIOUS, describe
+from .._text import number
 from ..experiment import Experiment, segments, select_periods
 from ..frf import FRF, AbstractMethod, adapted, concatenate_positions, describe_method, estimate
 from ..frf.covariance import variances
@@ -198,7 +199,7 @@ def _about(data: DataSet, head: Spectra, method: AbstractMethod, about: Mapping[
         "data": files_text(data.sources),
         "output": head.y_quantity,
         "periods": head.n_periods,
-        "lines": f"{len(f)} from {f[0]:.6g} to {f[-1]:.6g} Hz",
+        "lines": f"{len(f)} from {number(f[0], 6)} to {number(f[-1], 6)} Hz",
         "positions": data.n_pos,
         **about,
     }

@@ -14,7 +14,6 @@ from .progress import wipe_progress
 
 _SMALLEST = 1e9  # bytes, that Python, JAX and a block take
 _QUICK = 5e6  # bytes that are read twice without being noticed
-RECORD_FILES = (".nc", ".mat", ".npz", ".zarr")  # that are written
 
 
 def command(commands, name: str, run, text: str) -> argparse.ArgumentParser:

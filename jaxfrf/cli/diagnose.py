@@ -3,6 +3,8 @@
 import sys
 
 from .._errors import InputError, OutputError, input_error
+from .._text import number
+from ..io._formats import RECORDS
 from . import own_effects
 from .arguments import (
     add_anyway_option,
@@ -32,7 +34,7 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "diagnose", run, "Find the effect that a robot's model lacks, from records.")
-    parser.add_argument("data", nargs="+", metavar="DATA", help="records (.nc .mat .npz .csv)")
+    parser.add_argument("data", nargs="+", metavar="DATA", help=f"records: {' '.join(RECORDS)}")
     parser.add_argument(
         "--robot",
         required=True,
@@ -163,8 +165,8 @@ def _lines(found) -> list[str]:
         if x.equivalent:
             lines.append(f"    these data cannot tell it from {', '.join(x.equivalent)}; {x.separating_experiment}")
     lines.append(
-        f"gap on {gap.on}: {gap.before:.3g} before, {gap.after:.3g} after, floor {gap.floor:.3g}, {gap_name(gap)}; "
-        f"{closed(gap)}"
+        f"gap on {gap.on}: {number(gap.before)} before, {number(gap.after)} after, floor {number(gap.floor)}, "
+        f"{gap_name(gap)}; {closed(gap)}"
     )
     if found.next_experiment:
         lines.append(f"next experiment: {found.next_experiment}")

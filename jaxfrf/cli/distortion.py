@@ -3,8 +3,8 @@
 import pathlib
 import sys
 
+from ..io._formats import RECORDS, SAVED
 from .arguments import (
-    RECORD_FILES,
     add_record_options,
     check_picture,
     check_result,
@@ -27,7 +27,7 @@ def add(commands) -> None:
         run,
         "Estimate the best linear approximation, and tell noise, even and odd distortion apart.",
     )
-    parser.add_argument("data", nargs="+", metavar="DATA", help="periodic records: one data set")
+    parser.add_argument("data", nargs="+", metavar="DATA", help=f"periodic records, one data set: {' '.join(RECORDS)}")
     parser.add_argument("-o", "--output", help="FRF to write, with the total level: .nc, .mat or .npz")
     parser.add_argument("--plot", metavar="FILE", help="picture of the levels to write: .png, .pdf, .svg")
     add_record_options(parser, method="auto", default="auto")
@@ -43,7 +43,7 @@ def run(given) -> dict:
 
     check_x64("jaxfrf distortion")
     if given.output:
-        check_target(given.output, RECORD_FILES)
+        check_target(given.output, SAVED)
         check_result(given.output, given.data, "measurement")
     if given.plot:
         check_picture(given.plot)

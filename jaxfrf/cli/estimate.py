@@ -4,8 +4,8 @@ import dataclasses
 import pathlib
 import sys
 
+from ..io._formats import FRFS, RECORDS
 from .arguments import (
-    RECORD_FILES,
     add_memory_option,
     add_record_options,
     add_resume_option,
@@ -36,8 +36,8 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "estimate", run, "Estimate frequency response functions from records.")
-    parser.add_argument("data", nargs="+", metavar="DATA", help="experiment files, .nc .mat .npz .csv: one data set")
-    parser.add_argument("-o", "--output", required=True, help="FRF to write: .nc, .mat, .npz or .uff")
+    parser.add_argument("data", nargs="+", metavar="DATA", help=f"records, one data set: {' '.join(RECORDS)}")
+    parser.add_argument("-o", "--output", required=True, help=f"FRF to write: {' '.join(FRFS)}")
     add_record_options(parser, method="auto", default="auto")
     parser.add_argument(
         "--segment",
@@ -127,7 +127,7 @@ def _write_report(given, frf, about) -> list[str]:
 
 def _check_outputs(given) -> None:
     """Everything that could not be written, before anything is read."""
-    check_target(given.output, (*RECORD_FILES, ".uff", ".unv"))
+    check_target(given.output, FRFS)
     check_result(given.output, given.data, "measurement")
     if pathlib.Path(given.output).suffix.lower() == ".nc":
         from ..io._optional import require

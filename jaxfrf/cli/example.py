@@ -1,6 +1,7 @@
 """`jaxfrf example`."""
 
-from .arguments import RECORD_FILES, check_target, command
+from ..io._formats import SAVED
+from .arguments import check_target, command
 
 EXAMPLES = (
     "jaxfrf example -o run.nc",
@@ -19,7 +20,7 @@ def run(given) -> dict:
     from ..examples import example
     from ..io import write
 
-    check_target(given.output, RECORD_FILES)
+    check_target(given.output, SAVED)
     data = example(blocks=given.blocks, seed=given.seed)
     write(given.output, data)
     text = [

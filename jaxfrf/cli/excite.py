@@ -2,6 +2,7 @@
 
 import pathlib
 
+from .._text import counted, number
 from .arguments import check_picture, check_target, command
 
 EXAMPLES = (
@@ -36,11 +37,11 @@ def run(given) -> dict:
     about = levels(made)
     frequency = made.lines * made.fs / made.period
     text = [
-        f"{made.n_exp} experiments of {made.n_in} input(s), {made.n_time / made.fs:g} s each; "
-        f"{len(made.lines)} lines from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz",
+        f"{made.n_exp} experiments of {counted(made.n_in, 'input')}, {made.n_time / made.fs:g} s each; "
+        f"{len(made.lines)} lines from {number(frequency[0], 4)} to {number(frequency[-1], 4)} Hz",
         *(
-            f"  input {i + 1}: rms {about.rms[:, i].max():.3g}, peak speed {about.velocity[:, i].max():.3g} rad/s, "
-            f"crest factor {about.crest[:, i].max():.3g}"
+            f"  input {i + 1}: rms {number(about.rms[:, i].max())}, peak speed {number(about.velocity[:, i].max())} "
+            f"rad/s, crest factor {number(about.crest[:, i].max())}"
             for i in range(made.n_in)
         ),
         f"wrote {', '.join(str(path) for path in (*written, picture))}",

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .._errors import InputError, input_error
+from ..io._formats import FRFS, RECORDS
 from . import own_effects
 from .arguments import (
     add_memory_option,
@@ -46,7 +47,7 @@ EXAMPLES = (
 def add(commands) -> None:
     parser = command(commands, "identify", run, "Calibrate a robot from records, or its springs from FRFs.")
     parser.add_argument(
-        "data", nargs="+", metavar="DATA", help="records (.nc .mat .npz .csv) or FRFs (of `jaxfrf estimate`)"
+        "data", nargs="+", metavar="DATA", help=f"records ({' '.join(RECORDS)}), or FRFs ({' '.join(FRFS)})"
     )
     parser.add_argument(
         "--robot",
@@ -59,36 +60,37 @@ def add(commands) -> None:
     parser.add_argument(
         "--springs",
         action="store_true",
-        help="stiffness and damping alone, from the FRF, everything else taken as exact (what FRF files always give); "
-        "all options from --plot to --weights belong to it",
+        help="stiffness and damping alone, from the FRF, everything else taken as exact (what FRF files always give)",
     )
-    add_tolerance_option(parser)
-    parser.add_argument("--plot", metavar="FILE", help="Bode picture of measurement and models: .png, .pdf, .svg")
-    own_effects.add_effects_option(parser)
     parser.add_argument("--robot-out", metavar="FILE", help="robot with the result to write: .toml")
-    parser.add_argument("--starts", type=int, help="of the direct fit (default 20)")
-    parser.add_argument("--seed", type=int, help="of the starts (default 0)")
-    parser.add_argument(
-        "--guess", action="store_true", help="start from the FRF's antiresonances, not from the robot's values"
-    )
-    parser.add_argument(
+    own_effects.add_effects_option(parser)
+    parser.add_argument("--heldout", metavar="P,...", help="positions, from 0, to judge the result on: not fitted")
+    parser.add_argument("--rounds", type=int, default=12, metavar="N", help="of simulation, at most (default 12)")
+    add_tolerance_option(parser)
+    whole = parser.add_argument_group("of the whole robot (the default)")
+    whole.add_argument(
         "--cutoff", type=float, metavar="HZ", help="of the motion's filter, of a robot with rigid transmissions"
     )
-    parser.add_argument("--direct", action="store_true", help="the direct fit alone, no simulation of the experiment")
-    parser.add_argument("--rounds", type=int, default=12, metavar="N", help="of simulation, at most (default 12)")
-    parser.add_argument(
+    whole.add_argument(
         "--payload",
         action="append",
         default=[],
         metavar="FILE:mass=KG,place=X;Y;Z",
         help="carried in this record beside what the robot is given with, in the last link's frame, m; exactly known",
     )
+    springs = parser.add_argument_group("of the springs alone (--springs), and --method, --option and --band")
+    springs.add_argument("--plot", metavar="FILE", help="Bode picture of measurement and models: .png, .pdf, .svg")
+    springs.add_argument("--starts", type=int, help="of the direct fit (default 20)")
+    springs.add_argument("--seed", type=int, help="of the starts (default 0)")
+    springs.add_argument(
+        "--guess", action="store_true", help="start from the FRF's antiresonances, not from the robot's values"
+    )
+    springs.add_argument("--direct", action="store_true", help="the direct fit alone, no simulation of the experiment")
     names: dict[str, Any] = {"action": "append", "default": []}
-    parser.add_argument("--fix", **names, metavar="NAME,...", help="hold these at the robot's value: *.damping")
-    parser.add_argument("--free", **names, metavar="NAME,...", help="fit these too: joint1.torque_gain (--direct)")
-    parser.add_argument("--share", **names, metavar="A=B", help="one value for both: joint5.damping=joint6.damping")
-    parser.add_argument("--heldout", metavar="P,...", help="positions, from 0, to judge the result on: not fitted")
-    parser.add_argument(
+    springs.add_argument("--fix", **names, metavar="NAME,...", help="hold these at the robot's value: *.damping")
+    springs.add_argument("--free", **names, metavar="NAME,...", help="fit these too: joint1.torque_gain (--direct)")
+    springs.add_argument("--share", **names, metavar="A=B", help="one value for both: joint5.damping=joint6.damping")
+    springs.add_argument(
         "--weights", metavar="KEY=VALUE,...", help="off_diagonal=0.2, focus=4, floor=0.03, reject=0.25 (the defaults)"
     )
     add_record_options(parser, method=None, default="lrm-jio-stacked, auto where there is no reference")

@@ -3,6 +3,8 @@
 import pathlib
 
 from .._errors import input_error
+from .._text import counted, number, plus_minus
+from ..io._formats import FRFS
 from .arguments import check_picture, check_result, check_target, command, naming, range_of
 
 EXAMPLES = (
@@ -13,7 +15,7 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "modal", run, "Find the modes of an FRF: frequencies, damping, residues, intervals.")
-    parser.add_argument("frf", metavar="FRF", help="FRF of `jaxfrf estimate`, .nc .mat .npz")
+    parser.add_argument("frf", metavar="FRF", help=f"FRF: {' '.join(FRFS)}")
     parser.add_argument("-o", "--output", required=True, help="modes to write: .json")
     parser.add_argument("--plot", metavar="FILE", help="stabilisation diagram to write: .png, .pdf, .svg")
     parser.add_argument("--band", metavar="LOW:HIGH", help="use only the lines in this band, Hz")
@@ -70,16 +72,20 @@ def _contents(found, source: str) -> dict:
 
 
 def _lines(found) -> list[str]:
-    lines = [f"{len(found.modes)} mode(s) from {found.frequency[0]:.4g} to {found.frequency[-1]:.4g} Hz (95 %)"]
+    lines = [
+        f"{counted(len(found.modes), 'mode')} from {number(found.frequency[0], 4)} to "
+        f"{number(found.frequency[-1], 4)} Hz (95 %)"
+    ]
     lines += [
-        f"  {m.frequency:.5g} +- {1.96 * m.frequency_std:.2g} Hz, damping {100 * m.damping:.3g} +- "
-        f"{196 * m.damping_std:.2g} %"
+        f"  {plus_minus(m.frequency, 1.96 * m.frequency_std)} Hz, damping "
+        f"{plus_minus(100 * m.damping, 196 * m.damping_std)} %"
         for m in found.modes
     ]
     if found.misfit > 2:
         lines.append(
-            f"the modes leave {found.misfit:.2g} times the standard deviation of the FRF: a mode is missing (--near, "
-            "--order), or it is not linear"
+            f"the modes leave {number(found.misfit, 2)} times the standard deviation of the FRF: a mode is missing "
+            "(--near, --order), the input was held or delayed, which shows towards high lines (--band), or the "
+            "machine is not linear"
         )
     return lines
 

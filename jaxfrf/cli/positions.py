@@ -1,6 +1,7 @@
 """`jaxfrf positions`."""
 
 from .._errors import input_error
+from .._text import percent
 from . import own_effects
 from .arguments import check_picture, check_seed, check_target, check_x64, command
 
@@ -56,7 +57,7 @@ def run(given) -> dict:
         "text": [
             about,
             "expected standard deviation (at random positions):",
-            *(f"  {plan.names[i]}: {100 * plan.optimal[at, i]:.2g} % ({100 * plan.random[at, i]:.2g} %)" for i in rows),
+            *(f"  {plan.names[i]}: {percent(plan.optimal[at, i])} ({percent(plan.random[at, i])})" for i in rows),
             f"wrote {', '.join(written)}",
             f"next: measure there, or jaxfrf simulate {given.robot} {given.design} --configurations {given.output} ...",
         ],

@@ -3,9 +3,10 @@
 import sys
 
 from .._errors import InputError
+from .._text import counted
+from ..io._formats import SAVED
 from . import own_effects
 from .arguments import (
-    RECORD_FILES,
     add_memory_option,
     add_resume_option,
     check_seed,
@@ -54,7 +55,7 @@ def run(given) -> dict:
     from ..batch.simulated import simulate_to
     from ..io import read_design
 
-    check_target(given.output, RECORD_FILES)
+    check_target(given.output, SAVED)
     robot, design = own_effects.robot_of(given), read_design(given.design)
     check_seed(given.seed)
     places, noise = jr.split(jr.key(given.seed))
@@ -78,7 +79,7 @@ def run(given) -> dict:
         print(f"warning: {warning}", file=sys.stderr)
     text = [
         f"{robot.name}: {made.positions * made.experiments} runs ({made.positions} positions, {made.experiments} "
-        f"experiments) of {made.samples / design.fs:g} s, {made.periods} steady period(s) of "
+        f"experiments) of {made.samples / design.fs:g} s, {counted(made.periods, 'steady period')} of "
         f"{design.period / design.fs:g} s, {len(design.lines)} excited lines, seed {given.seed}",
         f"wrote {given.output}",
         f"next: jaxfrf estimate {given.output} -o frf.nc --report frf.html",

@@ -4,6 +4,7 @@ import pathlib
 import tempfile
 import webbrowser
 
+from ..io._formats import FRFS
 from .arguments import check_result, check_target, command
 
 EXAMPLES = (
@@ -14,7 +15,7 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "view", run, "Look at FRFs: a page on which to choose, zoom and read values.")
-    parser.add_argument("frf", nargs="+", metavar="FRF", help="FRFs of `jaxfrf estimate`, .nc .mat .npz, or .uff")
+    parser.add_argument("frf", nargs="+", metavar="FRF", help=f"FRFs: {' '.join(FRFS)}")
     parser.add_argument("-o", "--output", metavar="FILE", help="page to write, .html, not opened then")
 
 
@@ -35,9 +36,9 @@ def run(given) -> dict:
 
 
 def _read(path: str):
-    from ..io import read_frf, read_uff
+    from ..io import read_frf
 
-    return read_uff(path) if pathlib.Path(path).suffix.lower() in (".uff", ".unv") else read_frf(path)
+    return read_frf(path)
 
 
 def _labels(paths) -> list[str]:

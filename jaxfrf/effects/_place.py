@@ -1,15 +1,20 @@
 """Where on a robot an effect acts, and the change of one of its arrays."""
 
 import difflib
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from .._errors import input_error
+from .._types import Array
+
+if TYPE_CHECKING:
+    from ..robot import Robot
 
 
-def axis_of(robot, joint: int | str) -> int:
+def axis_of(robot: "Robot", joint: int | str) -> int:
     """The axis (driven joint, counted from 0) that `joint` names.
 
     **Raises:** `jaxfrf.InputError` for a joint that the robot does not have or that has no motor.
@@ -28,7 +33,7 @@ def axis_of(robot, joint: int | str) -> int:
     )
 
 
-def spring_of(robot, joint: int | str) -> int:
+def spring_of(robot: "Robot", joint: int | str) -> int:
     """The place in the robot's springs of the transmission of `joint`.
 
     **Raises:** `jaxfrf.InputError` where the transmission is rigid.
@@ -44,7 +49,7 @@ def spring_of(robot, joint: int | str) -> int:
     return robot.flexible_axes.index(axis)
 
 
-def own_spring(robot, joint: int | str):
+def own_spring(robot: "Robot", joint: int | str):
     """The spring of the transmission of `joint` alone, as a law of signals of any shape."""
     place = spring_of(robot, joint)
     return jax.tree.map(lambda x: jnp.asarray(x)[place], robot.springs)
@@ -58,3 +63,9 @@ def changed(robot, where, change):
 def own(robot, joint, values, least: float):
     """The joint's own value, or `least` where it is lower: a robot may state no friction at all."""
     return jnp.maximum(values[axis_of(robot, joint)], least)
+
+
+def coulomb(robot: "Robot") -> Array:
+    """Coulomb friction of the motors, N m, (axis,); none where the law has no such part."""
+    friction = robot.drives.friction
+    return jnp.asarray(getattr(friction, "coulomb", jnp.zeros_like(friction.viscous)))

@@ -1,7 +1,7 @@
 """The effects of a robot put to work: those of one kind on several joints are computed together."""
 
 import dataclasses
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import equinox as eqx
 import jax
@@ -11,6 +11,9 @@ import numpy as np
 from .._types import arrays
 from ._place import axis_of
 from .effect import AbstractEffect
+
+if TYPE_CHECKING:
+    from ..robot import Robot
 
 Kind = TypeVar("Kind", bound=AbstractEffect)
 
@@ -47,7 +50,7 @@ class Group(eqx.Module, Generic[Kind]):
         return jnp.stack([values[self.axes.index(i)] if i in self.axes else zero for i in range(self.n_axes)])
 
 
-def groups(robot, kind: type[Kind]) -> tuple[Group[Kind], ...]:
+def groups(robot: "Robot", kind: type[Kind]) -> tuple[Group[Kind], ...]:
     """The robot's effects of this kind, in the order in which they were added; two on one axis stand in two groups."""
     found: list[tuple[object, list[AbstractEffect], list[int]]] = []
     for effect in robot.effects:

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -15,6 +15,9 @@ from .._types import Array
 from ._harmonics import checked, harmonics
 from ._place import axis_of
 from .effect import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator, Candidate, Joint
+
+if TYPE_CHECKING:
+    from ..robot import Robot
 
 Number = Float[Array, ""] | float
 
@@ -47,7 +50,7 @@ class TorqueDelay(AbstractActuator):
             )
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 3e-4)
 
     def start(self, torque, step):
@@ -88,7 +91,7 @@ class CurrentLoopLag(AbstractActuator):
     time_constant: Number
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 3e-4)
 
     def start(self, torque, step):
@@ -126,7 +129,7 @@ class TorqueConstant(AbstractStatelessActuator):
     error: Number
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.02)
 
     def drive(self, torque):
@@ -162,16 +165,16 @@ class TorqueSaturation(AbstractStatelessActuator):
     limit: Number
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.5 * robot.drives.torque_limit[axis_of(robot, joint)])
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """At parts of the largest command: whatever it is clipped at, its torque is that of the limit."""
         these = [cls(joint, part * largest) for part in _CLIPPED]
         label = "limit {:.3g} N m".format
         return tuple(
-            Candidate(cls.name, joint, (e,), functools.partial(_as_it_is, e), (0.3,), (3.0,), 0.3, label(e.limit))
+            Candidate(cls.name, str(joint), (e,), functools.partial(_as_it_is, e), (0.3,), (3.0,), 0.3, label(e.limit))
             for e in these
         )
 
@@ -208,12 +211,12 @@ class TorqueRipple(AbstractMotorTorque):
         self.amplitude, self.order, self.phase = checked(self.name, amplitude, order, phase)
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         limit = robot.drives.torque_limit[axis_of(robot, joint)]
         return cls(joint, 0.01 * jnp.where(jnp.isfinite(limit), limit, 1.0)[None], (6,))
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """None: the orders are found in the data."""
         return ()
 

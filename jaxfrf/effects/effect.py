@@ -23,7 +23,7 @@ import abc
 import functools
 import math
 from collections.abc import Callable
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -33,6 +33,9 @@ from jaxtyping import Complex, Float, PyTree
 
 from .._types import Array
 from ._place import axis_of, own_spring, spring_of
+
+if TYPE_CHECKING:
+    from ..robot import Robot
 
 Signal = Float[Array, "*run"]
 Joint = int | str
@@ -64,16 +67,16 @@ class AbstractEffect(eqx.Module):
 
     @classmethod
     @abc.abstractmethod
-    def typical(cls, robot, joint: Joint) -> Self:
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         """The effect on this joint of this robot at a magnitude that is just visible: where a search starts."""
 
     @classmethod
-    def plausible(cls, robot, joint: Joint) -> tuple[float, float]:
+    def plausible(cls, robot: "Robot", joint: Joint) -> tuple[float, float]:
         """Lowest and highest value of the first parameter on this joint of this robot; by default its `bounds`."""
         return cls.bounds.get(next(iter(cls.units)), (-math.inf, math.inf))
 
     @classmethod
-    def candidates(cls, robot, joint: Joint, largest: float) -> tuple["Candidate", ...]:
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple["Candidate", ...]:
         """What a diagnosis tries of the effect on this joint: by default one, linear in the first parameter.
 
         A class says it itself where a parameter enters nonlinearly (a knee, a width: one candidate for each of some
@@ -99,7 +102,7 @@ class AbstractEffect(eqx.Module):
         make = functools.partial(_times, self, first, value)
         return Candidate(self.name, str(self.joint), (self,), make, (bounds[0],), (bounds[1],), 1.0, variant)
 
-    def check(self, robot) -> None:
+    def check(self, robot: "Robot") -> None:
         """**Raises:** `jaxfrf.InputError` where the effect cannot act on its joint of this robot."""
         axis_of(robot, self.joint)
 
@@ -134,7 +137,7 @@ class AbstractStructure(AbstractEffect):
     """An effect that changes the robot's own numbers or joints."""
 
     @abc.abstractmethod
-    def apply(self, robot):
+    def apply(self, robot: "Robot"):
         """The robot with the effect in it."""
 
 
@@ -218,11 +221,11 @@ class AbstractGear(AbstractEffect):
     """An effect inside a flexible transmission, whose spring is deflected by x = q_m/n - q_a (arm side, rad)."""
 
     @classmethod
-    def candidates(cls, robot, joint: Joint, largest: float) -> tuple[Candidate, ...]:
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         spring_of(robot, joint)
         return super().candidates(robot, joint, largest)
 
-    def check(self, robot) -> None:
+    def check(self, robot: "Robot") -> None:
         spring_of(robot, self.joint)
 
 

@@ -1,14 +1,17 @@
 """Friction of motors and joints."""
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Float
 
 from .._types import Array
-from ._place import axis_of, changed, own
-from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Joint
+from ._place import axis_of, changed, coulomb, own
+from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint
+
+if TYPE_CHECKING:
+    from ..robot import Robot
 
 Number = Float[Array, ""] | float
 
@@ -35,17 +38,17 @@ class CoulombFriction(AbstractStructure):
     level: Number
 
     @classmethod
-    def typical(cls, robot, joint):
-        return cls(joint, 0.2 * own(robot, joint, robot.drives.friction.coulomb, 0.1))
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
+        return cls(joint, 0.2 * own(robot, joint, coulomb(robot), 0.1))
 
     @classmethod
-    def plausible(cls, robot, joint):
+    def plausible(cls, robot: "Robot", joint: Joint):
         """As far below as the robot's own friction, where it states some."""
         stated = getattr(robot.drives.friction, "coulomb", None)
         least = cls.bounds["level"][0] if stated is None else -float(stated[axis_of(robot, joint)])
         return least, cls.bounds["level"][1]
 
-    def apply(self, robot):
+    def apply(self, robot: "Robot"):
         axis = axis_of(robot, self.joint)
         return changed(robot, lambda r: r.drives.friction.coulomb, lambda x: x.at[axis].add(self.level))
 
@@ -72,10 +75,10 @@ class ViscousFriction(AbstractStructure):
     coefficient: Number
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.5 * own(robot, joint, robot.drives.friction.viscous, 1e-3))
 
-    def apply(self, robot):
+    def apply(self, robot: "Robot"):
         axis = axis_of(robot, self.joint)
         return changed(robot, lambda r: r.drives.friction.viscous, lambda x: x.at[axis].add(self.coefficient))
 
@@ -101,7 +104,7 @@ class ArmViscousFriction(AbstractArmTorque):
     coefficient: Number
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         gear = robot.drives.gear_ratio[axis_of(robot, joint)]
         return cls(joint, 0.5 * own(robot, joint, robot.drives.friction.viscous, 1e-3) * gear**2)
 
@@ -131,11 +134,11 @@ class StribeckFriction(AbstractFriction):
     smoothing: Number = 0.2
 
     @classmethod
-    def typical(cls, robot, joint):
-        return cls(joint, 0.3 * own(robot, joint, robot.drives.friction.coulomb, 0.1))
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
+        return cls(joint, 0.3 * own(robot, joint, coulomb(robot), 0.1))
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         typical, bounds = cls.typical(robot, joint), cls.plausible(robot, joint)
         these = [eqx.tree_at(lambda e: e.width, typical, width) for width in _WIDTHS]
         return tuple(e.candidate(*bounds, f"width {e.width:g} rad/s") for e in these)
@@ -167,8 +170,8 @@ class FrictionAsymmetry(AbstractFriction):
     smoothing: Number = 0.2
 
     @classmethod
-    def typical(cls, robot, joint):
-        return cls(joint, 0.1 * own(robot, joint, robot.drives.friction.coulomb, 0.1))
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
+        return cls(joint, 0.1 * own(robot, joint, coulomb(robot), 0.1))
 
     def torque(self, speed, load):
         return self.offset + self.level * jnp.tanh(speed / self.smoothing)
@@ -194,7 +197,7 @@ class LoadDependentFriction(AbstractFriction):
     smoothing: Number = 0.2
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.02)
 
     def torque(self, speed, load):

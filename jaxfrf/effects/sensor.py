@@ -1,7 +1,7 @@
 """Errors of the measured motor position."""
 
 import math
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +9,10 @@ from jaxtyping import Float
 
 from .._types import Array
 from ._harmonics import checked, harmonics
-from .effect import AbstractSensor, Joint
+from .effect import AbstractSensor, Candidate, Joint
+
+if TYPE_CHECKING:
+    from ..robot import Robot
 
 
 class ResolverRipple(AbstractSensor):
@@ -38,11 +41,11 @@ class ResolverRipple(AbstractSensor):
         self.amplitude, self.order, self.phase = checked(self.name, amplitude, order, phase)
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, [5e-4, 1e-3])
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """None: the orders are found in the data."""
         return ()
 
@@ -69,11 +72,11 @@ class EncoderQuantisation(AbstractSensor):
     resolution: Float[Array, ""] | float
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 2 * math.pi / 2**13)
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """None: it is seen in the readings themselves."""
         return ()
 

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -15,6 +15,9 @@ from .._errors import input_error
 from .._types import Array
 from ._place import axis_of, changed, spring_of
 from .effect import AbstractArmTorque, AbstractStructure, Candidate, Joint
+
+if TYPE_CHECKING:
+    from ..robot import Robot
 
 Number = Float[Array, ""] | float
 
@@ -46,11 +49,11 @@ class StiffnessHardening(AbstractStructure):
     knee: Number = 2.9e-4
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.6)
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """By how much softer than the robot's own spring is; at its own knee, where that is bent already."""
         robot.with_effects(cls.typical(robot, joint))
         spring = spring_of(robot, joint)
@@ -61,10 +64,10 @@ class StiffnessHardening(AbstractStructure):
             change = float(basis.ratio) - own
             make = functools.partial(_softened, joint, own, change, this)
             most = (cls.bounds["ratio"][0] - own) / change
-            found.append(Candidate(cls.name, joint, (basis,), make, (0.0,), (most,), 1.0, f"knee {this:g} rad"))
+            found.append(Candidate(cls.name, str(joint), (basis,), make, (0.0,), (most,), 1.0, f"knee {this:g} rad"))
         return tuple(found)
 
-    def apply(self, robot):
+    def apply(self, robot: "Robot"):
         spring = spring_of(robot, self.joint)
         robot = changed(robot, lambda r: r.springs.stiffness_ratio, lambda x: x.at[spring].set(self.ratio))
         return changed(robot, lambda r: r.springs.stiffness_knee, lambda x: x.at[spring].set(self.knee))
@@ -93,11 +96,11 @@ class Backlash(AbstractStructure):
     gap: Number
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 2.9e-4)
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """None where the robot states a play of its own."""
         robot.with_effects(cls.typical(robot, joint))
         own = robot.springs.backlash
@@ -105,7 +108,7 @@ class Backlash(AbstractStructure):
             return ()
         return tuple(cls(joint, gap).candidate(0.2 * gap, 3.0 * gap, f"gap {gap:g} rad") for gap in _GAPS)
 
-    def apply(self, robot):
+    def apply(self, robot: "Robot"):
         spring = spring_of(robot, self.joint)
         play = robot.springs.backlash
         play = jnp.zeros_like(robot.springs.stiffness) if play is None else play
@@ -132,16 +135,16 @@ class MotorInertia(AbstractStructure):
     increase: Number
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.03 * robot.drives.motor_inertia[axis_of(robot, joint)])
 
     @classmethod
-    def plausible(cls, robot, joint):
+    def plausible(cls, robot: "Robot", joint: Joint):
         """Half to twice the robot's own, or more where motors are small."""
         own = float(robot.drives.motor_inertia[axis_of(robot, joint)])
         return -0.5 * own, max(cls.bounds["increase"][1], own)
 
-    def apply(self, robot):
+    def apply(self, robot: "Robot"):
         axis = axis_of(robot, self.joint)
         return changed(robot, lambda r: r.drives.motor_inertia, lambda x: x.at[axis].add(self.increase))
 
@@ -168,11 +171,11 @@ class Payload(AbstractStructure):
     joint: Joint = eqx.field(static=True, default="")
 
     @classmethod
-    def typical(cls, robot, joint=""):
+    def typical(cls, robot: "Robot", joint: Joint = "") -> Self:
         return cls(0.05 * jnp.maximum(robot.chain.mass[-1], 1.0), None, joint)
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """One of a robot, on its last link."""
         if axis_of(robot, joint) != robot.n_axes - 1:
             return ()
@@ -181,7 +184,7 @@ class Payload(AbstractStructure):
         visible = float(cls.typical(robot).mass)
         return (Candidate(cls.name, "", (cls(1.0),), _carried, (low,), (high,), visible),)
 
-    def apply(self, robot):
+    def apply(self, robot: "Robot"):
         chain = robot.chain
         link = _link_of(robot, self.joint)
         mass, com, inertia = (jnp.asarray(x) for x in (chain.mass, chain.com, chain.inertia))
@@ -200,7 +203,7 @@ def _carried(c):
     return Payload(float(c[0]))
 
 
-def _link_of(robot, joint: Joint) -> int:
+def _link_of(robot: "Robot", joint: Joint) -> int:
     if joint == "":
         return robot.chain.n_joints - 1
     if isinstance(joint, str) and joint in robot.joint_names:
@@ -238,12 +241,12 @@ class ExtraFlexibility(AbstractStructure):
     damping: Number = 50.0
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         across = np.roll(np.abs(np.round(np.asarray(robot.chain.axis[robot.driven_joints[axis_of(robot, joint)]]))), 1)
         return cls(joint, across, 5e5, 100.0)
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """About the axes of the joint's frame that are across its own, at some stiffnesses: as compliances."""
         robot.with_effects(cls.typical(robot, joint))
         own = np.asarray(robot.chain.axis)[robot.driven_joints[axis_of(robot, joint)]]
@@ -255,10 +258,10 @@ class ExtraFlexibility(AbstractStructure):
                 basis = cls(joint, axis, stiffness, stiffness / _LASTING)
                 make = functools.partial(_hinged, joint, tuple(axis), stiffness)
                 label = f"axis {np.round(axis).astype(int).tolist()}, {stiffness:g} N m/rad"
-                found.append(Candidate(cls.name, joint, (basis,), make, (0.3,), (2.0,), 0.3, label))
+                found.append(Candidate(cls.name, str(joint), (basis,), make, (0.3,), (2.0,), 0.3, label))
         return tuple(found)
 
-    def apply(self, robot):
+    def apply(self, robot: "Robot"):
         at = robot.driven_joints[axis_of(robot, self.joint)]
         name = f"{robot.joint_names[at]}_flexibility"
         if name in robot.joint_names:
@@ -326,11 +329,11 @@ class Counterbalance(AbstractArmTorque):
     rest: Number = 0.0
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 20.0)
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """Where gravity acts: on the other axes the same law is that of hoses."""
         return _springs(cls, joint, 20.0) if _carries_weight(robot, joint) else ()
 
@@ -358,11 +361,11 @@ class DressPack(AbstractArmTorque):
     damping: Number = 0.0
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 50.0)
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """Where gravity does not act: on the other axes the same law is that of a counterbalance."""
         return () if _carries_weight(robot, joint) else _springs(cls, joint, 50.0)
 
@@ -381,7 +384,7 @@ class _Constant(AbstractArmTorque):
     joint: Joint = eqx.field(static=True)
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint)
 
     def torque(self, angle, rate):
@@ -406,7 +409,7 @@ def _at_rest(kind, joint, c):
     return kind(joint, stiffness, float(np.clip(rest, -np.pi, np.pi)))
 
 
-def _carries_weight(robot, joint) -> bool:
+def _carries_weight(robot: "Robot", joint: Joint) -> bool:
     """Whether the axis, in the robot's zero position, is across gravity, and not one of the wrist."""
     axis = axis_of(robot, joint)
     direction = np.asarray(robot.chain.axis)[robot.driven_joints[axis]]

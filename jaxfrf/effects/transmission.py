@@ -1,7 +1,7 @@
 """What happens inside a transmission, beside its spring."""
 
 import math
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,7 +12,10 @@ from .._errors import input_error
 from .._types import Array
 from ._harmonics import checked, harmonics
 from ._place import axis_of, spring_of
-from .effect import AbstractGearCoupling, AbstractGearError, AbstractGearTorque, Joint
+from .effect import AbstractGearCoupling, AbstractGearError, AbstractGearTorque, Candidate, Joint
+
+if TYPE_CHECKING:
+    from ..robot import Robot
 
 Number = Float[Array, ""] | float
 
@@ -52,12 +55,12 @@ class TransmissionError(AbstractGearError):
         self.amplitude, self.order, self.phase = checked(self.name, amplitude, order, phase)
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         """Two errors a turn between motor and output, as of a strain-wave gear: 2 + 2/n per turn of the motor."""
         return cls(joint, [3e-5], 2.0 * (robot.drives.gear_ratio[axis_of(robot, joint)] + 1.0), (1,))
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """None: the orders are found in the data."""
         return ()
 
@@ -100,7 +103,7 @@ class StructuralDamping(AbstractGearTorque):
     loss: Number
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.02)
 
     def start(self, deflection, tension):
@@ -159,13 +162,13 @@ class GearHysteresis(AbstractGearTorque):
     slip: Number = 1e-4
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         axis = axis_of(robot, joint)
         limit, gear = robot.drives.torque_limit[axis], jnp.abs(robot.drives.gear_ratio[axis])
         return cls(joint, 0.02 * jnp.where(jnp.isfinite(limit), limit * gear, 1000.0))
 
     @classmethod
-    def candidates(cls, robot, joint, largest):
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         spring_of(robot, joint)
         torque = float(cls.typical(robot, joint).torque)
         return tuple(cls(joint, torque, s).candidate(0.0, _STRONGEST * torque, f"slip {s:g} rad") for s in _SLIPS)
@@ -214,10 +217,10 @@ class WristCoupling(AbstractGearCoupling):
     ratio: Number
 
     @classmethod
-    def typical(cls, robot, joint):
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.02)
 
-    def check(self, robot):
+    def check(self, robot: "Robot"):
         if axis_of(robot, self.joint) == 0:
             raise input_error(
                 f"wrist_coupling on {robot.name}",

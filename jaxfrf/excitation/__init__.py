@@ -1,7 +1,7 @@
 """Excitation: line grids, phases, orthogonal multisines, and the references that a controller plays."""
 
 from .level import (
-    Levels as Levels,
+    ExcitationLevels as ExcitationLevels,
     crest_factor as crest_factor,
     levels as levels,
     line_power as line_power,

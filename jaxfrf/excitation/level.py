@@ -9,7 +9,7 @@ from .._types import Array
 from .signals import Reference, one_period
 
 
-class Levels(eqx.Module):
+class ExcitationLevels(eqx.Module):
     """Levels of every experiment and channel, (exp, in).
 
     **Fields:** `rms` (rad/s) and `crest`: of the multisine alone, over one steady period; `velocity`
@@ -43,12 +43,12 @@ def line_power(R: Complex[Array, "*batch freq channel"]) -> Float[np.ndarray, "*
     return 2 * np.abs(R) ** 2
 
 
-def levels(reference: Reference) -> Levels:
+def levels(reference: Reference) -> ExcitationLevels:
     """The levels of every experiment and channel of a reference."""
     design = reference.design
     steady = reference.r[:, -design.period :]
     slow, _ = one_period(design, np.zeros(design.amplitude.shape))
-    return Levels(
+    return ExcitationLevels(
         rms=rms(steady - slow),
         crest=crest_factor(steady - slow),
         velocity=np.max(np.abs(reference.r), axis=1),

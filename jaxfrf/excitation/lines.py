@@ -11,6 +11,7 @@ from jaxtyping import Int, PRNGKeyArray
 
 from .._errors import input_error
 from .._memory import check_memory
+from .._text import number
 from .._types import Array
 from ._draw import uniform
 
@@ -33,8 +34,8 @@ def band_lines(low: float, high: float, fs: float, period: int) -> tuple[int, in
     if not 0 <= low <= high or first > last:
         raise input_error(
             "band",
-            f"{low:g} to {high:g} Hz with lines every {resolution:.4g} Hz",
-            f"a band that holds at least one line between {resolution:.4g} and {fs / 2:g} Hz",
+            f"{low:g} to {high:g} Hz with lines every {number(resolution, 4)} Hz",
+            f"a band that holds at least one line between {number(resolution, 4)} and {fs / 2:g} Hz",
             "Widen the band, or lengthen the period.",
         )
     if high > fs / 2:

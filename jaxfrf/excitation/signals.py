@@ -8,6 +8,7 @@ from jaxtyping import Complex, Float, Int, PRNGKeyArray
 from .._arguments import expect
 from .._errors import input_error
 from .._memory import check_memory
+from .._text import number
 from .multisine import Multisine, reference_spectra
 
 
@@ -147,7 +148,7 @@ def _check_velocity(design: Multisine, r) -> None:
     if excess[exp, channel] > 1:
         raise input_error(
             "velocity_limit",
-            f"a peak of {peak[exp, channel]:.4g} rad/s in experiment {exp}, channel {channel}",
-            f"at most {design.velocity_limit[channel]:.4g} rad/s",
+            f"a peak of {number(peak[exp, channel], 4)} rad/s in experiment {exp}, channel {channel}",
+            f"at most {number(design.velocity_limit[channel], 4)} rad/s",
             "Lower rms or the slow sine, take another seed, or crest-optimised phases.",
         )

@@ -3,6 +3,7 @@
 import numpy as np
 
 from .._errors import input_error
+from .._text import number
 from ..units import QUANTITIES
 
 _LARGEST = 1e100
@@ -68,8 +69,8 @@ def as_signal(name: str, value) -> np.ndarray:
     if max(x.max(), -x.min()) > _LARGEST:
         raise input_error(
             name,
-            f"numbers up to {max(x.max(), -x.min()):.3g}",
-            f"at most {_LARGEST:g}, whose squares are finite",
+            f"numbers up to {number(max(x.max(), -x.min()))}",
+            f"at most {number(_LARGEST)}, whose squares are finite",
             "The file is damaged, or these are no numbers of a record.",
         )
     return x

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._errors import input_error
+from .._text import number
 from .._types import Array
 from ..periodic import FoundPeriod, find_period
 from .arguments import as_configurations, as_count, as_line_numbers, as_positive, as_quantity, as_signal
@@ -62,12 +63,12 @@ class Experiment(eqx.Module):
         u,
         y,
         fs: float,
-        period: int = 0,
+        period: float = 0,
         *,
         r=None,
         q=None,
         lines=None,
-        transient_periods: int = 0,
+        transient_periods: float = 0,
         r_quantity: str = "velocity",
         y_quantity: str = "velocity",
         u_unit: str = "",
@@ -149,7 +150,7 @@ def _check_periods(data: Experiment) -> None:
             do = f"{seen[0]} repeats every {seen[1].period} samples: {how_to_set(n_time, seen[1].period)}."
         raise input_error(
             "period",
-            f"{n_time} samples, {n_time / period:.4g} periods of {period}",
+            f"{n_time} samples, {number(n_time / period, 4)} periods of {period}",
             "a whole number of periods",
             do,
         )

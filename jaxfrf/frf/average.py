@@ -10,6 +10,7 @@ from jaxtyping import Bool, Complex, Float
 
 from .._errors import input_error
 from .._status import Status
+from .._text import counted
 from .._types import Array
 from ..spectra import Spectra, changed_signals
 from .classical import H1
@@ -170,7 +171,7 @@ class RobustMean(AbstractAverage):
         if n_block < 3:
             raise input_error(
                 "experiments",
-                f"{n_block} block(s) of {self.block_size(spectra)}",
+                f"{counted(n_block, 'block')} of {self.block_size(spectra)}",
                 "at least three, of which most agree",
                 "Take another mean (log), or add experiments.",
             )

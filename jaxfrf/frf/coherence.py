@@ -5,6 +5,7 @@ from jaxtyping import Float
 
 from .._arguments import expect
 from .._errors import input_error
+from .._text import counted
 from ..spectra import Spectra
 from .classical import by_line
 
@@ -62,7 +63,7 @@ def _ratio(a, b) -> np.ndarray:
 def _too_few(spectra: Spectra, needed: int):
     return input_error(
         "coherence",
-        f"{spectra.n_exp} experiment(s) of {spectra.n_periods} period(s)",
+        f"{counted(spectra.n_exp, 'experiment')} of {counted(spectra.n_periods, 'period')}",
         f"at least {needed} experiments, or several periods for the multiple coherence",
         "With a single experiment look at the standard deviation of a local estimate instead.",
     )

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from .._arguments import expect
 from .._errors import InputError, input_error
 from .._status import Status
+from .._text import counted
 from .._types import Array
 from ..experiment import Experiment
 from ..spectra import Spectra, changed_signals, dft, unexcited_spectra
@@ -109,7 +110,8 @@ def distortion_of(frf: FRF, data: Experiment) -> Distortion:
     if way == "noise only" and spectra.noise is None:
         raise input_error(
             "distortion",
-            f"{spectra.n_real} realisation(s) of {spectra.n_periods} period(s), no line left unexcited",
+            f"{counted(spectra.n_real, 'realisation')} of {counted(spectra.n_periods, 'period')}, no line left "
+            "unexcited",
             "unexcited lines in the band (odd designs), or two realisations, or two periods",
             "Excite odd lines only and leave some of them out (jaxfrf excite), or record longer.",
         )
@@ -219,7 +221,7 @@ def levels(spectra: Spectra) -> Levels:
     if spectra.n_real < 2 or spectra.noise is None:
         raise input_error(
             "levels",
-            f"{spectra.n_real} realisation(s) of {spectra.n_periods} period(s)",
+            f"{counted(spectra.n_real, 'realisation')} of {counted(spectra.n_periods, 'period')}",
             "at least two realisations of two periods",
             "Repeat with new phases, or look at the unexcited lines (jaxfrf.distortion).",
         )

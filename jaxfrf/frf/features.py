@@ -20,8 +20,9 @@ class Feature(eqx.Module):
     """An extremum of the magnitude of one element: `kind` is `resonance` or `antiresonance`.
 
     **Fields:** `frequency`: Hz, of the pole or zero where the lines tell it, else of the line. `frequency_std`: its
-    standard deviation; a 95 % interval is +-1.96 of it. `damping`, `damping_std`: ratio to the critical one; NaN where
-    the lines do not tell it. `magnitude_db`, `prominence_db`: at the line, and over the surroundings.
+    standard deviation (of a line, by the 3 dB band around it); a 95 % interval is +-1.96 of it. `damping`,
+    `damping_std`: ratio to the critical one; NaN where the lines do not tell it. `magnitude_db`, `prominence_db`: at
+    the line, and over the surroundings.
     """
 
     kind: str = eqx.field(static=True)
@@ -61,7 +62,7 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
             if prominence <= of_peak[i] + of_base[base] or _turn(G, sign * level, i) <= _TURN:
                 continue
             value, spread = (G, std) if sign > 0 else (1 / G, std / magnitude**2)
-            fitted = _around(np.asarray(frf.frequency, float), value, spread, shared, _lines(sign * level, i), i)
+            fitted = _around(np.asarray(frf.frequency, float), value, spread, shared, sign * level, i)
             if fitted is not None:
                 at, *intervals = map(float, fitted)
                 found.append(Feature(kind, at, float(level[i]), float(prominence), *intervals))
@@ -106,21 +107,25 @@ def _turn(G, level, at: int) -> float:
     return abs(np.angle(G[last] * G[first].conj()))
 
 
-def _around(frequency, G, std, shared, lines: slice, at: int) -> tuple[float, float, float, float] | None:
+def _around(frequency, G, std, shared, level, at: int) -> tuple[float, float, float, float] | None:
     """Frequency, damping and their deviations of the pole behind a peak; `None` where it is not significant."""
+    lines = _lines(level, at)
     f = frequency[lines]
     apart = float(np.median(np.diff(f))) if len(f) > 1 else 0.0
-    by_line = (float(frequency[at]), apart / np.sqrt(12.0), float("nan"), float("nan"))
+    left, right = _edges(level, at)
+    broad = max(float(frequency[right] - frequency[left]) - apart, apart)  # a peak alone is not known better
+    by_line = (float(frequency[at]), broad / np.sqrt(12.0), float("nan"), float("nan"))
     if len(f) < 2 * _FEWEST or not np.isfinite(G[lines]).all():
         return by_line
     known = bool(np.isfinite(std[lines]).all() and (std[lines] > 0).all())
-    fitted = _one_pole(f, G[lines], std[lines] if known else None, float(np.mean(shared[lines])), frequency[at])
+    alike = min(float(np.mean(shared[lines])), float(len(f)))  # errors that are all the same count as one
+    fitted = _one_pole(f, G[lines], std[lines] if known else None, alike, frequency[at])
     size, spread = fitted.residues
     if known and np.abs(size[0, 0]) < _SIGNIFICANT * spread[0, 0]:
         return None
     frequency_std, damping_std = float(fitted.frequency_std[0]), float(fitted.damping_std[0])
     pole = float(np.abs(fitted.poles[0]) / 2 / np.pi)
-    if abs(pole - frequency[at]) > 2 * apart or not frequency_std < apart:
+    if abs(pole - frequency[at]) > max(2 * apart, broad / 2) or not frequency_std < broad:
         return by_line
     damping = float(fitted.damping[0])
     sure = damping_std < _SURE * damping

@@ -16,6 +16,7 @@ import numbers
 import numpy as np
 
 from .._errors import input_error
+from .._text import counted
 from ..spectra import Spectra
 from .least_squares import AbstractLeastSquares
 from .method import Signals
@@ -61,7 +62,7 @@ class AbstractLocal(AbstractLeastSquares):
         if least > n_lines:
             raise input_error(
                 "lines",
-                f"{n_lines} lines with {spectra.n_exp} experiment(s)",
+                f"{n_lines} lines with {counted(spectra.n_exp, 'experiment')}",
                 f"at least {least} for {n_parameters} unknowns in a window",
                 "Use more lines (for a record that is not periodic: --band LOW:HIGH), lower the order, or stack more "
                 "experiments.",
@@ -70,7 +71,7 @@ class AbstractLocal(AbstractLeastSquares):
         if width < least:
             raise input_error(
                 "width",
-                f"a window of {width} lines with {spectra.n_exp} experiment(s)",
+                f"a window of {width} lines with {counted(spectra.n_exp, 'experiment')}",
                 f"at least {least} ({n_parameters} unknowns); more leave a residual to estimate the noise from",
                 "Widen the window, lower the order, or stack more experiments.",
             )

@@ -104,7 +104,9 @@ def modal(
 
     Standard deviations are those of this fit (Cramer-Rao), with the misfit, and with lines that share data (`window`)
     counted as fewer. Biased: modes smoothed by a window wider than their resonance look more damped, and closely spaced
-    modes of a record with few lines may be taken as one. Fails where fewer than three lines lie in a resonance.
+    modes of a record with few lines may be taken as one; a dead time, or the half sample of an input that is held
+    between samples, is in no mode, and misfits towards high lines. Fails where fewer than three lines lie in a
+    resonance.
 
     **Arguments:**
 

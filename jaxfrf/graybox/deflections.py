@@ -25,7 +25,7 @@ def robot_points(robot: Robot, data: Experiment) -> RobotPoint:
 
     **Arguments:** `data`: periodic records with arm configurations q.
     """
-    return points_under(robot, data.q, varying_gear_torque(robot, data))
+    return points_under(robot, np.asarray(data.q), varying_gear_torque(robot, data))
 
 
 def points_under(
@@ -54,7 +54,7 @@ def varying_gear_torque(robot: Robot, data: Experiment) -> Float[np.ndarray, "po
     return np.stack(found)
 
 
-class Motion(eqx.Module):
+class MeanMotion(eqx.Module):
     """One mean period of every experiment up to 1.5 times the highest line, coarsely sampled: torque command (N m),
     motor `angle` about its mean (rad), `speed` and `acceleration`, (exp, time, axis); `step`: between spectral lines,
     Hz."""
@@ -66,7 +66,7 @@ class Motion(eqx.Module):
     step: float
 
 
-def motion(data: Experiment, pos: int) -> Motion:
+def motion(data: Experiment, pos: int) -> MeanMotion:
     """The motion at a position, from periodic records.
 
     **Raises:** `jaxfrf.InputError` for a record without a period."""
@@ -81,10 +81,10 @@ def motion(data: Experiment, pos: int) -> Motion:
     per = s ** derivatives(data.y_quantity)
     angle = np.divide(Y, per, out=np.zeros_like(Y), where=s != 0)
     back = lambda X: np.fft.irfft(X, 2 * count, axis=1) * 2 * count
-    return Motion(back(U), back(angle), back(s * angle), back(s**2 * angle), step)
+    return MeanMotion(back(U), back(angle), back(s * angle), back(s**2 * angle), step)
 
 
-def gear_torque(robot: Robot, moved: Motion) -> Float[np.ndarray, "exp time gear"]:
+def gear_torque(robot: Robot, moved: MeanMotion) -> Float[np.ndarray, "exp time gear"]:
     """Torque in every flexible transmission about its mean, arm side, N m: what the motors do not keep for
     themselves."""
     gear, inertia = (np.asarray(x) for x in (robot.drives.gear_ratio, robot.drives.motor_inertia))

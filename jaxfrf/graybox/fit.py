@@ -16,7 +16,7 @@ from .._errors import input_error
 from .._types import require_x64
 from ..frf import FRF
 from .cost import Cost, check_quantity, check_shape
-from .model import AbstractModel, fix
+from .model import AbstractModel, Model, fix
 from .parameter import Coordinates, matching
 from .solver import AbstractSolver, Descent, LevenbergMarquardt, check_solver, descents
 from .target import Target, Weights, assumed_cost, select, target
@@ -222,7 +222,7 @@ def fit_target(
     return Fit(model, coordinates, best.x, known, tuple(made), tg, blind)
 
 
-def _without_blind(model: AbstractModel, tg: Target) -> tuple[AbstractModel, tuple[str, ...]]:
+def _without_blind(model: Model, tg: Target) -> tuple[Model, tuple[str, ...]]:
     """The model with parameters that do not change the response fixed, and their names."""
     coordinates = Coordinates(model.parameters)
     errors, slopes = Cost(model, coordinates, tg).errors(jnp.asarray(coordinates.start()))

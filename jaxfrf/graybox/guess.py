@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from .._errors import input_error
+from .._text import number
 from .._types import require_x64
 from ..frf import FRF, features
 from ..robot import Robot, arm_inertia
@@ -131,7 +132,7 @@ def _rough(robot: Robot, frf: FRF):
         stiffness.append(_square(typical) * np.median(J))
         inertia.append(np.median(J))
         seen.append(False)
-        notes.append(f"{name}: no motor shows this spring; the search began with a mode at {typical:.3g} Hz")
+        notes.append(f"{name}: no motor shows this spring; the search began with a mode at {number(typical)} Hz")
     return np.array(stiffness), np.array(inertia), np.array(seen), tuple(notes)
 
 
@@ -157,8 +158,8 @@ def _extremes(frf: FRF, axis: int, kind: str) -> np.ndarray:
 
 def _without_dip(peaks, J, rotor: float, typical: float) -> tuple[float, str]:
     if np.isfinite(peaks).any():
-        return np.nanmedian(_square(peaks) / (1 / J + 1 / rotor)), f"the resonance at {np.nanmedian(peaks):.3g} Hz"
-    return _square(typical) * np.median(J), f"an assumed mode at {typical:.3g} Hz, as it shows no resonance either"
+        return np.nanmedian(_square(peaks) / (1 / J + 1 / rotor)), f"the resonance at {number(np.nanmedian(peaks))} Hz"
+    return _square(typical) * np.median(J), f"an assumed mode at {number(typical)} Hz, as it shows no resonance either"
 
 
 def _square(frequency):
@@ -215,7 +216,9 @@ def _searched(begin: RobotModel, tg: Target, seen) -> tuple[dict[str, float], fl
     cost, x = min(ends, key=lambda end: end[0])
     error = 20 / np.log(10) * np.sqrt(cost / np.sum(np.square(tg.magnitude)))
     if error > _FAR:
-        notes.append(f"magnitudes are {error:.2g} dB off at the guess: check masses, gears, units, order of axes")
+        notes.append(
+            f"magnitudes are {number(error, 2)} dB off at the guess: check masses, gears, units, order of axes"
+        )
     return {n: float(v) for n, v in coordinates.values(x).items()}, float(error), tuple(notes)
 
 
@@ -246,10 +249,12 @@ def _believed(robot: Robot, rough: Mapping[str, float], found: Mapping[str, floa
     for name, J in zip(robot.spring_names, inertia, strict=True):
         k, d = f"{name}.stiffness", f"{name}.damping"
         if not 1 / _FARTHEST < values[k] / rough[k] < _FARTHEST:
-            notes.append(f"{name}: the search ran off to {values[k]:.3g} N m/rad; the rough guess stands")
+            notes.append(f"{name}: the search ran off to {number(values[k])} N m/rad; the rough guess stands")
             values[k] = rough[k]
         critical = 2 * np.sqrt(values[k] * J)
         if not _ZETAS[0] < values[d] / critical < _ZETAS[1]:
-            notes.append(f"{name}: the search ran off to {values[d]:.3g} N m s/rad; damping ratio {_ZETA:g} assumed")
+            notes.append(
+                f"{name}: the search ran off to {number(values[d])} N m s/rad; damping ratio {_ZETA:g} assumed"
+            )
             values[d] = float(_ZETA * critical)
     return values, tuple(notes)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
+from .._text import number
 from ..experiment import Experiment
 from ..frf import FRF
 from .corrections import Correction, next_point, settled, updated
@@ -51,20 +52,20 @@ def fit_in_motion(
     """
     weights = Weights() if weights is None else weights
     solver = LevenbergMarquardt() if solver is None else solver
-    torque = varying_gear_torque(model.robot, data)
-    points = points_under(model.robot, data.q, torque)
+    torque, q = varying_gear_torque(model.robot, data), np.asarray(data.q)
+    points = points_under(model.robot, q, torque)
     found = fit(model, measured, weights=weights, solver=solver, starts=starts, key=key, points=points)
     slow = slow_motion(model.robot, data, slow_limit(measured.frequency))
     if slow is not None and say is not None:
-        turn = np.rad2deg(np.abs(slow.q - np.asarray(data.q)[:, None]).max())
-        say(f"slow motion turns the arm by up to {turn:.2g} degrees: fitted is its mean response over the way")
+        turn = np.rad2deg(np.abs(slow.q - q[:, None]).max())
+        say(f"slow motion turns the arm by up to {number(turn, 2)} degrees: fitted is its mean response over the way")
     x, history = np.asarray(found.x), []
     for _ in range(_AGAIN):
         values = {n: float(v) for n, v in found.coordinates.values(x).items()}
-        begin = starting_at(found.model, values)
-        tg = target(measured, weights, points_under(begin.at(values), data.q, torque))
+        begin = starting_at(model, values)
+        tg = target(measured, weights, points_under(begin.at(values), q, torque))
         if slow is not None:
-            tg = _as_moving(begin, values, tg, data.q, slow)
+            tg = _as_moving(begin, values, tg, q, slow)
         last = fit_target(begin, tg, solver, 1)
         history.append(Correction(x, updated(found.coordinates, last), 0.0, 0.0))
         if slow is None or settled(history[-1], found.coordinates, last).all():

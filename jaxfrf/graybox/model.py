@@ -149,7 +149,8 @@ class RobotModel(AbstractModel):
         friction_spread: float | None = None,
     ):
         self.robot, self.quantity = robot, quantity
-        self.hold = ZeroOrderHold(robot.sampling_frequency, "position") if hold == "sampled" else hold
+        sampled = ZeroOrderHold(robot.sampling_frequency, "position")
+        self.hold = sampled if isinstance(hold, str) else hold
         asked = {"stiffness": stiffness_spread, "damping": damping_spread, "coulomb_friction": friction_spread}
         spread = lambda name, value: _spread(robot, name, float(value), asked[name.rpartition(".")[2]])
         known = {
@@ -290,7 +291,10 @@ def starting_at(model: Model, values: Mapping[str, float]) -> Model:
     **Raises:** `jaxfrf.InputError` for a name that the model does not have.
     """
     matching(model.parameters, values)
-    new = {n: dataclasses.replace(p, start=float(values[n])) if n in values else p for n, p in model.parameters.items()}
+    new = {
+        n: dataclasses.replace(p, start=np.float64(values[n])) if n in values else p
+        for n, p in model.parameters.items()
+    }
     return _replaced(model, new)
 
 

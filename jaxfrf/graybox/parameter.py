@@ -40,13 +40,13 @@ class Parameter(eqx.Module):
     - `same_as`: name of another parameter whose value this one takes (a shared parameter).
     """
 
-    start: Float[np.generic, ""]
+    start: Float[np.float64, ""]
     unit: str = eqx.field(static=True)
     positive: bool = eqx.field(static=True)
     free: bool = eqx.field(static=True)
     nuisance: bool = eqx.field(static=True)
     spread: float = eqx.field(static=True)
-    bounds: tuple[Float[np.generic, ""], Float[np.generic, ""]] | None
+    bounds: tuple[Float[np.float64, ""], Float[np.float64, ""]] | None
     scale: float = eqx.field(static=True)
     same_as: str | None = eqx.field(static=True)
 
@@ -89,7 +89,7 @@ class Parameter(eqx.Module):
             )
 
     @property
-    def limits(self) -> tuple[Array, Array]:
+    def limits(self) -> tuple[np.float64, np.float64]:
         """Lowest and highest value."""
         if self.bounds is not None:
             return self.bounds

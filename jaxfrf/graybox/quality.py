@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Complex, Float, PyTree
 
 from .._errors import input_error
+from .._text import number
 from .._types import Array
 from ..frf import FRF
 from .cost import Cost
@@ -143,13 +144,13 @@ class Quality(eqx.Module):
     def _says(self, positions, pos, band, out, ref) -> str:
         cell = pos, band, out, ref
         size = (
-            f"{_DECIBEL * np.sqrt(self.square[(*cell, 0)]):.2g} dB, "
-            f"{np.rad2deg(np.sqrt(self.square[(*cell, 1)])):.2g} degrees"
+            f"{number(_DECIBEL * np.sqrt(self.square[(*cell, 0)]), 2)} dB, "
+            f"{number(np.rad2deg(np.sqrt(self.square[(*cell, 1)])), 2)} degrees"
         )
         separator = "" if max(out, ref) < 9 else ","
         where = (
-            f"G{out + 1}{separator}{ref + 1} between {self.edges[band]:.3g} and {self.edges[band + 1]:.3g} Hz at "
-            f"position {positions[pos]}"
+            f"G{out + 1}{separator}{ref + 1} between {number(self.edges[band])} and {number(self.edges[band + 1])} Hz "
+            f"at position {positions[pos]}"
         )
         chi = self.chi_square[cell]
         return f"{where}: {np.sqrt(chi):.1f} times the noise ({size})" if np.isfinite(chi) else f"{where}: {size}"

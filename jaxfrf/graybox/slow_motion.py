@@ -11,7 +11,7 @@ from ..experiment import Experiment
 from ..robot import Robot, operating_point
 from ..robot.quantity import derivatives
 from .deflections import deflections, gear_torque, motion, robot_points
-from .model import RobotModel, RobotPoint
+from .model import AbstractModel, RobotModel, RobotPoint
 
 _PLACES = 89  # of the slow motion: a number of Fibonacci's, with which the golden section is even
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
@@ -93,7 +93,7 @@ def moving_response(
 
 
 def response_in_motion(
-    model: RobotModel, values: dict, frequency: Float[np.ndarray, "freq"], data: Experiment
+    model: RobotModel, values: dict, frequency: Float[Array, "freq"], data: Experiment
 ) -> Complex[np.ndarray, "pos freq out in"]:
     """The FRF that these periodic records would show of a robot with these parameters, without simulating them.
 
@@ -101,12 +101,12 @@ def response_in_motion(
     """
     slow = slow_motion(model.robot, data, slow_limit(frequency))
     if slow is not None:
-        return moving_response(model, values, frequency, data.q, slow)
+        return moving_response(model, values, frequency, np.asarray(data.q), slow)
     return response_at(model, values, frequency, robot_points(model.at(values), data))
 
 
 def response_at(
-    model: RobotModel, values: dict, frequency: Float[np.ndarray, "freq"], points: RobotPoint
+    model: AbstractModel, values: dict, frequency: Float[Array, "freq"], points: RobotPoint
 ) -> Complex[np.ndarray, "pos freq out in"]:
     """The linear response at operating points."""
     return np.asarray(_response(model, _arrays(values), jnp.asarray(frequency), points))
@@ -117,13 +117,13 @@ def _arrays(values: dict) -> dict:
     return {name: jnp.asarray(value, float) for name, value in values.items()}
 
 
-def slow_limit(frequency: Float[np.ndarray, "freq"]) -> float:
+def slow_limit(frequency: Float[Array, "freq"]) -> float:
     """The highest frequency that counts as slow beside an FRF at these lines, Hz."""
     return 0.5 * float(np.min(frequency))
 
 
 @eqx.filter_jit
-def _response(model: RobotModel, values, frequency, points: RobotPoint):
+def _response(model: AbstractModel, values, frequency, points: RobotPoint):
     return jax.lax.map(lambda point: model.response(frequency, values, point), points)
 
 

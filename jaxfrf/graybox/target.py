@@ -256,10 +256,9 @@ def select(target: Target, positions=None, lines=None) -> Target:
     """The same target at some positions and lines."""
     positions = slice(None) if positions is None else np.asarray(positions)
     lines = slice(None) if lines is None else np.asarray(lines)
-    cut = lambda x: None if x is None else np.asarray(x)[positions][:, lines]
+    cut = lambda x: np.asarray(x)[positions][:, lines]
     whole = target.overlap
-    chosen = None if whole is None else np.arange(len(whole))[positions]
-    shared = None if whole is None else tuple(whole[i].at(lines) for i in chosen)
+    shared = None if whole is None else tuple(whole[i].at(lines) for i in np.arange(len(whole))[positions])
     return dataclasses.replace(
         target,
         frequency=np.asarray(target.frequency)[lines],
@@ -267,7 +266,7 @@ def select(target: Target, positions=None, lines=None) -> Target:
         shift=cut(target.shift),
         magnitude=cut(target.magnitude),
         phase=cut(target.phase),
-        whitener=cut(target.whitener),
+        whitener=None if target.whitener is None else cut(target.whitener),
         cov=cut(target.cov),
         used=cut(target.used),
         scatter=cut(target.scatter),

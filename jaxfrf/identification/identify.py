@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax.random as jr
 import numpy as np
@@ -94,8 +95,9 @@ def identify(
         raise input_error("starts and rounds", f"{starts} and {rounds}", "1 or more", "20 and 12 are the defaults.")
     positions = tuple(p for p in range(data.n_pos) if p not in held)
     part, rest = _at(data, positions), _at(data, held) if held else None
-    settings = {
-        "method": None,
+    used = (Auto() if isinstance(data, FRF) or data.r is None else default_method()) if method is None else method
+    settings: dict[str, Any] = {
+        "method": None if isinstance(data, FRF) else describe_method(used),
         "starts": starts,
         "seed": seed,
         "rounds": None if why else rounds,
@@ -110,9 +112,7 @@ def identify(
     if isinstance(data, FRF):
         frf_of = lambda frf: frf
     else:
-        method = (Auto() if data.r is None else default_method()) if method is None else method
-        settings["method"] = describe_method(method)
-        frf_of = lambda record: _frf_of_record(record, method, band)
+        frf_of = lambda record: _frf_of_record(record, used, band)
     done, keep = ((), None) if parts is None else kept_rounds(parts, model, part, settings)
     if guess:
         model = _guessed(model, frf_of(part), say)
@@ -123,10 +123,11 @@ def identify(
         measured = frf_of(part)
         found = _direct(model, part, measured, weights, starts, key, say)
     else:
-        options = {"weights": weights, "starts": starts, "key": key, "rounds": rounds}
-        indirect = fit_through_experiment(model, part, method, **options, done=done, keep=keep, say=say)
+        indirect = fit_through_experiment(
+            model, part, used, weights=weights, starts=starts, key=key, rounds=rounds, done=done, keep=keep, say=say
+        )
         measured, found = dataclasses.replace(indirect.measured, warnings=data.warnings), indirect.direct
-    judged = None if rest is None else _judged(found, indirect, rest, frf_of(rest), held, method, weights)
+    judged = None if rest is None else _judged(model, found, indirect, rest, frf_of(rest), held, used, weights)
     direct_quality = quality(found, measured, weights)
     own = direct_quality if indirect is None else quality(indirect.fit, measured, weights)
     return Identification(
@@ -140,8 +141,11 @@ def _within(weights: Weights, band) -> Weights:
     low, high = band[0] or 0.0, np.inf if band[1] is None else band[1]
     if not low < high:
         raise input_error("band", f"{low:g} to {high:g} Hz", "a low end below the high one", "Correct it.")
-    outside = ((0.0, np.nextafter(low, 0), 0.0),) if low > 0 else ()
-    outside += ((np.nextafter(high, np.inf), np.inf, 0.0),) if np.isfinite(high) else ()
+    outside: list[tuple[float, float, float]] = []
+    if low > 0:
+        outside.append((0.0, float(np.nextafter(low, 0)), 0.0))
+    if np.isfinite(high):
+        outside.append((float(np.nextafter(high, np.inf)), np.inf, 0.0))
     return dataclasses.replace(weights, bands=(*weights.bands, *outside))
 
 
@@ -181,15 +185,17 @@ def _guessed(model: RobotModel, measured: FRF, say: Say | None) -> RobotModel:
     return starting_near(model, found.values)
 
 
-def _judged(found: Fit, indirect: IndirectFit | None, rest, frf: FRF, held, method, weights) -> HeldOut:
+def _judged(
+    model: RobotModel, found: Fit, indirect: IndirectFit | None, rest, frf: FRF, held, method, weights
+) -> HeldOut:
     """Errors at positions that were not fitted: of the linear model, and of the simulated experiment."""
     if isinstance(rest, Experiment) and rest.period:
-        direct = response_quality(response_in_motion(found.model, found.values, frf.frequency, rest), frf, weights)
+        direct = response_quality(response_in_motion(model, found.values, frf.frequency, rest), frf, weights)
     else:
         direct = model_quality(found, frf, weights)
     if indirect is None:
         return HeldOut(held, direct, None)
-    played = replay(indirect.fit.model.at(indirect.fit.values), rest)
+    played = replay(model.at(indirect.fit.values), rest)
     simulated = measured_frf(played, method, QUANTITY)
     return HeldOut(held, direct, response_quality(simulated.G, frf, weights))
 

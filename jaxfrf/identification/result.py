@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from .. import __version__
+from .._text import counted, number, percent
 from ..frf import FRF
 from ..graybox import Fit, IndirectFit, RobotModel
 from ..graybox.quality import Quality
@@ -52,7 +53,7 @@ class Identification(eqx.Module):
     @property
     def robot(self) -> Robot:
         """The robot with the stiffnesses and dampings of the result."""
-        return self.fit.model.at(self.fit.values)
+        return self.model.at(self.fit.values)
 
     @property
     def result(self) -> str:
@@ -69,12 +70,12 @@ class Identification(eqx.Module):
         rounds = len(self.indirect.corrections)
         gap = self.indirect.corrections[-1]
         text = (
-            f"the parameters stay after {rounds} round(s) of simulation"
+            f"the parameters stay after {counted(rounds, 'round')} of simulation"
             if self.indirect.converged
             else f"the parameters still moved after {rounds} rounds of simulation: more of them may help, "
             "or robot and experiment differ in what is not fitted"
         )
-        differ = f"measured and simulated FRF differ by {gap.gap_db:.2g} dB, {gap.gap_deg:.2g} degrees"
+        differ = f"measured and simulated FRF differ by {number(gap.gap_db, 2)} dB, {number(gap.gap_deg, 2)} degrees"
         return [f"{text}; {differ}", *starts, *said]
 
     def responses(self) -> dict[str, np.ndarray]:
@@ -89,25 +90,27 @@ class Identification(eqx.Module):
         frequency = self.measured.frequency
         kind = f"direct fit only ({self.why_direct})" if self.indirect is None else "fit through the experiment"
         text = [
-            f"{self.model.robot.name}: {kind}, {len(self.positions)} position(s), {len(frequency)} lines from "
-            f"{frequency[0]:.4g} to {frequency[-1]:.4g} Hz, {len(self.direct.starts)} starts"
+            f"{self.model.robot.name}: {kind}, {counted(len(self.positions), 'position')}, {len(frequency)} lines from "
+            f"{number(frequency[0], 4)} to {number(frequency[-1], 4)} Hz, {len(self.direct.starts)} starts"
         ]
         width = max(len(name) for name in own)
         for name, p in own.items():
             if p["nuisance"]:
                 continue
             spread = std.get(p.get("same_as", name))
-            known = "  not identifiable" if not p["identifiable"] else f" +- {100 * spread:.2g} %"
-            beside = "" if self.indirect is None else f", direct {direct[name]:.4g}"
-            text.append(f"  {name:{width}}  {p['value']:.4g}{known} {p['unit']}  (start {p['start']:.4g}{beside})")
+            known = "  not identifiable" if not p["identifiable"] or spread is None else f" +- {percent(spread)}"
+            beside = "" if self.indirect is None else f", direct {number(direct[name], 4)}"
+            text.append(
+                f"  {name:{width}}  {number(p['value'], 4)}{known} {p['unit']}  (start {number(p['start'], 4)}{beside})"
+            )
         text += [f"{self.result}: {self.explain()[0]}" if self.explain() else self.result, *self.explain()[1:]]
         text += [f"residual: {x}" for x in self.quality.worst(self.positions)[:3]]
         if self.heldout is not None:
             held, best = self.heldout, self.heldout.indirect or self.heldout.direct
-            beside = "" if held.indirect is None else f" (direct fit {held.direct.total_db:.2g} dB)"
+            beside = "" if held.indirect is None else f" (direct fit {number(held.direct.total_db, 2)} dB)"
             text.append(
-                f"held-out position(s) {', '.join(map(str, held.positions))}: rms error {best.total_db:.2g} dB, "
-                f"{best.total_degrees:.2g} degrees{beside}"
+                f"held-out position(s) {', '.join(map(str, held.positions))}: rms error {number(best.total_db, 2)} dB, "
+                f"{number(best.total_degrees, 2)} degrees{beside}"
             )
         return text
 

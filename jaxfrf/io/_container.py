@@ -1,6 +1,6 @@
 """One door to every file format: load named variables from a file, save them to one, whole or not at all.
 
-A format is a module with `load(path)` and `save(path, variables, attributes)`; `_FORMATS` lists them.
+`_formats.RECORDS` lists the modules that do it.
 """
 
 import contextlib
@@ -15,14 +15,7 @@ import numpy as np
 
 from .._errors import InputError, input_error
 from .._files import check_readable, replacing
-
-_TABLES = (".csv", ".txt", ".tsv", ".lvm")
-_FORMATS = {
-    **{".nc": "_netcdf", ".zarr": "_zarr", ".mat": "_matlab", ".npz": "_npz"},
-    **dict.fromkeys(_TABLES, "_csv"),
-    **{".mf4": "_mdf", ".mdf": "_mdf", ".dat": "_mdf", ".parquet": "_parquet"},
-}
-_SAVED = (".nc", ".mat", ".npz", ".zarr")
+from ._formats import RECORDS, SAVED
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +81,7 @@ Attributes = Mapping[str, float | int | str]
 def positions_in(path: str | os.PathLike) -> int | None:
     """How many positions a file holds that can be read one by one; `None` where it cannot be."""
     path = pathlib.Path(path)
-    reader = _format(path, tuple(_FORMATS), "read")
+    reader = _format(path, tuple(RECORDS), "read")
     if not hasattr(reader, "positions"):
         return None
     check_file(path)
@@ -104,7 +97,7 @@ def size_in(path: str | os.PathLike) -> float:
     """Bytes of the arrays in a file as its header states them; of other formats, and of a broken file, those on the
     disk."""
     path = pathlib.Path(path)
-    reader = _format(path, tuple(_FORMATS), "read")
+    reader = _format(path, tuple(RECORDS), "read")
     check_file(path)
     if hasattr(reader, "size"):
         with contextlib.suppress(Exception):  # reading it says what is wrong
@@ -113,14 +106,14 @@ def size_in(path: str | os.PathLike) -> float:
 
 
 def load(path: str | os.PathLike, part: slice | None = None, without: str | None = None) -> dict[str, Leaf]:
-    """All variables of a file by name, fields of structs as `rec.vel`; see `_FORMATS` for its kinds.
+    """All variables of a file by name, fields of structs as `rec.vel`; see `_formats` for its kinds.
 
     `part`: at these positions alone, of files with `positions_in`; `without`: but for arrays that have this axis.
 
     **Raises:** `jaxfrf.InputError` naming the file if it is missing, empty, truncated or of no known kind.
     """
     path = pathlib.Path(path)
-    reader = _format(path, tuple(_FORMATS), "read")
+    reader = _format(path, tuple(RECORDS), "read")
     check_file(path)
     try:
         found = reader.load(path) if part is None else reader.load(path, part, without)
@@ -159,7 +152,7 @@ def save(path: str | os.PathLike, variables: Mapping[str, Variable], attributes:
     written then.
     """
     path = pathlib.Path(path)
-    writer = _format(path, _SAVED, "written")
+    writer = _format(path, SAVED, "written")
     with replacing(path) as temporary:
         writer.save(temporary, variables, attributes)
 
@@ -175,7 +168,7 @@ def save_blocks(path: str | os.PathLike, variables: Mapping[str, Variable], attr
     NetCDF and Zarr go to the disk as they come, other formats at the end.
     """
     path = pathlib.Path(path)
-    writer = _format(path, _SAVED, "written")
+    writer = _format(path, SAVED, "written")
     with replacing(path) as temporary:
         if hasattr(writer, "blocks"):
             with writer.blocks(temporary, variables, attributes) as put:
@@ -207,7 +200,7 @@ def _format(path: pathlib.Path, known: tuple[str, ...], action: str):
             f"a file that can be {action}: {', '.join(known)}",
             "Convert the file, or give it the extension that it should have.",
         )
-    return importlib.import_module(f".{_FORMATS[suffix]}", __package__)
+    return importlib.import_module(f".{RECORDS[suffix]}", __package__)
 
 
 def _first_line(error: Exception) -> str:

@@ -1,8 +1,11 @@
 """The sampling frequency of a record, from what the file, the caller and the time vector say."""
 
+import re
+
 import numpy as np
 
 from .._errors import InputError
+from .._text import number
 from ._select import column, time_like
 from ._variables import File, numbers, scalar, scaled
 
@@ -25,9 +28,9 @@ def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
         if deviation > _UNIFORM:
             raise file.error(
                 "t",
-                f"time stamps up to {deviation:.2g} sample intervals off a uniform grid",
+                f"time stamps up to {number(deviation, 2)} sample intervals off a uniform grid",
                 "uniform sampling",
-                f"Resample the record, or, if only the stamps jitter, say the rate: --set fs={rate:.6g}.",
+                f"Resample the record, or, if only the stamps jitter, say the rate: --set fs={number(rate, 6)}.",
             )
         return rate, []
     if fs > 0 and abs(rate / fs - 1) > _RATE:
@@ -39,7 +42,7 @@ def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
         )
     if deviation > _UNIFORM:
         return fs, [
-            f"the time stamps {file.label('t')} stand up to {deviation:.2g} sample intervals off a uniform "
+            f"the time stamps {file.label('t')} stand up to {number(deviation, 2)} sample intervals off a uniform "
             "grid: samples may be missing or late."
         ]
     return fs, []
@@ -74,23 +77,33 @@ def _rate_advice(ratio: float, rate: float) -> str:
     for unit, factor in (("ms", 1e-3), ("microseconds", 1e-6), ("ns", 1e-9)):
         if abs(ratio / factor - 1) < _RATE:
             return f"The time vector looks like {unit}: --scale t={factor:g}."
-    return f"Correct one of them, e.g. --set fs={rate:.6g}."
+    return f"Correct one of them, e.g. --set fs={number(rate, 6)}."
+
+
+def _argument(name: str) -> str:
+    """t=NAME as a shell takes it."""
+    return f"t={name}" if re.fullmatch(r"[\w.]+", name) else f'"t={name}"'
 
 
 _RATES = ("fs", "f_s", "rate", "samplerate", "sample_rate", "samplingrate", "sampling_rate", "sampling_frequency")
 
 
+_INTERVALS = ("ts", "dt", "t_s", "tsample", "sample_time", "sampletime", "sampling_time", "sampling_interval")
+
+
 def _no_rate(file: File, n_time: int) -> InputError:
     like = time_like(file.variables, n_time)
-    named = [
-        n
-        for n, v in file.variables.items()
-        if n.lower() in _RATES and isinstance(v, np.ndarray | str) and np.size(v) == 1
-    ]
-    if named:
-        return file.error(
-            "fs", "no such variable", "the sampling frequency fs (Hz)", f"Is it {named[0]}? --map fs={named[0]}."
-        )
+    for n, v in file.variables.items():
+        if not isinstance(v, np.ndarray | str) or np.size(v) != 1:
+            continue
+        last = n.split(".")[-1].lower()
+        if last in _RATES:
+            return file.error("fs", "no such variable", "the sampling frequency fs (Hz)", f"Is it {n}? --map fs={n}.")
+        if last in _INTERVALS and isinstance(v, np.ndarray) and v.dtype.kind in "fiu" and v.item() > 0:
+            rate = number(1 / v.item(), 6)
+            return file.error(
+                "fs", "no such variable", "the sampling frequency fs (Hz)", f"Is {n} the interval? --set fs={rate}."
+            )
     if not like:
         return file.error(
             "fs",
@@ -102,6 +115,6 @@ def _no_rate(file: File, n_time: int) -> InputError:
         "fs",
         "no such variable",
         "the sampling frequency fs (Hz), or a time vector t (s)",
-        f"Set it, e.g. --set fs=2000, or name the time vector: --map t={like[0]} (--scale t=1e-6 if it is in "
-        "microseconds).",
+        f"Set it, e.g. --set fs=2000, or name the time vector: --map {_argument(like[0])} (--scale t=1e-6 if it is "
+        "in microseconds).",
     )

@@ -13,13 +13,12 @@ from .record_arguments import nearest, split
 _EXPRESSION = re.compile(r"(?P<name>.+?)(?P<transposed>')?(?:\[(?P<pick>[^\[\]]*)\])?")
 _LISTED = 20  # names in a message
 
-# Parts of names that loggers give to the three signals, most telling first; only used for proposals in
-# messages.
+# Parts of names that loggers give to the signals, most telling first; only used for proposals in messages.
 _HINTS = {
     "u": ("torque", "tau", "trq", "current", "iq", "input", "force", "volt"),
-    "y": ("omega", "speed", "vel", "acc", "pos", "theta", "angle", "output"),
-    "r": ("ref", "des", "cmd", "set"),
+    "y": ("omega", "speed", "spd", "vel", "acc", "pos", "theta", "angle", "output"),
 }
+_OF_REFERENCES = ("ref", "des", "set")
 
 
 def select(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, expression: str) -> np.ndarray | str:
@@ -111,23 +110,30 @@ def propose(variables: Mapping[str, Leaf]) -> str | None:
     return ",".join(f"{key}={name}{_turn(variables[name])}" for key, name in chosen.items())
 
 
+_TIME = re.compile(r"t|t[\W_].*|tim.*")
+
+
 def time_like(variables: Mapping[str, Leaf], samples: int) -> list[str]:
     """Names of vectors of so many samples that sound like time."""
     return [
         name
         for name, x in variables.items()
-        if isinstance(x, np.ndarray) and x.size == samples and name.split(".")[-1].lower().startswith("t")
+        if isinstance(x, np.ndarray) and x.size == samples and _TIME.fullmatch(name.split(".")[-1].lower())
     ]
 
 
 def _likely(key: str, names: Sequence[str]) -> str:
-    """Prefer names that sound right and sound neither like a reference nor like time."""
-    plain = [n for n in names if not any(h in n.lower() for h in (*_HINTS["r"], "time"))] or list(names)
-    for hint in _HINTS[key]:
-        for name in plain:
-            if hint in name.split(".")[-1].lower():
-                return name
-    return plain[0]
+    """Prefer names that sound right and sound neither like a reference nor like time; a command may be an
+    input, and no output."""
+    timeless = [n for n in names if "time" not in n.lower()] or list(names)
+    others = (*_OF_REFERENCES, "cmd") if key == "y" else _OF_REFERENCES
+    plain = [n for n in timeless if not any(h in n.lower() for h in others)]
+    for among in (plain, timeless):
+        for hint in _HINTS[key]:
+            for name in among:
+                if hint in name.split(".")[-1].lower():
+                    return name
+    return (plain or timeless)[0]
 
 
 def _records(variables: Mapping[str, Leaf]) -> list[str]:

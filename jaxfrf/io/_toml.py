@@ -5,6 +5,7 @@ import tomllib
 from typing import Any
 
 from .._errors import input_error
+from .._text import number
 
 _LARGEST = 20_000_000  # bytes; a robot of 100 joints takes 50 kB
 
@@ -16,7 +17,7 @@ def read_toml(path: pathlib.Path, what: str, see: str) -> dict[str, Any]:
     """
     if path.is_file() and path.stat().st_size > _LARGEST:
         raise input_error(
-            path.name, f"{path.stat().st_size / 1e6:.3g} MB", f"{what} of at most {_LARGEST / 1e6:g} MB", see
+            path.name, f"{number(path.stat().st_size / 1e6)} MB", f"{what} of at most {_LARGEST / 1e6:g} MB", see
         )
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))

@@ -14,6 +14,7 @@ from ..experiment import Experiment, Source, check_compatible, concatenate, same
 from ..screening import Looked, look, refused
 from ._container import check_file, load, positions_in
 from ._joined import part_of
+from ._variables import Given
 from .record_arguments import check_names, check_scale, check_values
 from .records import as_given, record_of, source_of
 
@@ -54,7 +55,7 @@ class DataSet:
     n_exp: int
     period: int
     bytes_each: float
-    given: object
+    given: Given
     kept: dict = dataclasses.field(default_factory=dict, compare=False)  # small files that were read as a whole
     digests: dict[pathlib.Path, Future[Source]] = dataclasses.field(default_factory=dict, compare=False)
 
@@ -219,13 +220,13 @@ class Held:
 in_memory = Held
 
 
-def _places(path: pathlib.Path, given, n_pos: int | None, head: Experiment) -> np.ndarray | None:
+def _places(path: pathlib.Path, given: Given, n_pos: int | None, head: Experiment) -> np.ndarray | None:
     """The configurations at all positions of a file."""
     if n_pos is None or n_pos == 1 or head.q is None or "q" in given.values:
-        return head.q
+        return None if head.q is None else np.asarray(head.q)
     small = load(path, part=slice(0, n_pos), without="time")
     q = small.get(given.names.get("q", "q"))
-    return head.q if q is None else np.asarray(q, float)
+    return np.asarray(head.q if q is None else q, float)
 
 
 def _short(data: Experiment) -> Experiment:

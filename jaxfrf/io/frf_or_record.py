@@ -10,6 +10,7 @@ import numpy as np
 from .._errors import InputError, input_error
 from ..frf import FRF, concatenate_positions
 from ._container import load
+from ._formats import SAVED, UNIVERSAL
 from .responses import read_frf
 
 
@@ -17,7 +18,9 @@ def holds_frf(path: str | os.PathLike) -> bool:
     """Whether a file holds `G` and `frequency`, as `write_frf` writes them. What cannot be read holds none: reading it
     as a record says why."""
     path = pathlib.Path(path)
-    if path.suffix.lower() not in (".nc", ".mat", ".npz", ".zarr"):
+    if path.suffix.lower() in UNIVERSAL:
+        return True
+    if path.suffix.lower() not in SAVED:
         return False
     try:
         if path.suffix.lower() == ".npz":

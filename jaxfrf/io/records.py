@@ -12,6 +12,7 @@ import numpy as np
 from .._arguments import expect
 from .._errors import InputError, input_error
 from .._files import digest
+from .._text import number
 from ..experiment import UNITS, Experiment, Source, concatenate
 from ..screening import ACROSS, CHECKS, screened
 from ..units import DEFAULT_INPUT, input_unit, output_unit, quantity_of
@@ -93,7 +94,7 @@ def write(path: str | os.PathLike, data: Experiment) -> None:
         variables["q"] = Variable(("position", "joint"), np.asarray(data.q), "rad")
     if data.lines is not None:
         variables["lines"] = Variable(("line",), np.asarray(data.lines))
-    attributes = {
+    attributes: dict[str, float | int | str] = {
         "fs": data.fs,
         "period": data.period,
         "transient_periods": data.transient_periods,
@@ -155,27 +156,33 @@ def record_of(
     """The record in a file, or at some of its positions, not screened; and what is to be said of reading it."""
     variables = load(path, part=part)
     values = dict(given.values)
-    if part is not None and np.ndim(values.get("q")) == 2 and len(values["q"]) >= part.stop:
-        values["q"] = values["q"][part]
+    q = np.asarray(values.get("q", 0.0))
+    if part is not None and q.ndim == 2 and len(q) >= part.stop:
+        values["q"] = q[part]
     return _record(File(path, _with_units(variables), dataclasses.replace(given, values=values)), (source,))
 
 
 def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[str]]:
     """The record as the file has it, and what is to be said of that."""
-    signals = {key: _signal(file, key) for key in SIGNALS}
-    fs, late = sampling_frequency(file, signals["u"].shape[-2])
+    u, y = (_signal(file, key) for key in ("u", "y"))
+    r = _signal(file, "r") if file.get("r") is not None else None
+    signals = {"r": r, "u": u, "y": y}
+    fs, late = sampling_frequency(file, u.shape[-2])
     y_quantity, asked = _output_quantity(file)
     remarks = [*late, *_restored_axes(file, signals), *asked, *_conversions(file)]
-    optional = {key: file.get(key) for key in ("q", "lines")}
-    if optional["q"] is not None:
-        optional["q"] = scaled(file, "q", numbers(file, "q", optional["q"]))
+    q = file.get("q")
+    if q is not None:
+        q = scaled(file, "q", numbers(file, "q", q))
     with _naming(file):
         data = Experiment(
-            **{key: _cut(file, key, x) for key, x in signals.items()},
-            **optional,
+            u=_cut(file, "u", u),
+            y=_cut(file, "y", y),
+            r=None if r is None else _cut(file, "r", r),
+            q=q,
+            lines=file.get("lines"),
             fs=fs,
-            period=scalar(file, "period", 0),
-            transient_periods=scalar(file, "transient_periods", 0),
+            period=_count(file, "period"),
+            transient_periods=_count(file, "transient_periods"),
             r_quantity=text(file, "r_quantity", quantity_of(unit_of(file, "r")[0]) or "velocity"),
             y_quantity=y_quantity,
             u_unit=_kept_unit(file, "u", DEFAULT_INPUT),
@@ -185,12 +192,10 @@ def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[s
     return data, remarks
 
 
-def _signal(file: File, key: str) -> np.ndarray | None:
+def _signal(file: File, key: str) -> np.ndarray:
     """A record as the file has it, a vector made one channel, its units converted."""
     value = file.get(key)
     if value is None:
-        if key == "r":
-            return None
         raise missing(file.path, file.variables, key, key)
     x = column(numbers(file, key, value))
     if _lost_its_channel(file, x):
@@ -272,14 +277,16 @@ def _conversions(file: File) -> list[str]:
         unit, factor = unit_of(file, key)
         stated = f"{key}_unit" in file.given.values
         if factor != 1.0 and key not in file.given.scale and not stated and file.get(key) is not None:
-            said.append(f"{file.label(key)}: converted to {unit}, as the file states its unit (factor {factor:.6g}).")
+            said.append(
+                f"{file.label(key)}: converted to {unit}, as the file states its unit (factor {number(factor, 6)})."
+            )
     return said
 
 
-def _cut(file: File, key: str, x: np.ndarray | None) -> np.ndarray | None:
+def _cut(file: File, key: str, x: np.ndarray) -> np.ndarray:
     """The part of the record that `samples` keeps."""
     kept = file.given.values.get("samples")
-    if x is None or kept is None:
+    if not isinstance(kept, slice):
         return x
     n = x.shape[-2]
     start, stop = kept.start or 0, n if kept.stop is None else kept.stop
@@ -306,10 +313,17 @@ def _naming(file: File) -> Iterator[None]:
         raise InputError(f"{file.path}: {what}{colon}{rest}") from error
 
 
+def _count(file: File, key: str) -> float:
+    """A number of samples or periods, as it is written; 0 where nothing is."""
+    found = scalar(file, key, 0.0)
+    return 0.0 if found is None else found
+
+
 def _cut_advice(file: File) -> str:
     """The cut that keeps all whole periods."""
-    kept = file.given.values.get("samples") or slice(0, None)
-    period = int(scalar(file, "period", 0))
+    samples = file.given.values.get("samples")
+    kept = samples if isinstance(samples, slice) else slice(0, None)
+    period = int(_count(file, "period"))
     n_time = column(np.asarray(file.get("u"))).shape[-2]
     start, stop, _ = kept.indices(n_time)
     whole = (stop - start) // period * period

@@ -42,6 +42,7 @@ from ..frf import FRF
 from ..units import response_unit
 from . import _netcdf, _zarr
 from ._container import Later, Unreadable, Variable, load
+from ._formats import UNIVERSAL
 from ._netcdf import write_dataset
 from ._optional import require
 
@@ -60,8 +61,8 @@ _AXES = {
 
 
 def write_frf(path: str | os.PathLike, frf: FRF) -> None:
-    """Write an FRF with everything that is known about it; the suffix `.nc`, `.mat` or `.npz` says the
-    format.
+    """Write an FRF with everything that is known about it; the suffix `.nc`, `.zarr`, `.mat` or `.npz` says the
+    format. `.uff` and `.unv` hold less: see `write_uff`.
 
     The file is there whole or not at all, and `read_frf` returns every field bit by bit.
 
@@ -69,6 +70,10 @@ def write_frf(path: str | os.PathLike, frf: FRF) -> None:
     """
     expect("frf", frf, FRF)
     path = pathlib.Path(path)
+    if path.suffix.lower() in UNIVERSAL:
+        from .uff import write_uff
+
+        return write_uff(path, frf)
     write = _WRITERS[_suffix(path)]
     with replacing(path) as draft:
         write(draft, _contents(frf))
@@ -112,8 +117,8 @@ def writing_frf(path: str | os.PathLike, like: FRF, n_pos: int) -> Iterator[Call
 
 
 def read_frf(path: str | os.PathLike) -> FRF:
-    """Read what `write_frf` wrote, or any `.nc`, `.mat` or `.npz` file that holds at least `G` and
-    `frequency`.
+    """Read what `write_frf` wrote, or any `.nc`, `.zarr`, `.mat` or `.npz` file that holds at least `G` and
+    `frequency`; universal files (`.uff`, `.unv`) as `read_uff` does.
 
     What such a file does not hold is unknown: no `cov` means NaN and `Status.NO_COVARIANCE`.
 
@@ -121,6 +126,10 @@ def read_frf(path: str | os.PathLike) -> FRF:
     FRF.
     """
     path = pathlib.Path(path)
+    if path.suffix.lower() in UNIVERSAL:
+        from .uff import read_uff
+
+        return read_uff(path)
     _suffix(path)
     return _frf(load(path), str(path))
 
@@ -352,5 +361,7 @@ def _suffix(path: pathlib.Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in _WRITERS:
         found = f"the suffix {suffix!r}" if suffix else "no suffix"
-        raise input_error(str(path), found, f"one of {', '.join(_WRITERS)}", "Name the file accordingly.")
+        raise input_error(
+            str(path), found, f"one of {', '.join((*_WRITERS, *UNIVERSAL))}", "Name the file accordingly."
+        )
     return suffix

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import input_error
+from .._text import number
 from ..experiment import Experiment
 from ..frf import FRF
 from .responses import frf_from_arrays
@@ -153,7 +154,7 @@ def _backwards(G: np.ndarray, frequency: np.ndarray) -> tuple[str, ...]:
     if before <= _REVERSED * after:
         return ()
     return (
-        f"the impulse response holds {before / after:.3g} times more energy before time zero than after it: "
+        f"the impulse response holds {number(before / after)} times more energy before time zero than after it: "
         "like the complex conjugate of an FRF (which pyFRF gave up to version 1.1); change `conjugated`",
     )
 

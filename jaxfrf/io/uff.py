@@ -9,6 +9,7 @@ import numpy as np
 
 from .._errors import input_error
 from .._files import replacing
+from .._text import number
 from ..experiment import UNITS, Source
 from ..frf import FRF
 from ._optional import require
@@ -185,7 +186,7 @@ def _records(frf: FRF, frequency: np.ndarray) -> Iterable[dict]:
 def _configuration(frf: FRF, pos: int) -> str:
     if frf.q is None:
         return f"position {pos + 1}"
-    return f"q = {', '.join(f'{x:.4g}' for x in np.asarray(frf.q[pos]))} rad"
+    return f"q = {', '.join(f'{number(x, 4)}' for x in np.asarray(frf.q[pos]))} rad"
 
 
 def _line(text: str) -> str:

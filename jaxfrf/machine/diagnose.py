@@ -1,5 +1,6 @@
 """What a machine of one's own is missing: effects tried in turn, and what they explain of what no fit saw."""
 
+import functools
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -8,6 +9,7 @@ from jaxtyping import Bool, Complex, Float
 
 from .._arguments import expect
 from .._errors import InputError, input_error
+from .._text import number, percent
 from ..effects import AbstractEffect, Backlash, CoulombFriction, FrictionAsymmetry, StiffnessHardening, StribeckFriction
 from ..experiment import Experiment
 from .fit import FLOOR, MachineFit, fit_machine, measured_lines, share_left
@@ -49,7 +51,7 @@ class MachineDiagnosis(eqx.Module):
     tried: tuple[tuple[str, str, float], ...] = eqx.field(static=True)
 
     def __str__(self) -> str:
-        gap = " -> ".join(f"{100 * x:.3g} %" for x in self.heldout)
+        gap = " -> ".join(percent(x, 3) for x in self.heldout)
         named = "; ".join(f"{e.name} at {e.joint}" for e in self.effects) or "no effect"
         more = f"; or, in the place of the last: {', '.join(f'{e.name} at {e.joint}' for e in self.rivals)}"
         return f"{self.verdict}: {named} (left on the held-out part: {gap}){more if self.rivals else ''}"
@@ -90,31 +92,33 @@ def diagnose_machine(
         raise input_error(
             "machine", "no places", "some, where effects can act", 'Name them: places={"spring": [1, -1]}.'
         )
-    options = {"band": band, "settle": settle, "floor": floor}
     used = _fitted_lines(measured_lines(machine, data, band, floor)[1])
-    before = fit = fit_machine(machine, data, **options, used=used)
+    fitted = functools.partial(fit_machine, data=data, band=band, settle=settle, floor=floor, used=used)
+    before = fit = fitted(machine)
     heldout = [_gap(fit, used)]
-    say(f"as it is: misfit {fit.misfit:.3g}, {100 * heldout[0]:.3g} % left on the held-out part")
-    effects, rivals, tried = [], [], []
+    say(f"as it is: misfit {number(fit.misfit)}, {percent(heldout[0], 3)} left on the held-out part")
+    effects: list[AbstractEffect] = []
+    rivals: list[AbstractEffect] = []
+    tried: list[tuple[str, str, float]] = []
     while fit.misfit > _ENOUGH and len(effects) < most:
         own = _typical(fit.machine, data) if candidates is None else candidates
         known = {(e.joint, e.name) for e in fit.machine.effects}
-        found = []
+        found: list[tuple[float, MachineFit]] = []
         for effect in own:
             if (effect.joint, effect.name) not in known:
-                one = _with(fit, effect, data, options | {"used": used})
+                one = _with(fit, effect, fitted)
                 left = _gap(one, used) if one is not None else np.inf
                 tried.append((str(effect.joint), effect.name, left))
-                say(f"{effect.name} at {effect.joint}: {100 * left:.3g} % left")
-                found.append((left, effect, one))
-        found = [x for x in found if x[0] < (1 - _LEAST_GAIN) * heldout[-1] and _stands(x[1], x[2])]
+                say(f"{effect.name} at {effect.joint}: {percent(left, 3)} left")
+                if one is not None and left < (1 - _LEAST_GAIN) * heldout[-1] and _stands(effect, one):
+                    found.append((left, one))
         if not found:
             break
         found.sort(key=lambda x: x[0])
         alike = max(_ALIKE * found[0][0], floor)
-        rivals = [x[2].machine.effects[-1] for x in found[1:] if x[0] < alike]
+        rivals = [x[1].machine.effects[-1] for x in found[1:] if x[0] < alike]
         heldout.append(found[0][0])
-        fit = found[0][2]
+        fit = found[0][1]
         effects.append(fit.machine.effects[-1])
     verdict = "unexplained" if not effects else "ambiguous" if rivals else "named"
     if before.misfit <= _ENOUGH:
@@ -137,13 +141,13 @@ def _gap(fit: MachineFit, used) -> float:
     return left if np.isfinite(left) else np.inf
 
 
-def _with(fit: MachineFit, effect: AbstractEffect, data: Experiment, options) -> MachineFit | None:
+def _with(fit: MachineFit, effect: AbstractEffect, fitted: Callable[[Machine], MachineFit]) -> MachineFit | None:
     machine = fit.machine.with_effects(effect)
     shapes = [f"{effect.joint}.{effect.name}.{f}" for f in effect.units if f in _SHAPES]
     if isinstance(effect, FrictionAsymmetry):
         shapes.append(f"{effect.joint}.{effect.name}.level")  # that is Coulomb friction
     try:
-        return fit_machine(machine.held(*shapes), data, **options)
+        return fitted(machine.held(*shapes))
     except InputError as error:  # no candidate
         if "diverges" not in str(error):
             raise

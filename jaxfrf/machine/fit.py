@@ -1,5 +1,6 @@
 """A machine fitted through the experiment: its motion under the measured input against the measured output."""
 
+import functools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -97,12 +98,14 @@ def fit_machine(
         raise input_error("used", f"{used.shape}, {used.sum()} of them", f"{measured.shape[:2]}, some", "Correct it.")
     period, given = data.period / data.fs, settle
     settle = settling(machine, _starts(machine), period, floor / 3) if given is None else given
-    for left in reversed(range(_RETRIES + 1)):
-        found = _fitted(machine, data, lines, measured, sigma, used, settle, steps)
+    found = _fitted(machine, data, lines, measured, sigma, used, settle, steps)
+    for _ in range(_RETRIES):
         needed = settling(found.machine, _starts(found.machine), period, floor / 3)
-        if given is not None or needed <= settle or not left:
-            return found
-        machine, settle = found.machine, needed
+        if given is not None or needed <= settle:
+            break
+        settle = needed
+        found = _fitted(found.machine, data, lines, measured, sigma, used, settle, steps)
+    return found
 
 
 def _starts(machine: Machine) -> dict[str, float]:
@@ -225,11 +228,11 @@ def rank_effects(
 
     **Arguments:** `band`, `settle`, `floor`: as of `fit_machine`.
     """
-    options = {"band": band, "settle": settle, "floor": floor}
-    plain = fit_machine(machine, data, **options)
+    fitted = functools.partial(fit_machine, data=data, band=band, settle=settle, floor=floor)
+    plain = fitted(machine)
     ranked = []
     for effect in candidates:
-        found = fit_machine(plain.machine.with_effects(effect), data, **options)
+        found = fitted(plain.machine.with_effects(effect))
         more, dof = len(found.values) - len(plain.values), max(2 * len(found.lines) * data.n_exp - len(found.values), 1)
         before, after = plain.misfit**2, found.misfit**2
         statistic = max(before / max(after, 1e-300) - 1.0, 0.0) * dof / max(more, 1)

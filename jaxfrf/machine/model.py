@@ -1,7 +1,9 @@
 """A machine by its matrices, with effects at named places."""
 
 import dataclasses
+import operator
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -106,8 +108,7 @@ class Machine(AbstractModel):
             n: dataclasses.replace(p, start=np.float64(values.get(n, p.start))) for n, p in self.parameters.items()
         }
         effects = tuple(
-            dataclasses.replace(e, **{f: float(moved[f"{e.joint}.{e.name}.{f}"].start) for f in e.units})
-            for e in self.effects
+            _with_numbers(e, {f: float(moved[f"{e.joint}.{e.name}.{f}"].start) for f in e.units}) for e in self.effects
         )
         return self._changed(moved, effects)
 
@@ -148,8 +149,8 @@ class Machine(AbstractModel):
         found = []
         for effect in self.effects:
             for field in effect.units:
-                name = f"{effect.joint}.{effect.name}.{field}"
-                effect = eqx.tree_at(lambda e, f=field: getattr(e, f), effect, values[name])
+                number = values[f"{effect.joint}.{effect.name}.{field}"]
+                effect = eqx.tree_at(operator.attrgetter(field), effect, number)
             found.append(effect)
         return tuple(found)
 
@@ -160,3 +161,8 @@ class Machine(AbstractModel):
         M, D, K = self.matrices(values)
         G = self.outputs @ jnp.linalg.solve(M * s**2 + D * s + K, self.inputs + 0j)
         return G * s ** ("position", "velocity", "acceleration").index(self.quantity)
+
+
+def _with_numbers(effect: AbstractEffect, numbers: Mapping[str, Any]) -> AbstractEffect:
+    """`numbers`: by the fields of its own class."""
+    return dataclasses.replace(effect, **numbers)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from .._arguments import expect
 from .._errors import input_error
+from .._text import number
 from .._types import Array, require_x64
 from ..experiment import Experiment
 from .forces import force
@@ -23,7 +24,7 @@ _TURN = 1.5  # rad of the fastest mode, or of friction's decay, in a step
 def simulate_machine(
     machine: Machine,
     data: Experiment,
-    values: Mapping[str, float] | None = None,
+    values: Mapping[str, float | Array] | None = None,
     *,
     steps: int | None = None,
     settle: int | None = None,
@@ -45,9 +46,10 @@ def simulate_machine(
     expect("data", data, Experiment)
     values = {n: jnp.asarray(p.start) for n, p in machine.parameters.items()} if values is None else values
     u = driving(data)
-    if settle is None and data.period:
-        settle = settling(machine, values, data.period / data.fs, _SETTLED)
-    played = np.tile(u, (1, settle + 1 if data.period else 1, 1))
+    before = 0
+    if data.period:
+        before = settling(machine, values, data.period / data.fs, _SETTLED) if settle is None else settle
+    played = np.tile(u, (1, before + 1, 1))
     steps = fine_steps(machine, values, data.fs) if steps is None else steps
     y = motion(machine, values, jnp.asarray(played), data.fs, steps)
     return y[:, -u.shape[1] :]
@@ -79,7 +81,7 @@ def fine_steps(machine: Machine, values, fs: float) -> int:
     rate = np.sqrt(np.max(np.abs(np.linalg.eigvals(np.linalg.solve(M, K))), initial=0.0))
     decay = np.max(np.abs(np.linalg.eigvals(np.linalg.solve(M, D))), initial=0.0)
     for effect in machine.effects:
-        p = machine.places[effect.joint]
+        p = machine.places[str(effect.joint)]
         inverse = float(p @ np.linalg.solve(M, p))
         slope = abs(float(np.asarray(getattr(effect, "level", 0.0)))) / machine.smoothing
         decay = max(decay, inverse * slope)
@@ -87,7 +89,7 @@ def fine_steps(machine: Machine, values, fs: float) -> int:
     if not needed < 200:
         raise input_error(
             "machine",
-            f"a mode or friction at a rate of {max(rate, decay):.3g}/s",
+            f"a mode or friction at a rate of {number(max(rate, decay))}/s",
             f"what 200 steps in a sample of {1 / fs:g} s can follow",
             "Raise the smoothing of friction, or make that spring rigid.",
         )
@@ -97,7 +99,7 @@ def fine_steps(machine: Machine, values, fs: float) -> int:
 def motion(machine: Machine, values, u: Float[Array, "exp time in"], fs: float, steps: int):
     """(exp, time, out); differentiable by `values`."""
     M, D, K = machine.matrices(values)
-    effects = [(e, jnp.asarray(machine.places[e.joint])) for e in machine.effects_at(values)]
+    effects = [(e, jnp.asarray(machine.places[str(e.joint)])) for e in machine.effects_at(values)]
     own = [1.0 / jnp.maximum(p @ jnp.linalg.pinv(K) @ p, 1e-30) for _, p in effects]
 
     def acceleration(q, v, pull):

@@ -15,6 +15,7 @@ import scipy.fft
 import scipy.ndimage
 from jaxtyping import Float
 
+from .._text import percent
 from .._types import Array
 
 _LEAST_LAG = 8  # samples; what repeats sooner has no lines to speak of
@@ -40,7 +41,7 @@ class FoundPeriod:
 
     @property
     def confidence(self) -> str:
-        return "exactly" if self.mismatch < 1e-9 else f"but for {100 * self.mismatch:.2g} % of its power"
+        return "exactly" if self.mismatch < 1e-9 else f"but for {percent(self.mismatch)} of its power"
 
 
 def find_period(x: Float[Array, "time channel"]) -> FoundPeriod | None:

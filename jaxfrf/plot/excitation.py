@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._errors import input_error
+from .._text import number
 from ..excitation import Reference, detection_lines, levels
 from . import _style
 
@@ -60,7 +61,7 @@ def _draw_time(ax, reference: Reference, experiment: int, channels) -> None:
     ax.set_ylim(rows[-1] - distance / 2, distance / 2)
     ax.set_xlim(0, reference.period / reference.fs)
     ax.set_xlabel("time in a steady period (s)")
-    ax.set_ylabel(f"speed reference ({distance:.3g} rad/s a row)")
+    ax.set_ylabel(f"speed reference ({number(distance)} rad/s a row)")
     ax.set_title(f"experiment {experiment + 1} of {reference.n_exp}")
     _style.dress(ax)
 
@@ -84,7 +85,7 @@ def _draw_spectrum(ax, reference: Reference, experiment: int, channels) -> None:
     ax.set_ylabel("amplitude per line (rad/s)")
     _style.frequency_axis(ax, np.concatenate([slow_frequency, design.frequency]))
     _style.dress(ax)
-    band = f"{design.frequency[0]:.4g}-{design.frequency[-1]:.4g} Hz"
+    band = f"{number(design.frequency[0], 4)}-{number(design.frequency[-1], 4)} Hz"
     slow = ", slow sines (triangles)" if len(slow_amplitude) else ""
     ax.set_title(f"{len(design.lines)} excited lines, {band}{slow}")
     ax.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
@@ -94,7 +95,7 @@ def _labels(reference: Reference, experiment: int) -> list[str]:
     level = levels(reference)
     per_channel = zip(level.rms[experiment], level.velocity[experiment], level.crest[experiment], strict=True)
     return [
-        f"input {i}: rms {rms:.3g}, peak {peak:.3g} rad/s, crest {crest:.2f}"
+        f"input {i}: rms {number(rms)}, peak {number(peak)} rad/s, crest {crest:.2f}"
         for i, (rms, peak, crest) in enumerate(per_channel, 1)
     ]
 

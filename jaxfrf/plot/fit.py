@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Complex
 
+from .._text import number
 from .._types import Array
 from ..frf import FRF
 from ..graybox import Fit
@@ -127,7 +128,7 @@ def _map(axis, values, edges, labels, name: str):
     ticker = require("matplotlib.ticker", "plot")
     axis.xaxis.set_major_locator(ticker.FixedLocator(list(edges)))
     axis.xaxis.set_minor_locator(ticker.NullLocator())
-    axis.xaxis.set_major_formatter(ticker.FuncFormatter(lambda f, _: f"{f:.3g}"))
+    axis.xaxis.set_major_formatter(ticker.FuncFormatter(lambda f, _: number(f)))
     step = max(1, len(labels) // 36)
     axis.set_yticks(y[:-1:step] + 0.5, labels[::step])
     axis.invert_yaxis()

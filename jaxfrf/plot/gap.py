@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from .._text import number
 from ..frf import FRF
 from ..io._optional import require
 from . import _style
@@ -59,7 +60,7 @@ def gap_maps(
             if k == 0:
                 _name_block(axis, axis_names[n], n * (block + gap), block, n_pos, axis_names[n] in marked, heldout)
         axis.set(xlim=(0, n_bands), ylim=(height - gap, 0), yticks=[])
-        axis.set_xticks(range(n_bands + 1), [f"{f:.3g}" for f in bands])
+        axis.set_xticks(range(n_bands + 1), [number(f) for f in bands])
         axis.set_xlabel("Frequency (Hz)", fontsize=_style.SMALL)
         if len(panels) > 1:
             own = {"fontsize": _style.NORMAL, "fontweight": "bold", "color": (BEFORE, AFTER)[k]}
@@ -93,7 +94,7 @@ def _bar(figure, image, left: float, bottom: float, height: float, top: float) -
 
 
 def torque_courses(
-    courses: Mapping[str, tuple[np.ndarray, ...]],
+    courses: Mapping[str, Sequence[np.ndarray] | np.ndarray],
     axis_names: Sequence[str],
     shown: Sequence[str],
     *,

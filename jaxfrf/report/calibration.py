@@ -4,6 +4,7 @@ import os
 
 import numpy as np
 
+from .._text import percent
 from ..calibration import Calibration
 from ..plot.calibration import numbers_found
 from .page import facts, figure, number, page, paragraph, section, table, verdict, write_page
@@ -35,7 +36,8 @@ def _result(found: Calibration) -> str:
     ]
     if found.rounds[-1].design_effect > 1.05:
         texts.append(
-            f"{found.rounds[-1].design_effect:.3g} lines count as one: errors of the model repeat from line to line."
+            f"{number(found.rounds[-1].design_effect, 3)} lines count as one: errors of the model repeat from line to "
+            "line."
         )
     if not found.converged:
         texts.append("The numbers still moved in the last round: more rounds may help, or the robot lacks an effect.")
@@ -45,7 +47,7 @@ def _result(found: Calibration) -> str:
 def _missed(found: Calibration) -> str:
     columns = [found.missed_before, found.missed_after, *(found.heldout or ())]
     headers = ["axis", "as given", "calibrated", *(["held out, as given", "held out"] if found.heldout else [])]
-    rows = [[name, *(f"{100 * float(c[i]):.3g} %" for c in columns)] for i, name in enumerate(found.given.axis_names)]
+    rows = [[name, *(percent(float(c[i]), 3) for c in columns)] for i, name in enumerate(found.given.axis_names)]
     note = (
         "Torque that the robot misses, of the measured torque without its mean; where lines are compared, referred to "
         "the measured motion, rms over all of them up to the highest excited one. Compared " + found.compared + "."

@@ -4,6 +4,7 @@ import os
 
 import numpy as np
 
+from .._text import percent
 from ..graybox import Fit
 from ..identification import Identification
 from ..io.fits import fit_contents
@@ -27,7 +28,7 @@ def identification_page(found: Identification) -> str:
     kind = "fit through the experiment" if found.indirect else "direct fit"
     subtitle = (
         f"{kind} to {names}: {len(found.positions)} positions, {len(frf.frequency)} lines from "
-        f"{frf.frequency[0]:.4g} to {frf.frequency[-1]:.4g} Hz"
+        f"{number(frf.frequency[0], 4)} to {number(frf.frequency[-1], 4)} Hz"
     )
     sections = [
         _result(found),
@@ -73,7 +74,7 @@ def _parameters(found: Identification) -> str:
             *(["at its bound"] if p["at_bound"] else []),
             *([f"same as {p['same_as']}"] if "same_as" in p else []),
         ]
-        spread = None if p["std"] is None or not p["value"] else f"{100 * p['std'] / abs(p['value']):.2g} %"
+        spread = None if p["std"] is None or not p["value"] else percent(p["std"] / abs(p["value"]))
         interval = "" if low is None else f"{number(low)} to {number(high)}"
         row = [f"{name} (nuisance)" if p["nuisance"] else name, p["value"], interval, spread, p["unit"], p["start"]]
         rows.append([*row, *([direct[name]] if beside_direct else []), ", ".join(flags)])
@@ -140,7 +141,7 @@ def _search(found: Identification) -> str:
     direct = found.direct
     text = (
         f"{direct.close_starts} of {len(direct.starts)} starts of the direct fit ended within 1 % of the best cost "
-        f"{direct.cost:.4g}; {direct.uncertainty.expected_cost:.4g} is what noise alone would leave."
+        f"{number(direct.cost, 4)}; {number(direct.uncertainty.expected_cost, 4)} is what noise alone would leave."
     )
     paths = figure(
         start_paths(direct)[0],

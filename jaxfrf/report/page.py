@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .._files import replacing
+from .._text import number as significant
 
 _STYLE = """
 :root { --ink: #1b1f24; --soft: #5c6670; --line: #d8dde2; --paper: #ffffff; --wash: #f5f7f9; --bad: #b3400a;
@@ -146,12 +147,7 @@ def number(x: object, digits: int = 4) -> str:
         return f"{x}"
     if not math.isfinite(x):
         return "-"
-    if abs(x) < _NOTHING:
-        return "0"
-    size = math.floor(math.log10(abs(x)))
-    if -4 <= size < 7:
-        return f"{x:.{max(digits - 1 - size, 0)}f}"
-    return f"{x:.{digits - 1}e}"
+    return "0" if abs(x) < _NOTHING else significant(x, digits, zeros=True)
 
 
 def facts(pairs: Mapping[str, object]) -> str:

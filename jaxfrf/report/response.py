@@ -12,6 +12,7 @@ import numpy as np
 from .._arguments import expect
 from .._errors import input_error
 from .._status import Status
+from .._text import number, plus_minus
 from ..frf import FRF
 from ..frf.covariance import variances
 from ..frf.features import features
@@ -140,13 +141,19 @@ def frf_page(
     sections = [
         listing([*about, *left_out]),
         section("Response", drawn),
-        _features(first),
-        _remarks(frfs),
+        _features(frfs, labels),
+        _remarks(frfs, labels),
         _provenance(frfs, labels),
     ]
-    shape = f"{first.n_out} x {first.n_in}, {first.n_pos} position{'s' if first.n_pos > 1 else ''}, "
-    band = f"{len(first.frequency)} lines from {first.frequency[0]:.4g} to {first.frequency[-1]:.4g} Hz"
-    return page(f"FRF of {names}" if names else "FRF", [s for s in sections if s], shape + band)
+    said = [_extent(f) for f in frfs]
+    alike = len(set(said)) == 1
+    under = said[0] if alike else "; ".join(f"{label}: {text}" for label, text in zip(labels, said, strict=True))
+    return page(f"FRF of {names}" if names else "FRF", [s for s in sections if s], under)
+
+
+def _extent(frf: FRF) -> str:
+    band = f"{len(frf.frequency)} lines from {number(frf.frequency[0], 4)} to {number(frf.frequency[-1], 4)} Hz"
+    return f"{frf.n_out} x {frf.n_in}, {frf.n_pos} position{'s' if frf.n_pos > 1 else ''}, {band}"
 
 
 def _check(frfs: Sequence[FRF], labels: Sequence[str]) -> None:
@@ -232,31 +239,37 @@ def _json(data: dict) -> str:
 # --- words
 
 
-def _features(frf: FRF) -> str:
-    rows = []
-    for k in range(min(frf.n_out, frf.n_in)):
-        for x in sorted(features(frf, k, k)[:_LINES], key=lambda x: x.frequency):
-            known = np.isfinite(x.damping)
-            damping = f"{100 * x.damping:.2g} ± {196 * x.damping_std:.1g} %" if known else ""
-            rows.append([f"G{k + 1}{k + 1}", x.kind, f"{x.frequency:.5g} ± {1.96 * x.frequency_std:.1g}", damping])
+def _features(frfs: Sequence[FRF], labels: Sequence[str]) -> str:
+    """Of every one, side by side by element."""
+    first, rows = frfs[0], []
+    for k in range(min(first.n_out, first.n_in)):
+        for frf, label in zip(frfs, labels, strict=True):
+            for x in sorted(features(frf, k, k)[:_LINES], key=lambda x: x.frequency):
+                known = np.isfinite(x.damping)
+                damping = f"{plus_minus(100 * x.damping, 196 * x.damping_std, '±')} %" if known else ""
+                at = plus_minus(x.frequency, 1.96 * x.frequency_std, "±")
+                rows.append([f"G{k + 1}{k + 1}", *([label] if len(frfs) > 1 else []), x.kind, at, damping])
     if not rows:
         return ""
-    at = " at the first position" if frf.n_pos > 1 else ""
-    return section(
-        f"Resonances and antiresonances{at}", table(["element", "kind", "Hz (95 %)", "damping (95 %)"], rows)
-    )
+    where = " at the first position" if first.n_pos > 1 else ""
+    headers = ["element", *(["of"] if len(frfs) > 1 else []), "kind", "Hz (95 %)", "damping (95 %)"]
+    return section(f"Resonances and antiresonances{where}", table(headers, rows))
 
 
-def _remarks(frfs: Sequence[FRF]) -> str:
+def _remarks(frfs: Sequence[FRF], labels: Sequence[str]) -> str:
     from .._status import describe
 
     said = list(dict.fromkeys(w for f in frfs for w in f.warnings))
-    said += list(dict.fromkeys(text for f in frfs for text in describe(f.status)))
+    for f, label in zip(frfs, labels, strict=True):
+        said += [f"{label}: {text}" if len(frfs) > 1 else text for text in describe(f.status)]
     return section("What to keep in mind", listing(said)) if said else ""
 
 
 def _provenance(frfs: Sequence[FRF], labels: Sequence[str]) -> str:
     told = {}
     for label, f in zip(labels, frfs, strict=True):
-        told[label] = paragraph(f.method or "method unknown") + facts({s.name: f"sha256 {s.sha256}" for s in f.sources})
+        named = f"{label}: " if len(frfs) > 1 else ""
+        told[label] = paragraph(named + (f.method or "method unknown")) + facts(
+            {s.name: f"sha256 {s.sha256}" for s in f.sources}
+        )
     return section("Provenance", *told.values())

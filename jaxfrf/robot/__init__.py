@@ -20,12 +20,12 @@ from .chain import (
     potential_energy as potential_energy,
 )
 from .drive import (
-    AbstractFriction as AbstractFriction,
+    AbstractFrictionLaw as AbstractFrictionLaw,
     AbstractSpring as AbstractSpring,
     Drives as Drives,
     Friction as Friction,
     Spring as Spring,
-    ViscousFriction as ViscousFriction,
+    ViscousFrictionLaw as ViscousFrictionLaw,
     effective_friction as effective_friction,
 )
 from .jacobian import (

@@ -16,8 +16,12 @@ from .._types import Array
 class AbstractSpring(eqx.Module):
     """Springs and dampers, one for every flexible transmission and elastic joint.
 
-    `deflection` (*batch, spring) is in rad on the arm side, the torque in N m.
+    `deflection` (*batch, spring) is in rad on the arm side, the torque in N m. `stiffness` (at high deflection,
+    N m/rad) and `damping` (N m s/rad): of every spring.
     """
+
+    stiffness: eqx.AbstractVar[Float[Array, "spring"]]
+    damping: eqx.AbstractVar[Float[Array, "spring"]]
 
     @abc.abstractmethod
     def torque(self, deflection, rate) -> Float[Array, "*batch spring"]:
@@ -95,15 +99,17 @@ def _beyond_play(x, gap):
     return jnp.where(open_gap, x - keep * inside, x), jnp.where(open_gap, 1.0 - keep * slope, 1.0)
 
 
-class AbstractFriction(eqx.Module):
-    """Friction of the motors, on the motor side, one for every driven joint."""
+class AbstractFrictionLaw(eqx.Module):
+    """Friction of the motors, on the motor side, one for every driven joint; `viscous`: its linear part, N m s/rad."""
+
+    viscous: eqx.AbstractVar[Float[Array, "axis"]]
 
     @abc.abstractmethod
     def torque(self, speed) -> Float[Array, "*batch axis"]:
         """Torque against the motor speed (*batch, axis), rad/s; N m."""
 
 
-class Friction(AbstractFriction):
+class Friction(AbstractFrictionLaw):
     """Viscous and smoothed Coulomb friction, tau = f v + c tanh(v/eps).
 
     It is not to be linearised at rest, where its slope f + c/eps holds for speeds below eps only: see
@@ -120,7 +126,7 @@ class Friction(AbstractFriction):
         return self.viscous * speed + self.coulomb * jnp.tanh(speed / self.smoothing)
 
 
-class ViscousFriction(AbstractFriction):
+class ViscousFrictionLaw(AbstractFrictionLaw):
     """Viscous friction alone, tau = f v; `viscous`: (axis,), N m s/rad."""
 
     viscous: Float[Array, "axis"]
@@ -129,7 +135,7 @@ class ViscousFriction(AbstractFriction):
         return self.viscous * speed
 
 
-def effective_friction(friction: Friction, amplitude: Float[Array, "axis"] | float) -> Float[Array, "axis"]:
+def effective_friction(friction: AbstractFrictionLaw, amplitude: Float[Array, "axis"] | float) -> Float[Array, "axis"]:
     """Gain of the friction for small motion on top of a slow sine of this speed: f + 2 c/(pi A), N m s/rad.
 
     The mean slope of c sgn(v) over v = A sin(phi) is 2 c/(pi A). It fails where the speed does not reverse
@@ -137,6 +143,8 @@ def effective_friction(friction: Friction, amplitude: Float[Array, "axis"] | flo
 
     **Arguments:** `amplitude`: A, motor side, (axis,) or a number, rad/s.
     """
+    if not isinstance(friction, Friction):
+        return friction.viscous
     return friction.viscous + 2.0 * friction.coulomb / (jnp.pi * amplitude)
 
 
@@ -155,5 +163,5 @@ class Drives(eqx.Module):
     motor_inertia: Float[Array, "axis"]
     gear_ratio: Float[Array, "axis"]
     torque_limit: Float[Array, "axis"]
-    friction: AbstractFriction
+    friction: AbstractFrictionLaw
     zero: Float[Array, "axis"] | None = None

@@ -48,8 +48,8 @@ def frf_and_jacobian(
     **Arguments:** `arm_angles`: (*batch, axis), rad. Others as in `frf` and `linearise`.
     """
     friction = robot.drives.friction.viscous if friction is None else friction
-    arrays = (jnp.asarray(x) for x in (arm_angles, frequency, delay, friction))
-    return _frf_and_jacobian(robot, *arrays, quantity, hold, deflections)
+    at, frequency, delay, friction = (jnp.asarray(x) for x in (arm_angles, frequency, delay, friction))
+    return _frf_and_jacobian(robot, at, frequency, delay, friction, quantity, hold, deflections)
 
 
 @eqx.filter_jit
@@ -76,7 +76,8 @@ def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quan
     matrices = (model.mass, model.damping, model.stiffness, tuple(loss.stiffness for loss in model.losses))
     batch = arm_angles.shape[:-1]
     if not batch:  # no loop, so that the compiler can merge what comes after with what is here
-        return ParametricResponse(*at(jax.tree.map(lambda x: x[0], (matrices, slopes))), parameter_names(robot))
+        G, jacobian = at(jax.tree.map(lambda x: x[0], (matrices, slopes)))
+        return ParametricResponse(G, jacobian, parameter_names(robot))
     # One position after the other: what a position needs then stays in the cache.
     G, jacobian = jax.lax.map(at, (matrices, slopes))
     return ParametricResponse(

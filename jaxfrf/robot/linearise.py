@@ -22,7 +22,7 @@ from ..effects import (
 from ..effects._place import spring_of
 from ..effects.acting import Group, groups
 from .chain import gravity_forces
-from .drive import ViscousFriction, effective_friction
+from .drive import ViscousFrictionLaw, effective_friction
 from .robot import (
     Robot,
     arm_torques,
@@ -135,8 +135,10 @@ def _check_coupling(robot: Robot) -> None:
 def _at_rest(robot: Robot, without: tuple[type, ...] = _NOT_AT_REST) -> Robot:
     """The robot with what matters here, numbers as arrays: many robots then share what is compiled."""
     kept = tuple(effect for effect in robot.effects if not isinstance(effect, without))
-    plain = {"controller": None, "name": "", "sampling_frequency": 0.0, "tolerances": Tolerances()}
-    return arrays(dataclasses.replace(robot, effects=kept, **plain))
+    plain = dataclasses.replace(
+        robot, effects=kept, controller=None, name="", sampling_frequency=0.0, tolerances=Tolerances()
+    )
+    return arrays(plain)
 
 
 @eqx.filter_jit
@@ -162,7 +164,7 @@ def _operating_point(robot: Robot, arm_angles) -> OperatingPoint:
     start = jnp.zeros((*arm_angles.shape[:-1], len(robot.spring_names)), jnp.result_type(arm_angles, float))
     deflection = jax.lax.custom_root(residual, start, _newton, _solve_tangent)
     torque, gear = load(deflection)[..., : robot.n_axes], robot.drives.gear_ratio
-    output = gear_angles(robot, arm_angles).at[..., flexible].add(deflection[..., :n_gears])
+    output = jnp.asarray(gear_angles(robot, arm_angles)).at[..., flexible].add(deflection[..., :n_gears])
     motor, slope = _behind_errors(robot, output)
     error = residual(deflection) / robot.springs.tangent(deflection)
     return OperatingPoint(
@@ -274,7 +276,7 @@ def linearise(
 
 @eqx.filter_jit
 def _linearised(robot: Robot, point: OperatingPoint, friction, deflections) -> LinearRobot:
-    smooth = dataclasses.replace(robot, drives=dataclasses.replace(robot.drives, friction=ViscousFriction(friction)))
+    smooth = dataclasses.replace(robot, drives=dataclasses.replace(robot.drives, friction=ViscousFrictionLaw(friction)))
     z, rest, motors = _without_errors(robot, point), jnp.zeros_like(point.z), robot.n_motors
     stiffness = -_jacobian(lambda x: drive_forces(smooth, x, rest, point.torque), z)
     damping = -_jacobian(lambda x: drive_forces(smooth, z, x, point.torque), rest)
@@ -294,7 +296,7 @@ def _without_errors(robot: Robot, point: OperatingPoint):
         return point.z
     n, flexible = robot.n_motors, np.array(robot.flexible_axes, int)
     output = gear_angles(robot, point.z[..., n : n + robot.n_axes])[..., flexible] + point.deflection[..., :n]
-    return point.z.at[..., :n].set(robot.drives.gear_ratio[flexible] * output)
+    return jnp.asarray(point.z).at[..., :n].set(robot.drives.gear_ratio[flexible] * output)
 
 
 def _losses(robot: Robot, tangent) -> tuple[GearLoss, ...]:

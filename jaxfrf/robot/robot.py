@@ -262,8 +262,8 @@ def deflections(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*b
     """
     flexible = np.array(robot.flexible_axes, int)
     motor, arm, elastic = jnp.split(z, [robot.n_motors, robot.n_motors + robot.n_axes], axis=-1)
-    arm = gear_angles(robot, arm)
-    return jnp.concatenate([motor / robot.drives.gear_ratio[flexible] - arm[..., flexible], -elastic], axis=-1)
+    seen = gear_angles(robot, arm)
+    return jnp.concatenate([motor / robot.drives.gear_ratio[flexible] - seen[..., flexible], -elastic], axis=-1)
 
 
 def gear_coupling(robot: Robot) -> Float[Array, "axis axis"] | None:
@@ -315,7 +315,7 @@ def drive_forces(
     spring = robot.springs.torque(deflections(robot, z), deflections(robot, rate))
     speed = motor_values(robot, rate)
     friction = robot.drives.friction.torque(speed)
-    forces = -spring @ spring_directions(robot).T
+    forces = jnp.asarray(-spring @ spring_directions(robot).T)
     if robot.effects:
         friction = friction + friction_effects(robot, speed, gear_load(robot, spring, torque))
         arm = slice(robot.n_motors, robot.n_motors + robot.n_axes)
@@ -342,10 +342,10 @@ def arm_torques(robot: Robot, angle, rate) -> Float[Array, "*batch axis"]:
 
 
 def _effects_torque(robot: Robot, kind, *signals):
-    signals = [jnp.moveaxis(x, -1, 0) for x in jnp.broadcast_arrays(*signals)]
-    total = jnp.zeros_like(signals[0])
+    of_axes = [jnp.moveaxis(x, -1, 0) for x in jnp.broadcast_arrays(*signals)]
+    total = jnp.zeros_like(of_axes[0])
     for group in groups(robot, kind):
-        total = group.added(total, group(lambda effect, *x: effect.torque(*x), *signals))
+        total = group.added(total, group(lambda effect, *x: effect.torque(*x), *of_axes))
     return jnp.moveaxis(total, 0, -1)
 
 

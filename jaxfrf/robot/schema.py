@@ -59,20 +59,20 @@ def robot_from_table(
     wrong type or size, or with a value that is not physical.
     """
     top = _Table(table, source, _ROBOT_KEYS)
-    joints = top.tables("joint")
-    if not joints:
+    tables = top.tables("joint")
+    if not tables:
         raise input_error(
             f"{source}: joint", "none", "at least one [[joint]] table", "Describe the joints, base to tip."
         )
-    if len(joints) > _MOST_JOINTS:
+    if len(tables) > _MOST_JOINTS:
         raise input_error(
             f"{source}: joint",
-            f"{len(joints)} joints",
+            f"{len(tables)} joints",
             f"at most {_MOST_JOINTS}",
             "Longer chains take too long to compile: join links that hardly move against each other.",
         )
     joints = [
-        _Table(joint, f"{source}: {_label(joint, i)}", _joint_keys(joint, i, source)) for i, joint in enumerate(joints)
+        _Table(joint, f"{source}: {_label(joint, i)}", _joint_keys(joint, i, source)) for i, joint in enumerate(tables)
     ]
     names = tuple(joint.text("name", default=f"joint{i + 1}") for i, joint in enumerate(joints))
     if len(set(names)) < len(names):
@@ -106,10 +106,11 @@ def table_from_robot(robot: Robot) -> dict[str, Any]:
 
     **Raises:** `jaxfrf.InputError` for springs or friction that a file cannot state.
     """
-    if not isinstance(robot.springs, Spring) or not isinstance(robot.drives.friction, Friction):
+    springs, friction = robot.springs, robot.drives.friction
+    if not isinstance(springs, Spring) or not isinstance(friction, Friction):
         raise input_error(
             f"{robot.name}: springs and friction",
-            f"{type(robot.springs).__name__} and {type(robot.drives.friction).__name__}",
+            f"{type(springs).__name__} and {type(friction).__name__}",
             "Spring and Friction, which a robot's file can state",
             "Write the robot with those, and other laws as effects.",
         )
@@ -117,7 +118,7 @@ def table_from_robot(robot: Robot) -> dict[str, Any]:
         "name": robot.name,
         "gravity": _plain(robot.chain.gravity),
         "sampling_frequency": robot.sampling_frequency,
-        "joint": [_joint_table(robot, i) for i in range(robot.chain.n_joints)],
+        "joint": [_joint_table(robot, springs, friction, i) for i in range(robot.chain.n_joints)],
     }
     if robot.controller is not None:
         table["controller"] = {
@@ -129,10 +130,11 @@ def table_from_robot(robot: Robot) -> dict[str, Any]:
             ),
             **({"anti_windup": True} if robot.controller.anti_windup else {}),
         }
-    table["friction"] = {"smoothing": _plain(robot.drives.friction.smoothing)}
+    table["friction"] = {"smoothing": _plain(friction.smoothing)}
     if robot.tolerances.stated:
         table["tolerance"] = table_of(robot.tolerances)
-    effects = [effect_to_table(e, robot.axis_names[axis_of(robot, e.joint)]) for e in (*robot.effects, *_play(robot))]
+    acting = (*robot.effects, *_play(robot, springs))
+    effects = [effect_to_table(e, robot.axis_names[axis_of(robot, e.joint)]) for e in acting]
     return {**table, **({"effect": effects} if effects else {})}
 
 
@@ -143,8 +145,8 @@ class _Table:
         if not isinstance(table, Mapping):
             raise input_error(where, _said(table), "a table", "Write it as a TOML table.")
         self._table, self.where = table, where
-        for key in table if known is not None else ():
-            if key not in known:
+        for key in table:
+            if known is not None and key not in known:
                 raise _unknown_key(where, key, known)
 
     def __contains__(self, key: str) -> bool:
@@ -368,15 +370,15 @@ def _effect(checked: _Table, table: Mapping[str, Any], names: tuple[str, ...], o
     return effect_from_table(table, checked.where, own)
 
 
-def _play(robot: Robot) -> list[Backlash]:
+def _play(robot: Robot, springs: Spring) -> list[Backlash]:
     """The gears with play: springs have no key for it."""
-    if robot.springs.backlash is None:
+    if springs.backlash is None:
         return []
-    gaps = robot.springs.backlash[: robot.n_motors]
+    gaps = springs.backlash[: robot.n_motors]
     return [Backlash(axis, gap) for axis, gap in zip(robot.flexible_axes, gaps, strict=True) if gap > 0.0]
 
 
-def _joint_table(robot: Robot, i: int) -> dict[str, Any]:
+def _joint_table(robot: Robot, springs: Spring, friction: Friction, i: int) -> dict[str, Any]:
     chain, name = robot.chain, robot.joint_names[i]
     table = {
         "name": name,
@@ -385,19 +387,19 @@ def _joint_table(robot: Robot, i: int) -> dict[str, Any]:
         **{key: _plain(getattr(chain, key)[i]) for key in ("axis", "offset", "mass", "com", "inertia")},
     }
     if robot.driven[i]:
-        table |= _drive_table(robot, robot.axis_names.index(name))
+        table |= _drive_table(robot, friction, robot.axis_names.index(name))
     if robot.stiff[i]:
         return {**table, "stiffness": math.inf}
-    return {**table, **_spring_table(robot.springs, robot.spring_names.index(name))}
+    return {**table, **_spring_table(springs, robot.spring_names.index(name))}
 
 
-def _drive_table(robot: Robot, axis: int) -> dict[str, Any]:
+def _drive_table(robot: Robot, friction: Friction, axis: int) -> dict[str, Any]:
     drives = robot.drives
     table = {
         "gear_ratio": _plain(drives.gear_ratio[axis]),
         "motor_inertia": _plain(drives.motor_inertia[axis]),
-        "viscous_friction": _plain(drives.friction.viscous[axis]),
-        "coulomb_friction": _plain(drives.friction.coulomb[axis]),
+        "viscous_friction": _plain(friction.viscous[axis]),
+        "coulomb_friction": _plain(friction.coulomb[axis]),
         "torque_limit": _plain(drives.torque_limit[axis]),
     }
     if drives.zero is not None:
@@ -409,12 +411,12 @@ def _drive_table(robot: Robot, axis: int) -> dict[str, Any]:
 
 def _spring_table(springs: Spring, i: int) -> dict[str, Any]:
     table = {"stiffness": _plain(springs.stiffness[i]), "damping": _plain(springs.damping[i])}
-    ratio = _plain(springs.stiffness_ratio[i])
+    ratio = float(springs.stiffness_ratio[i])
     if ratio == 1.0:
         return table
     return {
         **table,
-        "stiffness_low": ratio * table["stiffness"],
+        "stiffness_low": ratio * float(springs.stiffness[i]),
         "stiffness_knee": _plain(springs.stiffness_knee[i]),
     }
 

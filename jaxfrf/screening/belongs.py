@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from .._text import number, percent
 from ..experiment import Experiment
 from .finding import Finding, Severity
 from .record import Record
@@ -131,15 +132,15 @@ def _does_not_belong(record: Record, pos: int, windows: _Windows, found: _Foreig
     severity = Severity.WARNED
     if not cause and (level > _LEVEL or level < 1 / _LEVEL):
         severity = Severity.TOLD
-        why = f" It was excited {level:.2g} times as strongly: a nonlinear machine answers differently."
+        why = f" It was excited {number(level, 2)} times as strongly: a nonlinear machine answers differently."
     effect = min(size * n_out / n, 1.0)
     return Finding(
         "foreign",
         severity,
         size,
         f"experiment {found.exp} (position {pos}{_file(record, found.exp)}) does not belong to the others: they "
-        f"predict its y (channel {channel}) with an error of {100 * size:.2g} %, each other's with "
-        f"{100 * np.sqrt(found.usual):.2g} %.{why} The FRF may be off by {100 * effect:.2g} %: mend it, leave it, or "
+        f"predict its y (channel {channel}) with an error of {percent(size)}, each other's with "
+        f"{percent(np.sqrt(found.usual))}.{why} The FRF may be off by {percent(effect)}: mend it, leave it, or "
         "take a mean in which odd experiments do not count (--method robust).",
         effect=effect,
         signal="y",
@@ -217,7 +218,7 @@ def _contradict(record: Record, pos: int) -> Iterator[Finding]:
         Severity.WARNED,
         float(np.sqrt(size)),
         f"experiments {' and '.join(map(str, everyone))} (position {pos}) contradict each other: no one response gives "
-        f"y (channel {channel}) in all, {100 * np.sqrt(size):.2g} % is left over, and {100 * np.sqrt(left):.2g} % in "
+        f"y (channel {channel}) in all, {percent(np.sqrt(size))} is left over, and {percent(np.sqrt(left))} in "
         "one alone. Channels swapped, a sign turned, experiments exchanged, or noise in one of them? Estimate them one "
         "by one and compare.",
         effect=float(min(np.sqrt(size), 1.0)),
@@ -273,7 +274,7 @@ def _twice_told(pairs, count: int, file: Callable[[int], str]) -> Iterator[Findi
             len(pairs),
             f"experiment {f} (position {q}{file(f)}) holds the samples of experiment {e} (position {p}) once "
             f"more, and {len(pairs) - 1} others do so too: the same data count twice, and the interval is too small "
-            f"by {np.sqrt(1 + len(pairs) / max(count - len(pairs), 1)):.2g} times. Give each once."
+            f"by {number(np.sqrt(1 + len(pairs) / max(count - len(pairs), 1)), 2)} times. Give each once."
             if len(pairs) > 1
             else f"experiment {f} (position {q}{file(f)}) holds the samples of experiment {e} (position {p}) "
             "once more: the same data count twice, and the interval is too small. Give each only once.",

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from .._text import percent
 from .finding import Finding, Severity
 from .record import Record
 
@@ -48,9 +49,9 @@ def _changes(name, pos, exp, channel, change: float, sure: float, low: int, high
         "gain",
         Severity.WARNED,
         change,
-        f"{name}: channel {channel} ({where}) changes its gain by {100 * change:.2g} % between steady periods {low} "
+        f"{name}: channel {channel} ({where}) changes its gain by {percent(change)} between steady periods {low} "
         f"and {high}, at all lines alike: a sensor, an amplifier or a supply that drifts? The FRF is off by up to "
-        f"{100 * change / 2:.2g} % for it, more than its interval says. Record again when it is warm, or use fewer.",
+        f"{percent(change / 2)} for it, more than its interval says. Record again when it is warm, or use fewer.",
         sure=sure,
         effect=change / 2,
         signal=name,

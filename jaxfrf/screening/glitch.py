@@ -6,6 +6,7 @@ import numpy as np
 import scipy.fft
 import scipy.linalg
 
+from .._text import number
 from .finding import Finding, Severity
 from .levels import _leave_out
 from .record import Channel, Record
@@ -32,9 +33,9 @@ def glitch(record: Record) -> Iterator[Finding]:
                 "glitch",
                 Severity.WARNED,
                 size,
-                f"breaks at sample {at}: it departs there from what its last {_ORDER} samples announce by {size:.2g} "
-                "times the usual, and nowhere else. Samples lost or doubled, a spike, a blow? Keep the part before or "
-                f"after it ({_leave_out(c, at, at + 1)}).",
+                f"breaks at sample {at}: it departs there from what its last {_ORDER} samples announce by "
+                f"{number(size, 2)} times the usual, and nowhere else. Samples lost or doubled, a spike, a blow? Keep "
+                f"the part before or after it ({_leave_out(c, at, at + 1)}).",
                 sure=size,
                 samples=(at, at + 1),
             )

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from .._text import number, percent
 from .finding import Finding, Severity
 from .record import Channel, Record
 
@@ -62,7 +63,7 @@ def clipped(record: Record) -> Iterator[Finding]:
                 "clipped",
                 Severity.TOLD if c.signal == "r" else Severity.WARNED,
                 share,
-                f"looks clipped: {share:.2g} of the samples stand at exactly {level:g}. "
+                f"looks clipped: {number(share, 2)} of the samples stand at exactly {level:g}. "
                 "Lower the excitation, or expect a biased FRF.",
             )
 
@@ -94,9 +95,9 @@ def saturated(record: Record) -> Iterator[Finding]:
                 "saturated",
                 Severity.WARNED,
                 share,
-                f"looks limited: {100 * share:.2g} % of its samples crowd within {0.7 if sharp else 3:g} % of the "
-                f"range near one end, {ratio:.2g} times as many as beside them. A sensor or a drive at its limit "
-                "biases the FRF: lower the excitation.",
+                f"looks limited: {percent(share)} of its samples crowd within {0.7 if sharp else 3:g} % of the "
+                f"range near one end, {number(ratio, 2)} times as many as beside them. A sensor or a drive at its "
+                "limit biases the FRF: lower the excitation.",
             )
 
 
@@ -174,7 +175,7 @@ def coarse(record: Record) -> Iterator[Finding]:
                 "coarse",
                 Severity.WARNED,
                 step / c.x.std(),
-                f"is coarsely quantised: it moves in steps of {step:.3g}, {step / c.x.std():.2g} of its "
+                f"is coarsely quantised: it moves in steps of {number(step)}, {number(step / c.x.std(), 2)} of its "
                 "standard deviation. Excite more strongly, or log with a finer resolution.",
             )
         elif c.n_periods and record.lines.size and not two_levels:
@@ -188,8 +189,8 @@ def coarse(record: Record) -> Iterator[Finding]:
                     "coarse",
                     Severity.TOLD,
                     10 ** (-snr / 20),
-                    f"is coarsely quantised: its steps of {step:.3g} stand {snr:.0f} dB below the excitation at the "
-                    f"median line and repeat with the period. The FRF may be off by {100 * 10 ** (-snr / 20):.2g} %; "
+                    f"is coarsely quantised: its steps of {number(step)} stand {snr:.0f} dB below the excitation at "
+                    f"the median line and repeat with the period. The FRF may be off by {percent(10 ** (-snr / 20))}; "
                     "excite more strongly, or log with a finer resolution.",
                     effect=10 ** (-snr / 20),
                 )
@@ -263,14 +264,15 @@ def _held_stretch(c: Channel, still: np.ndarray) -> Iterator[Finding]:
     worst = int(np.argmax(last - first))
     a, b = int(first[worst]), int(last[worst]) + 1
     value = c.x[a]
-    what = "stands at exactly 0" if value == 0 else f"is held at {value:.6g}"
+    what = "stands at exactly 0" if value == 0 else f"is held at {number(value, 6)}"
     yield c.finding(
         "held",
         Severity.WARNED,
         (b - a) / len(c.x),
-        f"{what} from sample {a} to {b - 1} and jumps by {max(into[jumps][worst], out[jumps][worst]) / usual:.2g} of "
-        "its usual steps there: was the logger or the link down? The FRF may be off by about "
-        f"{100 * np.sqrt((b - a) / len(c.x)):.2g} %; leave that part out ({_leave_out(c, a, b)}).",
+        f"{what} from sample {a} to {b - 1} and jumps by "
+        f"{number(max(into[jumps][worst], out[jumps][worst]) / usual, 2)} of its usual steps there: was the logger or "
+        f"the link down? The FRF may be off by about {percent(np.sqrt((b - a) / len(c.x)))}; leave that part out "
+        f"({_leave_out(c, a, b)}).",
         effect=float(np.sqrt((b - a) / len(c.x))),
         samples=(a, b),
     )
@@ -310,9 +312,9 @@ def wrapped(record: Record) -> Iterator[Finding]:
                 "wrapped",
                 Severity.REFUSED,
                 float(turn),
-                f"jumps {jumps.size} times by {turn:.6g} from one end of its range to the other, first at sample "
-                f"{int(jumps[0]) + 1}, and goes on as before: a counter that overflowed. Unwrap it before it is used "
-                f"(numpy.unwrap(x, period={turn:.6g})).",
+                f"jumps {jumps.size} times by {number(turn, 6)} from one end of its range to the other, first at "
+                f"sample {int(jumps[0]) + 1}, and goes on as before: a counter that overflowed. Unwrap it before it "
+                f"is used (numpy.unwrap(x, period={number(turn, 6)})).",
                 samples=(int(jumps[0]), int(jumps[-1]) + 2),
             )
 

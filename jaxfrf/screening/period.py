@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from .._text import number, percent
 from ..experiment import how_to_set
 from ..periodic import find_period, mismatch
 from .finding import Finding, Severity
@@ -42,7 +43,7 @@ def contradicted(record: Record) -> Iterator[Finding]:
     found_by = min(found.mismatch, mismatch(x, found.period))
     worse = found_by < _CLEAR if single else given > max(_WORSE * found_by, 0.01) or given > found_by + _WORSE_BY
     if worse:
-        after = "" if single else f" (after {data.period} samples {100 * given:.2g} % of its power differ)"
+        after = "" if single else f" (after {data.period} samples {percent(given)} of its power differ)"
         yield Finding(
             "period",
             Severity.REFUSED,
@@ -108,7 +109,8 @@ def quiet_lines(record: Record) -> Iterator[Finding]:
                 1 - found.confidence,
                 f"{'u' if data.r is None else 'r'}: excited and quiet lines are not clearly told apart; "
                 f"{len(found.lines)} lines from {found.lines[0]} to {found.lines[-1]} are taken (confidence "
-                f"{found.confidence:.2g}). Say which are excited: --set lines=FIRST:LAST:STEP, or give the reference.",
+                f"{number(found.confidence, 2)}). Say which are excited: --set lines=FIRST:LAST:STEP, or give the "
+                "reference.",
             )
         return
     quiet = np.setdiff1d(data.lines, found.lines)

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.fft
 import scipy.ndimage
 
+from .._text import number, percent
 from .finding import Finding, Severity
 from .levels import _leave_out
 from .record import Channel, Record
@@ -49,7 +50,7 @@ def lost(record: Record) -> Iterator[Finding]:
                 effect,
                 f"{what} at about sample {at}: from there on it comes {abs(lag)} "
                 f"{'early' if lag > 0 else 'late'} against the periods before. The FRF may be off by "
-                f"{100 * effect:.2g} %. Keep the part before or after it ({leave}).",
+                f"{percent(effect)}. Keep the part before or after it ({leave}).",
                 effect=effect,
                 samples=(at, at + 1),
             )
@@ -81,10 +82,11 @@ def disturbed(record: Record) -> Iterator[Finding]:
             "disturbed",
             Severity.WARNED,
             size,
-            f"differs at samples {first} to {first + (b - a) * width - 1}{more} by {size:.2g} of its rms from the same "
-            f"place of the other periods, {np.sqrt(flat[a:b].max() / np.median(usual)):.2g} times as much as "
-            f"elsewhere: a spike, a blow, or samples replaced? The FRF may be off by about {100 * effect:.2g} %. Leave "
-            f"that period out ({_leave_out(c, first, first + (b - a) * width)}), or weigh the periods (--robust).",
+            f"differs at samples {first} to {first + (b - a) * width - 1}{more} by {number(size, 2)} of its rms from "
+            f"the same place of the other periods, {number(np.sqrt(flat[a:b].max() / np.median(usual)), 2)} times as "
+            f"much as elsewhere: a spike, a blow, or samples replaced? The FRF may be off by about {percent(effect)}. "
+            f"Leave that period out ({_leave_out(c, first, first + (b - a) * width)}), or weigh the periods "
+            "(--robust).",
             effect=effect,
             samples=(first, first + (b - a) * width),
         )
@@ -115,8 +117,8 @@ def spikes(record: Record) -> Iterator[Finding]:
             Severity.WARNED,
             effect,
             f"holds single samples that stand out in {count} places, the first at sample {where} or "
-            f"{where + c.period}: up to {bend.max() / usual:.2g} times the noise between neighbours. The FRF may be "
-            f"off by {100 * effect:.2g} %. Mend or leave out these periods, or weigh them (--robust).",
+            f"{where + c.period}: up to {number(bend.max() / usual, 2)} times the noise between neighbours. The FRF "
+            f"may be off by {percent(effect)}. Mend or leave out these periods, or weigh them (--robust).",
             effect=effect,
             samples=(where, where + 1),
         )

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from .._text import number
 from .finding import Finding, Severity
 from .record import Channel, Record
 
@@ -55,7 +56,7 @@ def _odd_period(c: Channel) -> Iterator[Finding]:
             "unsteady",
             Severity.WARNED,
             size[worst],
-            f"is not steady in its first used period ({size[worst]:.2g} of the rms away from the "
+            f"is not steady in its first used period ({number(size[worst], 2)} of the rms away from the "
             f"others): drop it, --set transient_periods={c.first // c.period + 1}.",
             **more,
         )
@@ -65,7 +66,7 @@ def _odd_period(c: Channel) -> Iterator[Finding]:
             Severity.WARNED,
             size[worst],
             f"differs in {_called(worst, n)} (samples {first} to {first + c.period - 1}) by "
-            f"{size[worst]:.2g} of the rms from the others, most at sample {first + sample}: samples lost or "
+            f"{number(size[worst], 2)} of the rms from the others, most at sample {first + sample}: samples lost or "
             f"repeated, or a disturbance? Leave it out (--periods {_without(worst, n)}), or weigh the "
             "periods (--robust).",
             **more,
@@ -126,7 +127,7 @@ def _drifts(c: Channel, by: float, size: float, sure: float) -> Finding:
         "drift",
         Severity.WARNED,
         size,
-        f"drifts: its mean moves by {by:.3g}, {size:.2g} of the rms, over {c.n_periods} "
+        f"drifts: its mean moves by {number(by)}, {number(size, 2)} of the rms, over {c.n_periods} "
         "periods. Leakage of it disturbs the lowest lines: take a method with a transient term, or leave these out.",
         sure=sure,
     )

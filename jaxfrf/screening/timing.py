@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import scipy.ndimage
 
+from .._text import number
 from .finding import Finding, Severity
 from .record import Channel, Record
 
@@ -67,8 +68,8 @@ def _jitter(c: Channel) -> Iterator[Finding]:
             "jitter",
             Severity.TOLD if size < 0.2 else Severity.WARNED,
             size,
-            f"looks sampled with jitter of {size:.2g} sample intervals (standard deviation): periods differ where it "
-            "is steep. That adds noise towards high frequencies and lowers the FRF there, by "
+            f"looks sampled with jitter of {number(size, 2)} sample intervals (standard deviation): periods differ "
+            "where it is steep. That adds noise towards high frequencies and lowers the FRF there, by "
             "(2 pi f/fs x jitter)^2/2. Log from a clock, not from a loop of a computer.",
         )
 

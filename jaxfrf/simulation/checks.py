@@ -4,6 +4,7 @@ import numpy as np
 
 from .._errors import input_error
 from .._memory import check_memory
+from .._text import number, percent
 from .._types import arrays
 from ..excitation import Multisine
 from ..robot import OperatingPoint, Robot, linearise, local_stiffness, operating_point
@@ -101,8 +102,8 @@ def limits_told(robot: Robot, shares: np.ndarray) -> tuple[str, ...]:
         if np.isfinite(limit[axis]) and share.max() > _OFTEN:
             pos, exp = (int(i) for i in np.unravel_index(np.argmax(share), share.shape))
             said.append(
-                f"{name}: the motor is at its torque limit of {limit[axis]:.3g} N m for {100 * share.max():.2g} % of "
-                f"the samples of position {pos}, experiment {exp} ({100 * share.mean():.2g} % of all): a clipped "
+                f"{name}: the motor is at its torque limit of {number(limit[axis])} N m for {percent(share.max())} of "
+                f"the samples of position {pos}, experiment {exp} ({percent(share.mean())} of all): a clipped "
                 "torque no longer excites as designed, and the response is not that of the linear robot. Lower rms "
                 "or the slow sine, or take another position."
             )
@@ -122,8 +123,8 @@ def soft_springs(robot: Robot, point: OperatingPoint, design: Multisine) -> tupl
         slowest = float(np.sqrt(np.min(stiffness[..., spring] / arm))) / (2 * np.pi)
         if slowest * duration < 1:
             said.append(
-                f"{robot.axis_names[axis]}: its spring lets the arm swing at {slowest:.2g} Hz, less than once in the "
-                f"record of {duration:.3g} s: the arm is hardly joined to its motor. Check the stiffness."
+                f"{robot.axis_names[axis]}: its spring lets the arm swing at {number(slowest, 2)} Hz, less than once "
+                f"in the record of {number(duration)} s: the arm is hardly joined to its motor. Check the stiffness."
             )
     return tuple(said)
 
@@ -171,8 +172,8 @@ def equilibria(robot: Robot, positions: np.ndarray, limited: bool = True) -> Ope
     for p, axis in np.argwhere(limited & (torque > limit))[:1]:
         raise input_error(
             f"{robot.name}: {robot.axis_names[axis]}",
-            f"{torque[p, axis]:.3g} N m to hold the arm at position {p}",
-            f"at most the torque_limit of {limit[axis]:.3g} N m",
+            f"{number(torque[p, axis])} N m to hold the arm at position {p}",
+            f"at most the torque_limit of {number(limit[axis])} N m",
             "Lower the payload, or choose other positions.",
         )
     return point

@@ -158,7 +158,7 @@ def study_of_record(
     """The runs that play the references of a record, as in `replay`."""
     require_x64("A simulation")
     _check_record(data)
-    check_fit(robot, data.fs, np.shape(data.r)[3], "record")
+    check_fit(robot, data.fs, np.asarray(data.r).shape[3], "record")
     positions = check_positions(robot, data.q)
     references = references_of_record(robot, data, run_in)
     loop, point = loop_at_rest(robot, positions, noise, steps)

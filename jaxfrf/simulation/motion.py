@@ -79,7 +79,8 @@ def imposed_motion(
     fs, ahead = robot.sampling_frequency, lambda x: np.roll(x, -1, axis=1)  # a sample ends on its reference
     references = References(ahead(speed), ahead(angle), fs, math.ceil(run_in * fs), angle.shape[1])
     study = Study(Imposed.of(robot), references, point, jr.key(0), data.n_exp)
-    return Motion(*record(study, chunk, progress, impose), fs)
+    u, y, z = record(study, chunk, progress, impose)
+    return Motion(u, y, z, fs)
 
 
 @jax.jit

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from .._types import Array
 from ..effects import AbstractArmTorque, AbstractFriction, AbstractGearError, AbstractGearTorque, AbstractMotorTorque
 from ..effects.acting import Group, groups
-from ..robot import Robot, arm_inertia_and_bias_columns
+from ..robot import AbstractFrictionLaw, AbstractSpring, Robot, arm_inertia_and_bias_columns
 from ..robot.robot import gear_coupling
 
 Columns = Float[Array, "row run"]
@@ -77,8 +77,8 @@ class Plant(eqx.Module):
     robot: Robot
     gear: Columns
     inertia: Columns
-    springs: eqx.Module
-    friction: eqx.Module
+    springs: AbstractSpring
+    friction: AbstractFrictionLaw
     wiring: Wiring
     rubbing: tuple[Group[AbstractFriction], ...]
     pulling: tuple[Group[AbstractArmTorque], ...]
@@ -155,9 +155,9 @@ class Plant(eqx.Module):
         if self.coupling is not None:
             pull = self.coupling * arm  # zero on rigid axes
             arm = arm + jnp.concatenate([pull[1:], jnp.zeros_like(pull[:1])])
-        for group in self.pulling:
+        for pull_of in self.pulling:
             row = slice(w.motors, w.motors + w.axes)
-            arm = group.added(arm, -group(lambda e, q, v: e.torque(q, v), z[row], rate[row]))
+            arm = pull_of.added(arm, -pull_of(lambda e, q, v: e.torque(q, v), z[row], rate[row]))
         force = jnp.concatenate([arm, spring[w.motors :]]) - slow.bias
         return jnp.concatenate([motor, product(slow.inverse, force)])
 

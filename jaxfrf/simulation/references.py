@@ -9,6 +9,7 @@ import scipy.interpolate
 from jaxtyping import Float, Int
 
 from .._errors import input_error
+from .._text import number
 from ..excitation import Multisine, reference
 from ..excitation.multisine import reference_spectra
 from ..excitation.signals import one_period
@@ -136,9 +137,9 @@ def _check_drift(robot: Robot, data: Experiment, mean: Float[np.ndarray, "track 
     if arm[track, axis] > _DRIFT:
         raise input_error(
             "r",
-            f"a mean of {mean[track, axis]:.3g} rad/s at position {track // data.n_exp}, experiment "
+            f"a mean of {number(mean[track, axis])} rad/s at position {track // data.n_exp}, experiment "
             f"{track % data.n_exp}, channel {axis}: "
-            f"{robot.axis_names[axis]} drifts by {arm[track, axis]:.3g} rad (arm side) with every period",
+            f"{robot.axis_names[axis]} drifts by {number(arm[track, axis])} rad (arm side) with every period",
             f"at most {_DRIFT:g} rad: a periodic motion returns to where it was",
             "Check the unit and the period of r, or remove its mean.",
         )
@@ -148,5 +149,5 @@ def _samples(run_in: float, fs: float) -> int:
     if not (math.isfinite(run_in) and run_in >= 0):
         raise input_error("run_in", f"{run_in}", "seconds, 0 or more", "E.g. run_in=5.0, or None.")
     if run_in * fs > _LONGEST:
-        raise input_error("run_in", f"{run_in:g} s", f"at most {_LONGEST / fs:.3g} s", "E.g. run_in=5.0, or None.")
+        raise input_error("run_in", f"{run_in:g} s", f"at most {number(_LONGEST / fs)} s", "E.g. run_in=5.0, or None.")
     return math.ceil(run_in * fs)

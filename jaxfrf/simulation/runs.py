@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from .._errors import InputError, input_error
+from .._text import number
 from ..robot import OperatingPoint
 from .closed_loop import ClosedLoop, LoopState, Runs, play
 from .imposed import Imposed, ImposedState
@@ -68,9 +69,9 @@ def record(
 
     def work(block):
         for start, stretch in _segments(study, block, lost, player):
-            for number, signal in enumerate(stretch):
+            for part, signal in enumerate(stretch):
                 shape = (n_runs, study.references.recorded, signal.shape[1])
-                whole = kept.setdefault(number, np.empty(shape))
+                whole = kept.setdefault(part, np.empty(shape))
                 _store(whole, block - first, start - study.references.run_in, signal)
             yield
 
@@ -155,7 +156,7 @@ def _astray(loop: ClosedLoop | Imposed, reading, references, runs: Runs) -> Floa
 
 def _diverged(study: Study, lost: dict[int, float]) -> InputError:
     named = [
-        f"position {run // study.n_exp}, experiment {run % study.n_exp} at {when:.3g} s"
+        f"position {run // study.n_exp}, experiment {run % study.n_exp} at {number(when)} s"
         for run, when in sorted(lost.items())
     ]
     more = f" and {len(named) - 5} more" if len(named) > 5 else ""

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from .._errors import input_error
+from .._text import number
 from ..effects import AbstractGearTorque
 from ..effects.acting import groups
 from ..robot import Friction, OperatingPoint, Robot, friction_effects, linearise, local_stiffness, spring_directions
@@ -30,9 +31,9 @@ def fine_steps(robot: Robot, point: OperatingPoint) -> int:
         friction = sample * decay / _DECAY >= sample * mode / _TURN
         raise input_error(
             f"{robot.name}",
-            f"friction that stops a motor at a rate of {decay:.3g}/s"
+            f"friction that stops a motor at a rate of {number(decay)}/s"
             if friction
-            else f"a mode at {mode / 2 / np.pi:.3g} Hz",
+            else f"a mode at {number(mode / 2 / np.pi)} Hz",
             f"what {_MOST} steps in a sample of {sample:g} s can follow",
             "Raise the friction's smoothing." if friction else "Make that spring rigid: stiffness = inf.",
         )

@@ -7,6 +7,7 @@ import scipy  # its modules load when they are used: scipy.signal alone takes a 
 
 from .._arguments import expect
 from .._errors import input_error
+from .._text import number
 from ..experiment import Experiment, rebuilt
 from .lines import strength, where
 from .spectra import Spectra
@@ -40,7 +41,7 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
             raise input_error(
                 "band",
                 f"{band[0]:g} to {band[1]:g} Hz",
-                f"a band that holds excited lines between {data.fs / n:.4g} and {data.fs / 2:g} Hz",
+                f"a band that holds excited lines between {number(data.fs / n, 4)} and {data.fs / 2:g} Hz",
                 "Widen the band.",
             )
     spectra = at_lines(whole, k)
@@ -99,11 +100,11 @@ def _what_it_can_give(data: Experiment, spectra: Spectra) -> str:
     name, X = ("u", spectra.U) if spectra.R is None else ("r", spectra.R)
     power = np.sum(np.abs(X) ** 2, axis=(0, 1))
     share = np.cumsum(power, axis=0) / np.sum(power, axis=0)
-    limit = [f"{f:.3g}" for f in np.unique(spectra.frequency[np.argmax(share >= 0.99, axis=0)])]
+    limit = [number(f) for f in np.unique(spectra.frequency[np.argmax(share >= 0.99, axis=0)])]
     below = f"{limit[0]} Hz" if len(limit) == 1 else f"{limit[0]} to {limit[-1]} Hz (by channel)"
     return (
         f"{where(data, name)}: not periodic, taken whole with a transient term; 99 % of the power between "
-        f"{spectra.frequency[0]:.3g} and {spectra.frequency[-1]:.3g} Hz lies below {below}. Above that, and between "
-        "lines that carry little, look at the standard deviation before the FRF; no noise level can be told apart from "
-        "distortion."
+        f"{number(spectra.frequency[0])} and {number(spectra.frequency[-1])} Hz lies below {below}. Above that, and "
+        "between lines that carry little, look at the standard deviation before the FRF; no noise level can be told "
+        "apart from distortion."
     )

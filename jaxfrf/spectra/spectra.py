@@ -10,6 +10,7 @@ from jaxtyping import Complex, Float, Int
 
 from .._arguments import expect
 from .._errors import input_error
+from .._text import number
 from .._types import Array
 from ..experiment import QUANTITIES, Source
 from ..units import differentiated
@@ -89,7 +90,7 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
         raise input_error(
             "band",
             f"no excited line between {low:g} and {high:g} Hz",
-            f"a part of {spectra.frequency[0]:.4g} to {spectra.frequency[-1]:.4g} Hz",
+            f"a part of {number(spectra.frequency[0], 4)} to {number(spectra.frequency[-1], 4)} Hz",
             "Widen the band.",
         )
 

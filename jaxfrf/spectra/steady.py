@@ -4,6 +4,7 @@ import numpy as np
 
 from .._arguments import expect
 from .._errors import input_error
+from .._text import counted, number
 from ..experiment import Experiment, how_to_set, seen_period
 from .fourier import coefficients, period_weights
 from .lines import known_lines, where
@@ -32,9 +33,10 @@ def dft(data: Experiment, *, robust: bool = False, silent: bool = False) -> Spec
     """
     expect("data", data, Experiment)
     if not data.period:
+        seen = seen_period(data.r, data.u, data.y)
         raise input_error(
             where(data, "period"),
-            "0: the record is not periodic",
+            "0: the record is not periodic" if seen is None else "0: the record does not say that it is periodic",
             "whole steady periods, which this method needs (the DFT of anything else leaks)",
             f"{period_advice(data)} Otherwise use a local method with a transient term (--method auto --option "
             "transient=2), which takes the record whole, or --method welch.",
@@ -42,7 +44,7 @@ def dft(data: Experiment, *, robust: bool = False, silent: bool = False) -> Spec
     if robust and data.n_periods < 3:
         raise input_error(
             where(data, "robust"),
-            f"{data.n_periods} steady period(s)",
+            f"{counted(data.n_periods, 'steady period')}",
             "at least three, of which most agree",
             "Leave robust out, or record more periods.",
         )
@@ -78,7 +80,7 @@ def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None)
     if k.size == 0:
         raise input_error(
             "detection lines",
-            f"every line from {low:.4g} to {high:.4g} Hz is excited",
+            f"every line from {number(low, 4)} to {number(high, 4)} Hz is excited",
             "some lines left unexcited",
             "Excite odd or random-odd lines only, to see nonlinear distortion.",
         )
@@ -143,7 +145,7 @@ def check_power(data: Experiment, spectra: Spectra, silent: np.ndarray) -> None:
         raise input_error(
             where(data, name),
             f"no power in channel {channel} at {int(np.any(silent, axis=1).sum())} of the {len(spectra.lines)} excited "
-            f"lines, the first line {spectra.lines[line]} ({spectra.frequency[line]:.4g} Hz)",
+            f"lines, the first line {spectra.lines[line]} ({number(spectra.frequency[line], 4)} Hz)",
             "power at every excited line in every channel",
             "Check fs and period, or leave these lines out of `lines`.",
         )

@@ -65,10 +65,10 @@ def _headline(results: dict) -> str:
     for count in results["settings"]["through"]:
         entry, direct = _entry(results, count, "through the experiment"), _direct(results, count)
         published = PUBLISHED_PARAMETERS.get(count, {}).get("LRM, JIO")
+        theirs = "" if published is None else f" (published, LRM, JIO: {100 * published:.1f} %)"
         said.append(
             f"n_e = {count}: mean parameter bias {spread(entry['mean_bias'])} % through the experiment, "
-            f"{spread(direct['mean_bias'])} % by the direct fit to {direct['method']} "
-            f"(published, LRM, JIO: {100 * published:.1f} %)"
+            f"{spread(direct['mean_bias'])} % by the direct fit to {direct['method']}{theirs}"
         )
     said += [in_a_sentence(entry) for entry in results["uncertain"]["summary"]]
     made = claims(results)
@@ -119,12 +119,12 @@ def _table_one(results: dict) -> list[str]:
     for truth, words in (("in motion", "arm in motion"), ("at rest", "same robot as if its arm were at rest")):
         bias = results["bias"]["bias"][truth]
         names = list(dict.fromkeys(name for by in bias.values() for name in by))
-        rows = []
+        rows: list[list[object]] = []
         for count, by in bias.items():
             published = PUBLISHED_BIAS.get(int(count), {})
             rows.append([f"n_e = {count}", *(_mean(by.get(name)) for name in names)])
             if truth == "in motion" and published:
-                rows.append([f"published, n_e = {count}", *(published.get(name) for name in names)])
+                rows.append([f"published, n_e = {count}", *[published.get(name) for name in names]])
         blocks += [paragraph(f"Against the {words}:"), table(["", *names], rows)]
     level = results["bias"]["level_db"]["in motion"]
     names = list(dict.fromkeys(name for by in level.values() for name in by))
@@ -272,7 +272,7 @@ def _reasons(results: dict) -> list[str]:
             why[name]["text"]: everything - level(name, count, method)
             for name in ("no-ripple", "linear-springs", "no-coulomb")
         }
-        most = max(drops, key=drops.get)
+        most = max(drops, key=lambda name: drops[name])
         said.append(
             f"{method}, n_e = {count}: {everything:.2f} dB with everything; {most} it falls by {drops[most]:.2f} dB, "
             f"the most of any single one; {level('noise-free', count, method):.2f} dB are left without noise on "
@@ -280,7 +280,7 @@ def _reasons(results: dict) -> list[str]:
         )
     bias = {name: row["parameters"]["mean_bias"] for name, row in why.items()}
     percent = lambda name: f"{100 * bias[name]:.1f} %"
-    best = min(("no-ripple", "linear-springs", "no-coulomb"), key=bias.get)
+    best = min(("no-ripple", "linear-springs", "no-coulomb"), key=lambda name: bias[name])
     said.append(
         f"parameters of the direct fit: {percent('everything')} with everything, {why[best]['text']} {percent(best)}, "
         f"on the linear robot without noise {percent('noise-free')}, and without slow sine {percent('no-slow-sine')}"

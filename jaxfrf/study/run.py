@@ -101,7 +101,8 @@ class _Records:
     kept: every step asks for it."""
 
     def __init__(self, settings: Settings):
-        self._settings, self._kept, self._lock = settings, {}, threading.Lock()
+        self._settings, self._lock = settings, threading.Lock()
+        self._kept: dict[int, Experiment] = {}
 
     def at(self, number: int) -> Experiment:
         """Of Table I, at the position of this number; at all positions where they are simulated at once."""
@@ -127,12 +128,15 @@ def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]
     seeds = settings.seeds
     places = range(1 if settings.at_once else settings.positions)
     count = settings.positions if settings.at_once else 1
+    through_one = lambda seed, n: through_row(settings, seed, n, first_experiments(made.fitted(seed, 1), n), say)
+    bias_one = lambda i: {"positions": bias_at(robot, made.at(i), settings)}
+    direct_one = lambda seed: {"rows": direct_rows(settings, seed, made.fitted(seed, settings.blocks), say)}
     through = [
         Task(
             parts / f"through-{n}-{seed}.json",
             f"fit through the experiment, n_e = {n}, seed {seed}",
             settings.fit_positions * (4 + 1.5 * n) + 30,
-            lambda seed=seed, n=n: through_row(settings, seed, n, first_experiments(made.fitted(seed, 1), n), say),
+            functools.partial(through_one, seed, n),
         )
         for seed in seeds
         for n in settings.through
@@ -142,7 +146,7 @@ def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]
             parts / f"uncertain-{n}-{seed}.json",
             f"nothing known exactly, n_e = {n}, machine {seed}",
             80.0 if settings.uncertain_robot != "R3X" else 120.0 + 40.0 * n,
-            lambda seed=seed, n=n: uncertain_row(settings, seed, n, say),
+            functools.partial(uncertain_row, settings, seed, n, say),
         )
         for seed in settings.machines
         for n in settings.uncertain
@@ -153,7 +157,7 @@ def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]
             parts / f"bias-{i:03d}.json",
             f"FRFs at {count} positions" if settings.at_once else f"FRFs at position {i + 1} of {len(places)}",
             count * (0.6 * runs + 6),
-            lambda i=i: {"positions": bias_at(robot, made.at(i), settings)},
+            functools.partial(bias_one, i),
         )
         for i in places
     ]
@@ -169,12 +173,12 @@ def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]
             f"direct fits, seed {seed}",
             9.0 * (1 + len(settings.fitted) * (len(settings.experiments) - 1) + len(settings.fitted_single))
             + (0.0 if settings.at_once else settings.fit_positions * (0.6 * runs + 6)),
-            lambda seed=seed: {"rows": direct_rows(settings, seed, made.fitted(seed, settings.blocks), say)},
+            functools.partial(direct_one, seed),
         )
         for seed in seeds
     ]
     why = [
-        Task(parts / f"why-{name}.json", f"why: {name}", 60.0, lambda name=name: variant_row(settings, name))
+        Task(parts / f"why-{name}.json", f"why: {name}", 60.0, functools.partial(variant_row, settings, name))
         for name in (VARIANTS if settings.ablations else ())
     ]
     return [*through, *uncertain, hidden, *bias, example, *direct, *why]
@@ -197,7 +201,7 @@ def _hidden(settings: Settings, parts: pathlib.Path, say: Say) -> dict:
 
 def _save(path: pathlib.Path, arrays: dict[str, np.ndarray]) -> None:
     with replacing(path) as draft:
-        np.savez(draft, **arrays)
+        np.savez(draft, **arrays)  # type: ignore[arg-type]  # an array could be called allow_pickle
 
 
 def _work(tasks: list[Task], together: int, say: Say) -> None:
@@ -206,7 +210,9 @@ def _work(tasks: list[Task], together: int, say: Say) -> None:
     if len(waiting) < len(tasks):
         say(f"{len(tasks) - len(waiting)} of {len(tasks)} steps are done already")
     total, began = len(waiting), time.monotonic()
-    done, failed, lock = [], [], threading.Lock()
+    done: list[float] = []
+    failed: list[BaseException] = []
+    lock = threading.Lock()
 
     def lane() -> None:
         while True:

@@ -1,5 +1,6 @@
 """The tables of a study as text, for the command line and the README."""
 
+from .._text import number
 from ..report.gap_words import plain
 from .claims import claims
 from .settings import PUBLISHED_BIAS, PUBLISHED_PARAMETERS
@@ -75,7 +76,7 @@ def held(intervals: dict) -> str:
 def hidden_lines(hidden: dict) -> list[str]:
     """What was hidden, what the diagnosis says, and the gap before and after."""
     true, gap = hidden["true"], hidden["gap"]
-    numbers = ", ".join(f"{name} {value:.3g}" for name, value in true["parameters"].items())
+    numbers = ", ".join(f"{name} {number(value)}" for name, value in true["parameters"].items())
     lines = [
         f"hidden: {plain(true['name'])} on {true['joint']}, {numbers}",
         f"verdict: {hidden['verdict']}. {hidden['says']}",
@@ -83,7 +84,7 @@ def hidden_lines(hidden: dict) -> list[str]:
     for effect in hidden["effects"]:
         for name, x in effect["parameters"].items():
             true_value = true_parameter(hidden, effect, name)
-            beside = "" if true_value is None else f"; true {true_value:.4g} {x['unit']}"
+            beside = "" if true_value is None else f"; true {number(true_value, 4)} {x['unit']}"
             lines.append(f"found: {plain(effect['name'])} on {effect['joint']}: {name} {interval(x)}{beside}")
     lines.append(
         f"gap on {gap['on']}: {gap['before']:.1f} before, {gap['after']:.2f} after, times the floor"
@@ -105,8 +106,8 @@ def true_parameter(hidden: dict, effect: dict, name: str) -> float | None:
 def interval(x: dict) -> str:
     """A value with its 95 % interval, where one is known."""
     if x["std"] is None:
-        return f"{x['value']:.4g} {x['unit']}"
-    return f"{x['value']:.4g} [{x['low']:.4g}, {x['high']:.4g}] {x['unit']}"
+        return f"{number(x['value'], 4)} {x['unit']}"
+    return f"{number(x['value'], 4)} [{number(x['low'], 4)}, {number(x['high'], 4)}] {x['unit']}"
 
 
 def _word(confirmed: bool) -> str:

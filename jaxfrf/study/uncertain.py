@@ -7,6 +7,8 @@ knowing the numbers costs, not what other physics would. `benchmarks/bench_calib
 import dataclasses
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 
@@ -74,14 +76,15 @@ def trial(settings: Settings, seed: int) -> Trial:
 
 def drawn(robot: Robot, seed: int) -> Robot:
     """A machine: every number off by up to `OFF`, evenly, from `numpy.random.default_rng([seed, 9])`."""
-    rng, own = np.random.default_rng([seed, _DRAW]), {}
+    rng = np.random.default_rng([seed, _DRAW])
+    own: dict[str, jax.Array | float] = {}
     linear = {n.rpartition(".")[0] for n, r in parameters(robot, ["stiffness_ratio"]).items() if float(r) == 1.0}
     for kind, most in OFF.items():
         for name, value in parameters(robot, [kind]).items():
             if kind.startswith("stiffness_") and name.rpartition(".")[0] in linear:
                 continue
             size = (3,) if kind == "com" else ()  # a tensor is scaled as a whole, so that it stays one
-            own[name] = np.asarray(value) * (1.0 + rng.uniform(-most, most, size))
+            own[name] = jnp.asarray(value) * (1.0 + rng.uniform(-most, most, size))
     return with_parameters(robot, own)
 
 
@@ -113,14 +116,18 @@ def uncertain_row(settings: Settings, seed: int, count: int, say=None) -> dict:
 
 
 def _springs(settings: Settings, seed: int, given: Trial, data: Experiment, say) -> Fit:
-    model = RobotModel(given.robot, slow_amplitude=np.asarray(given.plan.slow.amplitude))
-    options = {"starts": settings.starts, "key": jr.key(seed), "rounds": settings.rounds}
-    return fit_through_experiment(model, data, say=say, **options).fit
+    slow = given.plan.slow
+    model = RobotModel(given.robot, slow_amplitude=None if slow is None else np.asarray(slow.amplitude))
+    return fit_through_experiment(
+        model, data, starts=settings.starts, key=jr.key(seed), rounds=settings.rounds, say=say
+    ).fit
 
 
 def _number(number: Number, true: float, whole: Calibration, alone: Fit | None) -> dict:
     """One number, as it is, as it was given, and as both fits say."""
-    springs = None if alone is None else alone.interval().get(number.name)
+    springs, found = None if alone is None else alone.interval().get(number.name), None
+    if alone is not None and springs is not None:
+        found = _found(float(alone.values[number.name]), springs, true)
     return {
         "name": number.name,
         "kind": number.kind,
@@ -129,7 +136,7 @@ def _number(number: Number, true: float, whole: Calibration, alone: Fit | None) 
         "given": number.given,
         "whole": _found(whole.values[number.name], whole.interval(number.name), true),
         "told_by": whole.told_by(number.name),
-        "springs": None if springs is None else _found(float(alone.values[number.name]), springs, true),
+        "springs": found,
     }
 
 

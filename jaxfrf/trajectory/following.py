@@ -66,7 +66,8 @@ def moved(
         effects=tuple(e for e in robot.effects if not isinstance(e, AbstractActuator)),
         sampling_frequency=rate,
     )
-    motion = imposed_motion(freed, *courses(data, highest, finer), data, chunk=_TOGETHER, progress=progress)
+    speed, angle = courses(data, highest, finer)
+    motion = imposed_motion(freed, speed, angle, data, chunk=_TOGETHER, progress=progress)
     frequency = np.arange(data.period // 2 + 1) * data.fs / data.period
     path = mean_ahead(frequency, rate)[:, None] * torque_path(robot, frequency, torque_rate(robot, data))
     log = slice(None, None, finer)

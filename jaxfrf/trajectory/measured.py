@@ -10,6 +10,7 @@ import scipy.ndimage
 from jaxtyping import Complex, Float
 
 from .._errors import input_error
+from .._text import number
 from ..effects import Payload
 from ..experiment import Experiment
 from ..robot.quantity import derivatives
@@ -40,8 +41,9 @@ class Measured(eqx.Module):
         """Some of the positions."""
         positions = np.asarray(positions, int)
         d = self.data
-        some = lambda x: None if x is None else np.asarray(x)[positions]
-        data = dataclasses.replace(d, u=some(d.u), y=some(d.y), r=some(d.r), q=some(d.q))
+        some = lambda x: np.asarray(x)[positions]
+        r, q = (None if x is None else some(x) for x in (d.r, d.q))
+        data = dataclasses.replace(d, u=some(d.u), y=some(d.y), r=r, q=q)
         payloads = tuple(self.payloads[p] for p in positions) if self.payloads else ()
         return Measured(data, self.U[positions], self.Y[positions], self.noise, self.frequency, payloads)
 
@@ -85,8 +87,8 @@ def fewer(data: Experiment, most: int) -> Experiment:
     if data.n_exp <= most:
         return data
     some = np.linspace(0, data.n_exp - 1, most).round().astype(int)
-    pick = lambda x: None if x is None else np.asarray(x)[:, some]
-    return dataclasses.replace(data, u=pick(data.u), y=pick(data.y), r=pick(data.r))
+    pick = lambda x: np.asarray(x)[:, some]
+    return dataclasses.replace(data, u=pick(data.u), y=pick(data.y), r=None if data.r is None else pick(data.r))
 
 
 def mean_period(data: Experiment, pos: int, signal=None) -> Float[np.ndarray, "exp time channel"]:
@@ -133,8 +135,8 @@ def _continued(data: Experiment, order: int, frequency):
     if low > 0.9 * high:
         raise input_error(
             "lines",
-            f"lines up to {frequency[-1]:.4g} Hz in a single period sampled at {data.fs:g} Hz",
-            f"lines up to {0.9 * high / _BEYOND:.4g} Hz, or two periods",
+            f"lines up to {number(frequency[-1], 4)} Hz in a single period sampled at {data.fs:g} Hz",
+            f"lines up to {number(0.9 * high / _BEYOND, 4)} Hz, or two periods",
             "Use two or more steady periods, whose scatter shows the noise, or a faster sampled record.",
         )
     middle = np.sqrt(low * high)

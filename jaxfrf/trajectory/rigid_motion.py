@@ -69,7 +69,8 @@ def _motion(u, y, data: Experiment, rest, cutoff: float) -> Motion:
     while len(below) < 3:
         below.append(np.gradient(below[-1], 1.0 / fs, axis=0))
     held = np.concatenate([u[:1], 0.5 * (u[1:] + u[:-1])])
-    return Motion(*below, torque=np.asarray(held), fs=fs, cutoff=cutoff)
+    angle, speed, acceleration = below
+    return Motion(angle, speed, acceleration, torque=np.asarray(held), fs=fs, cutoff=cutoff)
 
 
 def _integral(x, fs: float, mean):

@@ -1,6 +1,7 @@
 """Ripple over the motor's angle: which orders a residual holds, of torque, of the resolver, of the gear."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -136,7 +137,11 @@ Wave = tuple[Order, tuple[float, float]]  # with coefficients of sine and cosine
 
 def order_columns(orders: Sequence[Order]) -> list[Callable[[Scene], Signature]]:
     """Sine and cosine of each order, (2 order) columns."""
-    return [lambda scene, o=o, i=i: o.columns(scene)[i] for o in orders for i in (0, 1)]
+    return [functools.partial(_column, order, i) for order in orders for i in (0, 1)]
+
+
+def _column(order: Order, i: int, scene: Scene) -> Signature:
+    return order.columns(scene)[i]
 
 
 def ripple_effects(names: Sequence[str], orders: Sequence[Order], waves) -> list[AbstractEffect]:

@@ -219,7 +219,7 @@ class Scene:
         x[..., spring] += moved
         v[..., spring] += rate
         more = np.asarray(self.robot.springs.torque(x, v)) - self.spring_torque[:runs]
-        return self.by_spring(spring, more[..., spring])
+        return self.by_spring(int(spring), more[..., spring])
 
     def by_hinge(self, axis: int, direction, stiffness: float, damping: float) -> Signature:
         """A spring hinge in the link just before a joint, about `direction` in its frame at zero.
@@ -249,14 +249,14 @@ class Scene:
         if _differ(changed.springs, own.springs):
             more = np.asarray(changed.springs.torque(self.deflection, self.deflection_rate)) - self.spring_torque
             for spring in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
-                total += self.by_spring(spring, more[..., spring])
+                total += self.by_spring(int(spring), more[..., spring])
         if _differ(changed.drives.friction, own.drives.friction):
             more = np.asarray(changed.drives.friction.torque(self.speed)) - self._friction
             for axis in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
-                total += self.by_motor(axis, more[..., axis])
+                total += self.by_motor(int(axis), more[..., axis])
         inertia = np.asarray(changed.drives.motor_inertia) - np.asarray(own.drives.motor_inertia)
         for axis in np.flatnonzero(inertia):
-            total += self.by_motor(axis, inertia[axis] * self.acceleration[..., axis])
+            total += self.by_motor(int(axis), inertia[axis] * self.acceleration[..., axis])
         if _differ(changed.chain, own.chain):
             more = np.zeros((len(self.z), self.lines, own.dof), complex)
             more[..., own.n_motors :] = self.spectrum(self._own_links - self._links(changed))

@@ -128,7 +128,8 @@ def _(effect: ExtraFlexibility, scene: Scene) -> Signature:
         return scene.by_robot(
             eqx.tree_at(values, robot, (k.at[row].set(effect.stiffness), d.at[row].set(effect.damping)))
         )
-    return scene.by_hinge(axis_of(scene.robot, effect.joint), effect.axis, effect.stiffness, effect.damping)
+    axis = axis_of(scene.robot, effect.joint)
+    return scene.by_hinge(axis, effect.axis, float(effect.stiffness), float(effect.damping))
 
 
 def _law(effect, name: str, *signals) -> np.ndarray:
