@@ -126,7 +126,8 @@ def _sharp_edge(c: Channel) -> tuple[float, float]:
     crest of a signal that is sampled finely is many samples."""
     x = c.x[c.first :]
     count, edges = np.histogram(x, _EDGE_BINS)
-    for side, ends in ((count / max(c.n_periods, 1), edges), (count[::-1] / max(c.n_periods, 1), edges[::-1])):
+    each = count / max(c.n_periods, 1)
+    for side, ends in ((each, edges), (each[::-1], edges[::-1])):
         first = int(np.argmax(side[:4] + side[1:5]))
         top, beside = side[first : first + 2].sum(), side[first + 2 : first + 8].sum() / 6
         ratio = top / 2 / max(beside, _EDGE_LEAST)
@@ -142,7 +143,7 @@ def _sharp_edge(c: Channel) -> tuple[float, float]:
 def _stay(inside: np.ndarray) -> float:
     """Samples of a visit, in the mean."""
     visits = np.count_nonzero(inside[1:] & ~inside[:-1]) + bool(inside[0])
-    return np.count_nonzero(inside) / max(visits, 1)
+    return np.count_nonzero(inside) / max(int(visits), 1)
 
 
 def _piled_up(x: np.ndarray, top: np.ndarray) -> float:
