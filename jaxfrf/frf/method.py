@@ -120,7 +120,7 @@ def solved_again(estimate: Estimate, method: AbstractMethod, spectra: Spectra) -
 
 def on_host(x):
     """The same with arrays of NumPy."""
-    return jax.tree.map(np.asarray, jax.device_get(x))
+    return jax.device_get(x)
 
 
 def flags(**where) -> Int[Array, "freq"]:
