@@ -14,9 +14,9 @@ from .covariance import KroneckerSum
 from .inverse import adjoint, inverse, positive_inverse, product
 from .least_squares import AbstractLeastSquares, check_periodic
 from .method import AbstractMethod, Estimate, Signals, flags
+from .regression import PIVOT
 from .window import Windows, windows
 
-_INFLATION = 1e7  # of the variance of a column of G by the other inputs, that sums over experiments are accurate for
 _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
 _AT_ONCE = 16  # lines whose rank is looked at together, after the first, which mostly tells
 
@@ -62,7 +62,7 @@ class H1(AbstractLeastSquares):
         instrument = signals.R if joint else None
         if lines is None:
             estimate, inflation = _line_by_line(signals, instrument)
-            return dataclasses.replace(estimate, doubtful=~(inflation < _INFLATION))
+            return dataclasses.replace(estimate, doubtful=~(inflation * PIVOT < 1))
         return _with_noise(super().regressed(signals, joint, lines), signals, instrument, lines)
 
 

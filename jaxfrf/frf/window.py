@@ -137,12 +137,12 @@ def _gram_of_lines(signals, columns: Columns) -> Complex[Array, "freq col col"]:
 
 
 def rows(signals: Complex[Array, "exp freq sig"], windows: Windows, columns: Columns, line):
-    """K of the window around `line` written out: (exp*span, col); lines outside the window are rows of zeros."""
-    near = jnp.clip(jnp.asarray(windows.start)[line], 0, signals.shape[1] - windows.span) + jnp.arange(windows.span)
-    x, inside = local_variable(windows, line, near)
+    """K of the window around `line` written out: (exp*width, col). The width must be known when this is compiled."""
+    near = jnp.asarray(windows.start)[line] + np.arange(windows.width)
+    x, _ = local_variable(windows, line, near)
     real = np.asarray(columns.signal) >= 0
     part = signals[:, near][..., np.maximum(columns.signal, 0)]
-    K = jnp.where(inside[:, None] & real, x[:, None] ** np.asarray(columns.power) * part, 0.0)
+    K = jnp.where(real, x[:, None] ** np.asarray(columns.power) * part, 0.0)
     return K.reshape(-1, len(columns.power))
 
 
