@@ -61,8 +61,8 @@ class H1(AbstractLeastSquares):
         """Y Z^H (U Z^H)^-1, Z being U or R: for the latter that is the ratio of the two responses from R."""
         instrument = signals.R if joint else None
         if lines is None:
-            estimate, inflation = _line_by_line(signals, instrument)
-            return dataclasses.replace(estimate, doubtful=~(inflation * PIVOT < 1))
+            estimate, condition = _line_by_line(signals, instrument)
+            return dataclasses.replace(estimate, doubtful=~(condition * PIVOT < 1))
         return _with_noise(super().regressed(signals, joint, lines), signals, instrument, lines)
 
 
@@ -167,7 +167,7 @@ def by_line(X) -> np.ndarray:
 
 def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tuple[Estimate, Float[Array, "freq"]]:
     """The estimate by an `instrument`, else U, or by `response(U, Y)` of one line with the covariance of the former;
-    and how much more the worst input's column of G varies, with these other inputs, than it would by itself.
+    and the largest entry of X for signals of unit length, which rounding grows by.
 
     Of one line, with X = (U Z^H)^-1: G = Y Z^H X, Cov(vec G) = (H^H H)^T (x) C, H = Z^H X being what G makes of an
     experiment, C from the residuals Y - G U, which are orthogonal to Z.
@@ -182,12 +182,12 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
         G = product(product(Y, adjoint(Z)), X) if G is None else G
         residual = Y - product(G, U)
         C = product(residual, adjoint(residual)) / (dof if dof > 0 else jnp.nan)
-        inflation = jnp.max(jnp.diagonal(S).real * jnp.sum(jnp.abs(U) ** 2, axis=1))
+        condition = jnp.max(jnp.abs(X) * jnp.linalg.norm(Z, axis=1)[:, None] * jnp.linalg.norm(U, axis=1))
         told = None if noise is None else _noise_covariance(G, product(adjoint(Z), X), noise)
-        return G, KroneckerSum(S[None], C[None]), told, inflation
+        return G, KroneckerSum(S[None], C[None]), told, condition
 
     of = _at(lines, signals.U, signals.Y, instrument, signals.noise)
-    G, cov, cov_noise, inflation = jax.vmap(one_line, in_axes=1)(*of)
+    G, cov, cov_noise, condition = jax.vmap(one_line, in_axes=1)(*of)
     every = jnp.zeros(G.shape[0])
     estimate = Estimate(
         G=G,
@@ -198,7 +198,7 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
         doubtful=every > 0,
         cov_noise=cov_noise,
     )
-    return estimate, inflation
+    return estimate, condition
 
 
 def _influence(U, Z):

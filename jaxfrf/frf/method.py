@@ -123,7 +123,7 @@ def on_host(x):
     return jax.device_get(x)
 
 
-def flags(**where) -> Int[Array, "freq"]:
+def flags(**where) -> Int[Array, "*number freq"]:
     """A status from its bits by name."""
     return sum((jnp.where(on, int(Status[name]), 0) for name, on in where.items()), jnp.zeros((), int))
 
