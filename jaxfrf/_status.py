@@ -43,6 +43,8 @@ def describe(status) -> list[str]:
     import numpy as np
 
     status = np.asarray(status)
+    if not status.any():
+        return []
     return [
         f"{int(np.count_nonzero(status & flag))} of {status.size} estimates: {text}"
         for flag, text in ADVICE.items()

@@ -12,6 +12,7 @@ import scipy.linalg
 import jaxfrf as jf
 from jaxfrf.frf import KroneckerSum, OuterSum, Signals
 from jaxfrf.frf.scaled import Widened
+from jaxfrf.frf.window import windows
 
 LINES = np.arange(41, 41 + 2 * 24, 2)
 
@@ -104,6 +105,36 @@ def test_six_axes_at_their_resonances_against_qr_of_the_rows(n_exp, width):
     expected = row_wise(U, Y, R, width)
     error = np.linalg.norm(found.G[0] - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))
     assert error.max() < 1e-8
+
+
+def test_several_windows_at_once_against_qr_of_the_rows():
+    """More lines than are multiplied together, and not a multiple of them."""
+    data, method, widths = records(n_pos=1), jf.LRM(), (9, 14, 24)
+    signals = Signals(data.U[0], data.Y[0], data.R[0], None, data.frequency)
+    several = [windows(np.arange(len(LINES)), width) for width in widths]
+    found = method.regressed_with(signals, True, method.plan(signals, joint=True), several)
+    np.testing.assert_array_equal(found.window[:, 0], widths)
+    np.testing.assert_array_equal(found.dof[:, 0], 4 * np.array(widths) - 10)
+    for G, width in zip(found.G, widths, strict=True):
+        expected = row_wise(data.U[0], data.Y[0], data.R[0], width)
+        assert np.linalg.norm(G - expected) < 1e-8 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("through, apart", [("U", 1e-6), ("R", 1e-9)])
+def test_classical_lines_with_nearly_dependent_inputs_are_solved_again(through, apart):
+    """One line where two channels are nearly the same, one where they are the same."""
+    data = records(noise=0.01)
+    X = getattr(data, through).copy()
+    X[:, :, 5, 1] = X[:, :, 5, 0] + apart * X[:, :, 5, 1]
+    X[:, :, 9, 1] = X[:, :, 9, 0]
+    spectra = dataclasses.replace(data.spectra(), **{through: X})
+    found = jf.estimate(spectra, jf.H1() if through == "U" else jf.JointInputOutput())
+    np.testing.assert_array_equal(np.flatnonzero(found.status[0] & jf.Status.REFINED), [5, 9])
+    np.testing.assert_array_equal(np.flatnonzero(found.status[0] & jf.Status.RANK_DEFICIENT), [9])
+    U, Y = (np.asarray(x)[0, :, 5] for x in (spectra.U, spectra.Y))
+    y, u = (np.linalg.lstsq(X[0, :, 5], z, rcond=None)[0].T for z in (Y, U))
+    expected = y @ np.linalg.inv(u)
+    assert np.linalg.norm(found.G[0, 5] - expected) < 1e-6 * np.linalg.norm(expected)
 
 
 def test_doubtful_windows_are_solved_again_from_their_rows():

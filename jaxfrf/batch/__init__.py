@@ -6,7 +6,19 @@ In Python, `jaxfrf.batch.each` does the same with any command's arguments, on a 
 given one. And data sets of any size, some positions at a time: `estimate_to`, `simulate_to`.
 """
 
+from typing import TYPE_CHECKING
+
 from .each import Batch as Batch, each as each
 from .engine import Done as Done, outcomes as outcomes
 from .estimated import Chosen as Chosen, Estimated as Estimated, estimate_to as estimate_to
-from .simulated import Simulated as Simulated, simulate_to as simulate_to
+
+if TYPE_CHECKING:
+    from .simulated import Simulated as Simulated, simulate_to as simulate_to
+
+
+def __getattr__(name: str):
+    if name in ("Simulated", "simulate_to"):  # an estimate needs no simulation
+        from . import simulated
+
+        return getattr(simulated, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from urllib.parse import quote
 
 from .._files import replacing
-from ..report.page import number, page, section, verdict, write_page as write_html
 
 _COLUMNS = 200  # of the table, at most
 _SHOWN = 8  # of the page
@@ -28,6 +27,8 @@ def write_table(path: str | os.PathLike, outcomes: Mapping[str, Mapping]) -> Non
 
 def write_page(path: str | os.PathLike, title: str, outcomes: Mapping[str, Mapping]) -> None:
     """A page with every file's picture, what was found of it, and what went wrong with which."""
+    from ..report.page import page, section, verdict, write_page as write_html  # with it come all that is reported
+
     bad = {name: outcome for name, outcome in outcomes.items() if not outcome["ok"]}
     word = f"{len(outcomes) - len(bad)} of {len(outcomes)} files"
     blocks = [verdict(word, [f"{name}: {outcome['message']}" for name, outcome in bad.items()], good=not bad)]
@@ -38,6 +39,8 @@ def write_page(path: str | os.PathLike, title: str, outcomes: Mapping[str, Mappi
 
 
 def _entry(folder: pathlib.Path, name: str, outcome: Mapping) -> str:
+    from ..report.page import number
+
     files = [pathlib.Path(file).name for file in outcome["summary"].get("output", [])]
     links = ", ".join(f'<a href="{quote(file)}">{html.escape(file)}</a>' for file in files)
     pictures = [file for file in files if file.endswith((".png", ".svg")) and (folder / file).is_file()]

@@ -9,8 +9,7 @@ from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
-import scipy.fft
-import scipy.optimize
+import scipy  # its modules load when they are used: scipy.optimize is not there for an estimate
 from equinox import AbstractClassVar
 from jaxtyping import Float, Int, PRNGKeyArray
 

@@ -5,17 +5,20 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from .._errors import input_error
+from .._types import Array
 from ..spectra import Spectra
 from .covariance import KroneckerSum
-from .inverse import adjoint, inverse
+from .inverse import adjoint, inverse, positive_inverse, product
 from .least_squares import AbstractLeastSquares, check_periodic
 from .method import AbstractMethod, Estimate, Signals, flags
+from .regression import PIVOT
 from .window import Windows, windows
 
 _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
-_AT_ONCE = 16  # lines whose rank is looked at together
+_AT_ONCE = 16  # lines whose rank is looked at together, after the first, which mostly tells
 
 
 class H1(AbstractLeastSquares):
@@ -50,12 +53,17 @@ class H1(AbstractLeastSquares):
         return spectra.n_in
 
     def check(self, spectra: Spectra) -> None:
-        super().check(spectra)
+        check_periodic(spectra, self)
+        check_experiments(spectra, spectra.n_in)
         check_independent("u", spectra.U)
 
     def regressed(self, signals: Signals, joint: bool, lines=None) -> Estimate:
-        estimate = super().regressed(signals, joint, lines)
-        return _with_noise(estimate, signals, signals.R if joint else signals.U, lines)
+        """Y Z^H (U Z^H)^-1, Z being U or R: for the latter that is the ratio of the two responses from R."""
+        instrument = signals.R if joint else None
+        if lines is None:
+            estimate, condition = _line_by_line(signals, instrument)
+            return dataclasses.replace(estimate, doubtful=~(condition * PIVOT < 1))
+        return _with_noise(super().regressed(signals, joint, lines), signals, instrument, lines)
 
 
 class H2(AbstractMethod):
@@ -87,7 +95,7 @@ class H2(AbstractMethod):
         def response(U, Y):
             return Y @ adjoint(Y) @ inverse(U @ adjoint(Y))
 
-        return _residual_estimate(signals, response, lines)
+        return _line_by_line(signals, None, response, lines)[0]
 
 
 class Hv(AbstractMethod):
@@ -113,7 +121,7 @@ class Hv(AbstractMethod):
         def response(U, Y):
             return jax.vmap(lambda y: _total_least_squares(U, y))(Y)
 
-        return _residual_estimate(signals, response, lines)
+        return _line_by_line(signals, None, response, lines)[0]
 
 
 def check_experiments(spectra: Spectra | Signals, needed: int) -> None:
@@ -130,7 +138,7 @@ def check_independent(name: str, X) -> None:
     """Raise if the experiments are linearly dependent at every line, as when one record is repeated."""
     X = np.asarray(X)
     n = X.shape[-1]
-    worst = np.array([_best_rank(np.moveaxis(x, 0, -1)) for x in X])
+    worst = np.array([_best_rank(x.transpose(1, 2, 0)) for x in X])
     if worst.min() < n:
         pos = int(np.argmin(worst))
         raise input_error(
@@ -143,12 +151,12 @@ def check_independent(name: str, X) -> None:
 
 def _best_rank(X) -> int:
     """The largest rank at any line of (freq, channel, exp): looking at the lines only until one has full rank."""
-    n, best = X.shape[1], 0
-    for first in range(0, len(X), _AT_ONCE):
-        singular = np.linalg.svd(X[first : first + _AT_ONCE], compute_uv=False)
+    n, best, first = X.shape[1], 0, 0
+    while best < n and first < len(X):
+        last = first + _AT_ONCE if first else 1
+        singular = np.linalg.svd(X[first:last], compute_uv=False)
         best = max(best, int((singular > _DEPENDENT * singular[..., :1]).sum(axis=-1).max()))
-        if best == n:
-            break
+        first = last
     return best
 
 
@@ -157,39 +165,29 @@ def by_line(X) -> np.ndarray:
     return np.moveaxis(np.asarray(X), 1, -1)
 
 
-def _with_noise(estimate: Estimate, signals: Signals, instrument, lines) -> Estimate:
-    """Add what the scatter between periods says of the covariance of G = Y Z^H (U Z^H)^-1, Z the instrument."""
-    if signals.noise is None:
-        return estimate
+def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tuple[Estimate, Float[Array, "freq"]]:
+    """The estimate by an `instrument`, else U, or by `response(U, Y)` of one line with the covariance of the former;
+    and the largest entry of X for signals of unit length, which rounding grows by.
 
-    def one_line(G, U, Z, noise):
-        weight = adjoint(Z) @ inverse(_where_finite(G, U @ adjoint(Z)))
-        effect = jnp.concatenate([jnp.eye(G.shape[0], dtype=G.dtype), -G], axis=1)
-        left = weight[:, :, None] * weight.conj()[:, None, :]
-        return KroneckerSum(left, effect @ noise @ adjoint(effect))
-
-    U, Z, noise = (_at_line(x, lines) for x in (signals.U, instrument, signals.noise))
-    cov = jax.vmap(one_line)(estimate.G, U.mT, Z.mT, noise)
-    return dataclasses.replace(estimate, cov_noise=cov)
-
-
-def _at_line(X, lines):
-    """(exp, freq, ...) to (freq, exp, ...), at some lines."""
-    X = jnp.moveaxis(jnp.asarray(X), 1, 0)
-    return X if lines is None else X[lines]
-
-
-def _residual_estimate(signals: Signals, response, lines) -> Estimate:
-    """G by `response(U, Y)` of one line, (channel, exp); its covariance from the residuals, as for H1."""
+    Of one line, with X = (U Z^H)^-1: G = Y Z^H X, Cov(vec G) = (H^H H)^T (x) C, H = Z^H X being what G makes of an
+    experiment, C from the residuals Y - G U, which are orthogonal to Z.
+    """
     dof = signals.n_exp - signals.n_in
 
-    def one_line(U, Y):
-        G = response(U, Y)
-        residual = Y - G @ U
-        C = residual @ adjoint(residual) / (dof if dof > 0 else jnp.nan)
-        return G, KroneckerSum(inverse(_where_finite(G, U @ adjoint(U))).T[None], C[None])
+    def one_line(U, Y, Z, noise):
+        U, Y = U.T, Y.T
+        Z = U if Z is None else Z.T
+        G = None if response is None else response(U, Y)
+        X, S = _influence(U if G is None else _where_finite(G, U), Z)
+        G = product(product(Y, adjoint(Z)), X) if G is None else G
+        residual = Y - product(G, U)
+        C = product(residual, adjoint(residual)) / (dof if dof > 0 else jnp.nan)
+        condition = jnp.max(jnp.abs(X) * jnp.linalg.norm(Z, axis=1)[:, None] * jnp.linalg.norm(U, axis=1))
+        told = None if noise is None else _noise_covariance(G, product(adjoint(Z), X), noise)
+        return G, KroneckerSum(S[None], C[None]), told, condition
 
-    G, cov = jax.vmap(one_line)(_at_line(signals.U, lines).mT, _at_line(signals.Y, lines).mT)
+    of = _at(lines, signals.U, signals.Y, instrument, signals.noise)
+    G, cov, cov_noise, condition = jax.vmap(one_line, in_axes=1)(*of)
     every = jnp.zeros(G.shape[0])
     estimate = Estimate(
         G=G,
@@ -198,8 +196,45 @@ def _residual_estimate(signals: Signals, response, lines) -> Estimate:
         status=flags(NO_COVARIANCE=every + dof <= 0),
         window=every + 1,
         doubtful=every > 0,
+        cov_noise=cov_noise,
     )
-    return _with_noise(estimate, signals, signals.U, lines)
+    return estimate, condition
+
+
+def _influence(U, Z):
+    """(U Z^H)^-1 and (H^H H)^T of `_line_by_line`."""
+    if Z is U:
+        X = positive_inverse(product(U, adjoint(U)))
+        return X, X.T
+    X = inverse(product(U, adjoint(Z)))
+    H = product(adjoint(Z), X)
+    return X, product(H.T, H.conj())
+
+
+def _with_noise(estimate: Estimate, signals: Signals, instrument, lines) -> Estimate:
+    """Add what the scatter between periods says of the covariance."""
+    if signals.noise is None:
+        return estimate
+
+    def one_line(U, Z, noise, G):
+        U = _where_finite(G, U.T)
+        Z = U if Z is None else Z.T
+        X, _ = _influence(U, Z)
+        return _noise_covariance(G, product(adjoint(Z), X), noise)
+
+    of = _at(lines, signals.U, instrument, signals.noise)
+    return dataclasses.replace(estimate, cov_noise=jax.vmap(one_line, in_axes=(1, 1, 1, 0))(*of, estimate.G))
+
+
+def _noise_covariance(G, H, noise) -> KroneckerSum:
+    """Cov(vec G) from that of [y; u] in every experiment."""
+    effect = jnp.concatenate([jnp.eye(G.shape[0], dtype=G.dtype), -G], axis=1)
+    return KroneckerSum(H[:, :, None] * H.conj()[:, None, :], effect @ noise @ adjoint(effect))
+
+
+def _at(lines, *signals):
+    """Signals (exp, freq, ...), as far as there are any, at some lines."""
+    return signals if lines is None else jax.tree.map(lambda x: x[:, lines], signals)
 
 
 def _where_finite(G, X):

@@ -1,11 +1,12 @@
 """Estimators that are one linear least-squares problem in every window: the model, its solution, its covariance."""
 
 import abc
-import dataclasses
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Complex
 
 from .._errors import input_error
@@ -14,7 +15,7 @@ from ..spectra import Spectra
 from .combine import direct, through_ratio
 from .method import AbstractMethod, Estimate, Signals, flags
 from .regression import PIVOT, RESIDUAL, Equations, solve_gram, solve_rows
-from .window import Columns, Windows, over_windows, products, rows
+from .window import Columns, Windows, over_windows, rows
 
 
 class AbstractLeastSquares(AbstractMethod):
@@ -125,15 +126,10 @@ class AbstractLeastSquares(AbstractMethod):
         every = side_by_side(signals, joint, self.transient_order)
         return estimate_windows(every, plan, self.combined(joint), lines)
 
-    def regressed_with(self, signals: Signals, joint: bool, plan: "Plan", windows: Windows) -> Estimate:
-        """The estimates with several `windows`, stacked along a leading axis that the result has too."""
+    def regressed_with(self, signals: Signals, joint: bool, plan: "Plan", several: Sequence[Windows]) -> Estimate:
+        """The estimates with several `Windows`, stacked along a leading axis that the result has too."""
         every = side_by_side(signals, joint, self.transient_order)
-        of = products(every)
-
-        def one(windows):
-            return estimate_windows(every, dataclasses.replace(plan, windows=windows), self.combined(joint), of=of)
-
-        return jax.lax.map(one, windows)
+        return estimate_several(every, plan, self.combined(joint), several)
 
 
 class Plan(eqx.Module):
@@ -158,35 +154,56 @@ def check_periodic(spectra: Spectra, method: AbstractLeastSquares) -> None:
         )
 
 
-def estimate_windows(signals: Complex[Array, "exp freq sig"], plan: Plan, combine, lines=None, of=None) -> Estimate:
+def estimate_windows(signals: Complex[Array, "exp freq sig"], plan: Plan, combine, lines=None) -> Estimate:
     """Every window solved and combined to G and its covariance: from Gram matrices, or at `lines` from the rows.
 
     **Arguments:** `signals`: regressed-on signals, then targets, then constants. `combine`: see
-    `AbstractLeastSquares.combined`. `of`: the signals' `products`, where they are known already.
+    `AbstractLeastSquares.combined`.
     """
-    columns, equations, windows = plan.columns, plan.equations, plan.windows
-    of_target = equations.of_target
-    dof = signals.shape[0] * windows.width - plan.spent
-
-    def one_window(solution):
-        dofs = dof + solution.missing.astype(float)
-        accurate = (solution.pivot > PIVOT) & ((solution.residual > RESIDUAL) | (dof <= 0))
-        return *combine(solution, of_target, dofs), dofs, solution.missing > 0, ~accurate
-
     if lines is None:
-        solve = lambda A: one_window(solve_gram(A, equations))
-        G, cov, dofs, deficient, doubtful = over_windows(solve, signals, windows, columns, of)
-    else:
-        solve = lambda k: one_window(solve_rows(rows(signals, windows, columns, k), equations))
-        G, cov, dofs, deficient, doubtful = jax.vmap(solve)(lines)
-    at_edge = ~jnp.asarray(windows.centred)[slice(None) if lines is None else lines]
+        return jax.tree.map(lambda x: x[0], estimate_several(signals, plan, combine, [plan.windows]))
+    windows, columns = plan.windows, plan.columns
+
+    def one_window(line):
+        solution = solve_rows(rows(signals, windows, columns, line), plan.equations)
+        return _of_window(solution, plan, combine, _dof(signals, plan, windows))
+
+    G, cov, dof, deficient, doubtful = jax.vmap(one_window)(lines)
+    at_edge = ~jnp.asarray(windows.centred)[lines]
+    return _estimate(G, cov, dof, deficient, jnp.zeros_like(doubtful), at_edge, windows.width)
+
+
+def estimate_several(signals, plan: Plan, combine, several: Sequence[Windows]) -> Estimate:
+    """The estimates from Gram matrices with several `Windows` in the place of the plan's, along a leading axis."""
+    dofs = jnp.asarray([_dof(signals, plan, windows) for windows in several])
+
+    def one_window(A, number):
+        return _of_window(solve_gram(A, plan.equations), plan, combine, dofs[number])
+
+    found = over_windows(one_window, signals, several, plan.columns)
+    at_edge = ~np.stack([windows.centred for windows in several])
+    return _estimate(*found, at_edge, np.array([[windows.width] for windows in several]))
+
+
+def _dof(signals, plan: Plan, windows: Windows) -> float:
+    return signals.shape[0] * windows.width - plan.spent
+
+
+def _of_window(solution, plan: Plan, combine, dof) -> tuple:
+    """G, its covariance, degrees of freedom, whether rank lacks, and whether the Gram matrix was not enough."""
+    dofs = dof + solution.missing.astype(float)
+    accurate = (solution.pivot > PIVOT) & ((solution.residual > RESIDUAL) | (dof <= 0))
+    return *combine(solution, plan.equations.of_target, dofs), dofs, solution.missing > 0, ~accurate
+
+
+def _estimate(G, cov, dof, deficient, doubtful, at_edge, width) -> Estimate:
     return Estimate(
         G=G,
         cov=cov,
-        dof=dofs,
-        status=flags(EDGE_WINDOW=at_edge, RANK_DEFICIENT=deficient, NO_COVARIANCE=dofs <= 0),
-        window=jnp.full(dofs.shape, windows.width, float),
-        doubtful=doubtful if lines is None else jnp.zeros_like(doubtful),
+        dof=dof,
+        status=flags(EDGE_WINDOW=at_edge, RANK_DEFICIENT=deficient, NO_COVARIANCE=dof <= 0),
+        window=jnp.broadcast_to(jnp.asarray(width, float), dof.shape),
+        doubtful=doubtful,
     )
 
 

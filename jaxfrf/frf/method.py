@@ -120,10 +120,10 @@ def solved_again(estimate: Estimate, method: AbstractMethod, spectra: Spectra) -
 
 def on_host(x):
     """The same with arrays of NumPy."""
-    return jax.tree.map(np.asarray, jax.device_get(x))
+    return jax.device_get(x)
 
 
-def flags(**where) -> Int[Array, "freq"]:
+def flags(**where) -> Int[Array, "*number freq"]:
     """A status from its bits by name."""
     return sum((jnp.where(on, int(Status[name]), 0) for name, on in where.items()), jnp.zeros((), int))
 

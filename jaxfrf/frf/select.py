@@ -108,14 +108,17 @@ class Auto(AbstractMethod):
 
     def estimate(self, spectra: Spectra) -> Estimate:
         """As everywhere; but doubtful lines are solved again before the windows are compared."""
-        tried = on_host(run(Auto._tried, self, spectra))
+        tried = run(Auto._tried, self, spectra)
+        if np.asarray(tried.doubtful).any():
+            tried = self._solved_again(on_host(tried), spectra)
+        return on_host(compiled(_blended)(tried, np.asarray(spectra.U), np.asarray(spectra.Y), self._reach(spectra)))
+
+    def _solved_again(self, tried: Estimate, spectra: Spectra) -> Estimate:
         first = tried.G.shape[1] - len(self.candidates(spectra))
         each = [jax.tree.map(lambda x, i=i: x[:, i], tried) for i in range(tried.G.shape[1])]
-        if any(x.doubtful.any() for x in each[first:]):
-            methods = [_OneWidth(self, w) for w in self.candidates(spectra)]
-            again = [solved_again(x, m, spectra) for x, m in zip(each[first:], methods, strict=True)]
-            tried = jax.tree.map(lambda *x: np.stack(x, axis=1), *each[:first], *again)
-        return on_host(compiled(_blended)(tried, np.asarray(spectra.U), np.asarray(spectra.Y), self._reach(spectra)))
+        methods = [_OneWidth(self, w) for w in self.candidates(spectra)]
+        again = [solved_again(x, m, spectra) for x, m in zip(each[first:], methods, strict=True)]
+        return jax.tree.map(lambda *x: np.stack(x, axis=1), *each[:first], *again)
 
     def _reach(self, spectra: Spectra | Signals) -> tuple[int, ...]:
         widths = self.candidates(spectra)
@@ -129,9 +132,7 @@ class Auto(AbstractMethod):
         joint = self._through_reference(signals)
         methods = [dataclasses.replace(self.method, width=w) for w in self.candidates(signals)]
         plans = [method.plan(signals, joint) for method in methods]
-        span = max(plan.windows.span for plan in plans)
-        every = [dataclasses.replace(plan.windows, span=span) for plan in plans]
-        windows = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(y) for y in x]), *every)
+        windows = [plan.windows for plan in plans]
         if self._two_stages:
             predicted = self._prediction(signals, joint)
             found = second_stage(methods[0], signals, joint, predicted, windows)

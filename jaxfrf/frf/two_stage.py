@@ -12,16 +12,16 @@ such regressors, and nothing to gain.
 """
 
 import dataclasses
+from collections.abc import Sequence
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Complex
 
 from .._types import Array
-from .least_squares import Plan, estimate_windows, side_by_side
+from .least_squares import Plan, estimate_several, estimate_windows, side_by_side
 from .local import AbstractLocal
 from .method import Estimate, Signals
-from .window import Columns, Windows, products
+from .window import Columns, Windows
 
 
 def has_second_stage(method: AbstractLocal) -> bool:
@@ -46,22 +46,22 @@ def prediction(method: AbstractLocal, signals: Signals, joint: bool) -> Complex[
 
 
 def second_stage(
-    method: AbstractLocal, signals: Signals, joint: bool, predicted, windows: Windows | None = None, lines=None
+    method: AbstractLocal,
+    signals: Signals,
+    joint: bool,
+    predicted,
+    several: Sequence[Windows] | None = None,
+    lines=None,
 ) -> Estimate:
     """The estimate of the second stage, with the method's own window at `lines` (all by default), or with each of
-    several `windows`, stacked, as a leading axis of the result."""
+    `several` windows, stacked, as a leading axis of the result."""
     every = side_by_side(signals, joint, method.transient)
     plan = _on_prediction(method.plan(signals, joint), signals.n_in, predicted.shape[-1], every.shape[-1])
     every = jnp.concatenate([every, predicted], axis=-1)
     combine = method.combined(joint)
-    if windows is None:
+    if several is None:
         return estimate_windows(every, plan, combine, lines)
-    of = products(every)
-
-    def one(windows):
-        return estimate_windows(every, dataclasses.replace(plan, windows=windows), combine, of=of)
-
-    return jax.lax.map(one, windows)
+    return estimate_several(every, plan, combine, several)
 
 
 def _on_prediction(plan: Plan, n_top: int, n_target: int, n_signal: int) -> Plan:

@@ -8,6 +8,7 @@ share a model are summed before the product.
 """
 
 import functools
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -18,8 +19,8 @@ from jaxtyping import Bool, Complex, Float, Int
 from .._errors import input_error
 from .._types import Array
 
-_TILE = 48  # neighbouring windows that are solved together: their moments and Gram matrices stay in the cache
-_BLOCK = 512  # windows of one line that are solved together
+_PART = 16  # neighbouring windows whose moments are one product: few, as every one meets the lines of all of them
+_TILE = 48  # windows that are solved together: their moments and Gram matrices stay in the cache
 
 
 class Windows(eqx.Module):
@@ -29,18 +30,15 @@ class Windows(eqx.Module):
     - `start`, `stop`: (freq,), first line of each window, and the one after its last. Even widths 2b reach from -b to
       b-1 (the paper's window), odd ones are symmetric; near the ends of the band windows are shifted inwards and no
       longer centred.
-    - `span`: lines that the windows of neighbouring lines touch together, rounded up so that windows of similar width
-      share compiled code.
     """
 
     coordinate: Float[Array, "freq"]
     start: Int[Array, "freq"]
     stop: Int[Array, "freq"]
-    span: int = eqx.field(static=True)
 
     @property
-    def width(self) -> Int[Array, ""]:
-        return self.stop[0] - self.start[0]
+    def width(self) -> int:
+        return int(self.stop[0] - self.start[0])
 
     @property
     def centred(self) -> Bool[Array, "freq"]:
@@ -62,8 +60,7 @@ def windows(coordinate, width: int) -> Windows:
             "Lower the order or the width, use more experiments, or excite more lines.",
         )
     start = np.clip(np.arange(n) - width // 2, 0, n - width)
-    span = 1 if width == 1 else min(-(-(min(_TILE, n) + width) // _TILE) * _TILE, n)
-    return Windows(coordinate, start, start + int(width), span)
+    return Windows(coordinate, start, start + int(width))
 
 
 def local_variable(windows: Windows, line, near) -> tuple[Float[Array, "line"], Bool[Array, "line"]]:
@@ -91,58 +88,57 @@ def products(signals: Complex[Array, "exp freq sig"]) -> Float[Array, "freq pair
     return jnp.concatenate([every.real, every.imag], axis=-1)
 
 
-def gram(
-    x: Float[Array, "line"], inside: Bool[Array, "line"], products: Float[Array, "line pair"], columns: Columns
-) -> Complex[Array, "col col"]:
-    """K^H K of one window, K the columns at the lines inside, from the products of its signals."""
-    powers = jnp.stack([jnp.where(inside, x**p, 0.0) for p in range(2 * max(columns.power) + 1)])
-    place, sign, real = _layout(columns.power, columns.signal, products.shape[-1] // 2)
-    moments = powers @ products
+def moments(x: Float[Array, "line"], inside: Bool[Array, "line"], products, order: int) -> Float[Array, "power pair"]:
+    """sum_j x_j^p conj(s_a) s_b of one window, p = 0..2 order, from the `products` of its signals, (line, pair)."""
+    powers = jnp.stack([jnp.where(inside, x**p, 0.0) for p in range(2 * order + 1)])
+    return powers @ products
+
+
+def gram(moments: Float[Array, "power pair"], columns: Columns) -> Complex[Array, "col col"]:
+    """K^H K of one window, K the columns at its lines."""
+    place, sign, real = _layout(columns.power, columns.signal, moments.shape[-1] // 2)
     real_part, imaginary_part = (part.reshape(-1)[place] for part in jnp.split(moments, 2, axis=-1))
     return jax.lax.complex(real_part * real, imaginary_part * sign)
 
 
-def over_windows(solve, signals: Complex[Array, "exp freq sig"], windows: Windows, columns: Columns, of=None):
-    """`solve(A)` of every window, A its Gram matrix: a pytree with leading axis freq.
+def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequence[Windows], columns: Columns):
+    """`solve(A, number)` of every window of every one of several `Windows`, A its Gram matrix: a pytree with leading
+    axes (number, freq).
 
-    One window after the other is written here; `vmap` takes it over neighbouring lines, `lax.map` over blocks of them,
-    so that only what `solve` returns is ever kept of all. `of`: the signals' `products`, where they are known already.
+    One window after the other is written here; `vmap` takes it over neighbouring lines, `lax.map` over tiles of them,
+    so that only what `solve` returns is ever kept of all.
     """
-    n_freq, span = signals.shape[1], windows.span
-    if span == 1:
-        return jax.lax.map(solve, _gram_of_lines(signals, columns), batch_size=_BLOCK)
-    of = products(signals) if of is None else of
+    n_freq, of = signals.shape[1], products(signals)
+    size = min(_PART, n_freq)
+    n_part = max(min(_TILE // len(several), n_freq) // size, 1)
+    number = np.repeat(np.arange(len(several)), n_part * size)
 
-    def one_window(line, near, products):
-        return solve(gram(*local_variable(windows, line, near), products, columns))
-
-    tile = min(_TILE, n_freq)
+    def one_part(windows, first):
+        lines = jnp.minimum(first + np.arange(size), n_freq - 1)
+        span = min(size - 1 + windows.width, n_freq)
+        source = jnp.clip(jnp.asarray(windows.start)[lines[0]], 0, n_freq - span)
+        part = jax.lax.dynamic_slice_in_dim(of, source, span, 0)
+        near = source + np.arange(span)
+        return jax.vmap(lambda line: moments(*local_variable(windows, line, near), part, max(columns.power)))(lines)
 
     def one_tile(first):
-        source = jnp.clip(jnp.asarray(windows.start)[first], 0, n_freq - span)
-        lines = jnp.minimum(first + jnp.arange(tile), n_freq - 1)
-        near, part = source + jnp.arange(span), jax.lax.dynamic_slice_in_dim(of, source, span, 0)
-        return jax.vmap(one_window, in_axes=(0, None, None))(lines, near, part)
+        parts = [one_part(windows, first + i * size) for windows in several for i in range(n_part)]
+        return jax.vmap(lambda moments, number: solve(gram(moments, columns), number))(jnp.concatenate(parts), number)
 
-    tiles = jax.lax.map(one_tile, jnp.arange(0, n_freq, tile))
-    return jax.tree.map(lambda y: y.reshape(-1, *y.shape[2:])[:n_freq], tiles)
+    def in_order(x):
+        x = jnp.moveaxis(x.reshape(len(x), len(several), n_part * size, *x.shape[2:]), 1, 0)
+        return x.reshape(len(several), -1, *x.shape[3:])[:, :n_freq]
 
-
-def _gram_of_lines(signals, columns: Columns) -> Complex[Array, "freq col col"]:
-    """The Gram matrices of windows of one line, where x is zero."""
-    which, power = np.asarray(columns.signal), np.asarray(columns.power)
-    used = signals if np.array_equal(which, np.arange(signals.shape[-1])) else signals[..., which]
-    used = jnp.where((power == 0) & (which >= 0), used, 0)
-    return jnp.einsum("efa,efb->fab", used.conj(), used)
+    return jax.tree.map(in_order, jax.lax.map(one_tile, jnp.arange(0, n_freq, n_part * size)))
 
 
 def rows(signals: Complex[Array, "exp freq sig"], windows: Windows, columns: Columns, line):
-    """K of the window around `line` written out: (exp*span, col); lines outside the window are rows of zeros."""
-    near = jnp.clip(jnp.asarray(windows.start)[line], 0, signals.shape[1] - windows.span) + jnp.arange(windows.span)
-    x, inside = local_variable(windows, line, near)
+    """K of the window around `line` written out: (exp*width, col)."""
+    near = jnp.asarray(windows.start)[line] + np.arange(windows.width)
+    x, _ = local_variable(windows, line, near)
     real = np.asarray(columns.signal) >= 0
     part = signals[:, near][..., np.maximum(columns.signal, 0)]
-    K = jnp.where(inside[:, None] & real, x[:, None] ** np.asarray(columns.power) * part, 0.0)
+    K = jnp.where(real, x[:, None] ** np.asarray(columns.power) * part, 0.0)
     return K.reshape(-1, len(columns.power))
 
 
