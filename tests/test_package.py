@@ -415,12 +415,16 @@ def test_thousands_of_windows_return(devices):
         "        with jax.default_device(device):\n"
         "            frf = jf.estimate(spectra, method)\n"
         "        assert np.isfinite(frf.G).all() and frf.G.shape == (1, 2000, 3, 3)\n"
-        "    print(type(method).__name__)\n",
+        "    print(type(method).__name__)\n"
+        "U, R = n(1, 12, 400, 6), n(1, 12, 400, 6)\n"
+        "Y, lines = U @ n(6, 6) + 0.1 * n(1, 12, 400, 6), lines[:400]\n"
+        "spectra = jf.Spectra(U=U, Y=Y, R=R, lines=lines, frequency=lines * 1.0, noise=None)\n"
+        "print(jf.estimate(spectra, jf.Auto()).G.shape[1])\n",
         JAX_ENABLE_X64="1",
         OPENBLAS_NUM_THREADS=None,
         XLA_FLAGS=f"--xla_force_host_platform_device_count={devices}",
     )
-    assert says.split() == ["JointInputOutput", "JointInputOutput", "LRM", "MisoLRM"]
+    assert says.split() == ["JointInputOutput", "JointInputOutput", "LRM", "MisoLRM", "400"]
 
 
 def test_single_precision_is_refused():

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._compile import compiled
+from .._compile import after, compiled
 from .._errors import input_error
 from .._types import Array
 from ..spectra import Spectra
@@ -140,7 +140,8 @@ class Auto(AbstractMethod):
             found = self.method.regressed_with(signals, joint, plans[0], windows)
         if not self._has_pilot(signals):
             return found
-        pilot = _pilot(JointInputOutput(H1()) if joint else H1(), signals, found)
+        waiting = dataclasses.replace(signals, U=after(signals.U, found.G))
+        pilot = _pilot(JointInputOutput(H1()) if joint else H1(), waiting, found)
         return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pilot, found)
 
     @property

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jaxtyping import Complex
 
+from .._compile import after
 from .._types import Array
 from .least_squares import Plan, estimate_several, estimate_windows, side_by_side
 from .local import AbstractLocal
@@ -39,6 +40,7 @@ def prediction(method: AbstractLocal, signals: Signals, joint: bool) -> Complex[
         method = dataclasses.replace(method, transient=None)
     found = []
     for Z in (signals.Y, signals.U) if joint else (signals.Y,):
+        Z = after(Z, found[-1]) if found else Z
         G = method.at_point(Signals(X, Z, None, None, signals.frequency)).G
         said = jnp.einsum("fzi,efi->efz", G, X)
         found.append(jnp.where(jnp.isfinite(said), said, Z))
