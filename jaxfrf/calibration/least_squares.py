@@ -13,7 +13,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float, Int
 
-from ..trajectory.evidence import Gram
+from ..trajectory.evidence import Gram, Weighed
 from .numbers import Number
 
 _RIDGE = 1e-9  # of a column's square: products are made in single precision
@@ -27,7 +27,8 @@ class Posterior:
 
     **Fields:** `change`: of every column's coefficient, numbers first. `effect`: the design effect: so many lines count
     as one. `normal`: the normal matrix A/effect + P. `by_cluster`: estimates of the change without each cluster,
-    (cluster, column). `prior`: P's diagonal.
+    (cluster, column). `prior`: P's diagonal. `scores`: of every position and band of lines, (pos, band, column), where
+    they are known: an error of the model that is the same at all positions shows between bands only.
     """
 
     change: Float[np.ndarray, "column"]
@@ -35,18 +36,34 @@ class Posterior:
     normal: Float[np.ndarray, "column column"]
     by_cluster: Float[np.ndarray, "cluster column"]
     prior: Float[np.ndarray, "column"]
+    scores: Float[np.ndarray, "pos band column"] | None = None
 
     @property
     def covariance(self) -> Float[np.ndarray, "column column"]:
         """Of the estimates: of what the data say, from the scatter of the clusters, and of what was known before, so
         far as the estimates lean on it."""
-        return self._from_data + self._from_prior
+        return self._from_data + np.diag(self._from_bands) + self._from_prior
 
     @property
     def _from_data(self):
         count = len(self.by_cluster)
         apart = self.by_cluster - self.by_cluster.mean(axis=0)
         return (count - 1) / count * apart.T @ apart
+
+    @property
+    def _from_bands(self):
+        """Variance that bands show beyond what positions do: clusters of two kinds at once (Cameron, Gelbach & Miller,
+        J. Business & Economic Statistics 29, 2011)."""
+        if self.scores is None:
+            return np.zeros(len(self.prior))
+        inverse = np.linalg.inv(self.normal)
+
+        def variance(scores):
+            moved = (scores - scores.mean(axis=0)) @ inverse
+            return len(scores) / (len(scores) - 1) * np.sum(moved**2, axis=0)
+
+        every = self.scores.reshape(-1, self.scores.shape[-1])
+        return np.maximum(variance(self.scores.sum(axis=0)) - variance(every), 0.0)
 
     @property
     def _from_prior(self):
@@ -57,7 +74,8 @@ class Posterior:
         """Half of a confidence interval: the scatter of few clusters is known with their degrees of freedom only."""
         t = scipy.stats.t.ppf(0.5 + level / 2, len(self.by_cluster) - 1)
         z = scipy.stats.norm.ppf(0.5 + level / 2)
-        return np.sqrt(t**2 * np.diag(self._from_data) + z**2 * np.diag(self._from_prior))
+        bands = 0.0 if self.scores is None else scipy.stats.t.ppf(0.5 + level / 2, self.scores.shape[1] - 1) ** 2
+        return np.sqrt(t**2 * np.diag(self._from_data) + bands * self._from_bands + z**2 * np.diag(self._from_prior))
 
     @property
     def told(self) -> Float[np.ndarray, "column"]:
@@ -94,6 +112,20 @@ def solve(gram: Gram, these: Sequence[Number], x: Float[np.ndarray, "number"]) -
     without = [change_by(_information(whole - a), right - c, effect) for a, c in zip(A, b, strict=True)]
     normal = whole / effect + np.diag(prior)
     return Posterior(change_by(whole, right, effect), effect, normal, np.array(without), prior)
+
+
+def with_bands(posterior: Posterior, weighed: Weighed, bands: int) -> Posterior:
+    """The same, with the scores of every position in so many bands of lines."""
+
+    def one(X):
+        X = X.astype(float)
+        left = X[:, -1] - np.einsum("j,ejn->en", posterior.change, X[:, :-1])
+        halves, rest = X[:, :-1].reshape(*X[:, :-1].shape[:2], 2, -1), left.reshape(len(left), 2, -1)
+        cuts = np.array_split(np.arange(rest.shape[-1]), bands)
+        return np.stack([np.einsum("ejhn,ehn->j", halves[..., cut], rest[..., cut]) for cut in cuts])
+
+    scores = np.stack([one(X) for X in weighed.parts]) / posterior.effect
+    return dataclasses.replace(posterior, scores=scores)
 
 
 def _information(A):

@@ -15,7 +15,7 @@ from ..trajectory.measured import Measured
 from ..trajectory.remainder import remainder, usual_size
 from ..trajectory.ripple import Order, order_columns
 from .columns import number_columns
-from .least_squares import Posterior, solve
+from .least_squares import Posterior, solve, with_bands
 from .numbers import Number, with_numbers
 from .ripple import order_key, sure_orders, with_found_orders
 
@@ -24,6 +24,7 @@ _HALVINGS = 3
 _WORSE = 1.02  # of the misfit: a step that leaves more is halved
 _REWEIGHED = 2  # times in a round
 _FEW, _BANDS = 4, 8  # runs whose scatter says too little: bands of lines stand for runs then
+_FINE_BANDS = 24  # of lines, beside positions
 _GAIN = 0.97  # of the misfit: a step that leaves more is of no use
 _STAYS = 0.3  # of its standard deviation that every number moves less
 
@@ -107,6 +108,8 @@ class Search:
         runs = len(weighed.gram.A)
         weighed = precise(weighed, _BANDS) if runs < _FEW else placed(precise(weighed), places(self.record.data))
         posterior = solve(weighed.gram, self.these, x)
+        if runs >= _FEW:
+            posterior = with_bands(posterior, weighed, _FINE_BANDS)
         self.floor = evidence.floor
         left = remainder(evidence, weighed, posterior.change)
         return Look(
