@@ -237,7 +237,7 @@ def test_intervals_hold_where_errors_repeat_from_line_to_line():
 
 def test_intervals_hold_where_errors_repeat_from_position_to_position():
     """Errors of 24 bands of lines that are the same at all positions show between bands; where there are none, bands
-    add next to nothing. Scores of so few bands are known to be a little short (MacKinnon & White 1985): .914 of 3000."""
+    add next to nothing. Scores of so few bands are known to be a little short (MacKinnon & White 1985): .914."""
     rng, held, alone, wider = np.random.default_rng(6), [], [], []
     each = lambda x: np.tile(np.repeat(x, 10, axis=-1), 2)  # of every line, real and imaginary parts
     for repeats in [1.0] * 200 + [0.0] * 20:

@@ -64,8 +64,8 @@ def calibrate(
     Intervals come from the scatter between positions (between runs, where there are less than three positions; between
     bands of lines, where there are less than four runs) and between bands of lines, so that errors of the model which
     repeat from line to line, or from position to position, count; and from the tolerances. **Biased** where the robot
-    lacks an effect: what is alike at all positions and in all bands is not in the intervals; `jaxfrf.gap.diagnose` looks
-    for it.
+    lacks an effect: what is alike at all positions and in all bands is not in the intervals; `jaxfrf.gap.diagnose`
+    looks for it.
 
     **Arguments:**
 

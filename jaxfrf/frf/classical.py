@@ -222,8 +222,8 @@ def _with_noise(estimate: Estimate, signals: Signals, instrument, lines) -> Esti
         X, _ = _influence(U, Z)
         return _noise_covariance(G, product(adjoint(Z), X), noise)
 
-    of = _at(lines, signals.U, instrument, signals.noise)
-    return dataclasses.replace(estimate, cov_noise=jax.vmap(one_line, in_axes=(1, 1, 1, 0))(*of, estimate.G))
+    U, Z, noise = _at(lines, signals.U, instrument, signals.noise)
+    return dataclasses.replace(estimate, cov_noise=jax.vmap(one_line, in_axes=(1, 1, 1, 0))(U, Z, noise, estimate.G))
 
 
 def _noise_covariance(G, H, noise) -> KroneckerSum:

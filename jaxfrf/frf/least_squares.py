@@ -180,9 +180,9 @@ def estimate_several(signals, plan: Plan, combine, several: Sequence[Windows]) -
     def one_window(A, number):
         return _of_window(solve_gram(A, plan.equations), plan, combine, dofs[number])
 
-    found = over_windows(one_window, signals, several, plan.columns)
+    G, cov, dof, deficient, doubtful = over_windows(one_window, signals, several, plan.columns)
     at_edge = ~np.stack([windows.centred for windows in several])
-    return _estimate(*found, at_edge, np.array([[windows.width] for windows in several]))
+    return _estimate(G, cov, dof, deficient, doubtful, at_edge, np.array([[windows.width] for windows in several]))
 
 
 def _dof(signals, plan: Plan, windows: Windows) -> float:

@@ -38,7 +38,7 @@ def prediction(method: AbstractLocal, signals: Signals, joint: bool) -> Complex[
         each = jnp.broadcast_to(jnp.eye(n_exp, dtype=complex)[:, None], (n_exp, n_freq, n_exp))
         X = jnp.concatenate([X, each], axis=-1)  # a transient is the answer to 1 in one experiment
         method = dataclasses.replace(method, transient=None)
-    found = []
+    found: list[Array] = []
     for Z in (signals.Y, signals.U) if joint else (signals.Y,):
         Z = after(Z, found[-1]) if found else Z
         G = method.at_point(Signals(X, Z, None, None, signals.frequency)).G
