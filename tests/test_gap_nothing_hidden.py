@@ -15,7 +15,7 @@ import jaxfrf as jf
 from benchmarks._mujoco_records import mujoco_experiment
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
-from jaxfrf.gap.verify import over_floor
+from jaxfrf.gap.judge import over_floor
 from jaxfrf.robot import Tolerances, parameters, with_parameters
 from jaxfrf.trajectory.evidence import Evidence
 from jaxfrf.trajectory.measured import measured

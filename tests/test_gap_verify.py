@@ -1,19 +1,24 @@
-"""What keeps a diagnosis from naming what is not there: intervals, sealed positions, rivals that are named too."""
+"""What keeps a diagnosis from naming what is not there: positions that choose nothing, and sealed ones."""
 
 import itertools
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.stats
+from test_gap import made_up, small_robot
 from two_axes import ROBOT
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
-from jaxfrf.gap import verify
-from jaxfrf.gap.present import _close_rivals
-from jaxfrf.gap.refine import absent
-from jaxfrf.gap.search import _Trial
-from jaxfrf.gap.verify import _against, motors_ripple, over_floor
+from jaxfrf.calibration.numbers import numbers
+from jaxfrf.gap.conclude import against_it, close_rivals
+from jaxfrf.gap.contest import Records
+from jaxfrf.gap.diagnose import split
+from jaxfrf.gap.fitted import Fitted
+from jaxfrf.gap.hypothesis import hypothesis
+from jaxfrf.gap.judge import compared, over_floor
+from jaxfrf.robot import Tolerances
 from jaxfrf.trajectory.evidence import band_edges, by_band
 
 FLOOR = np.full((41, 2), 0.1)
@@ -26,29 +31,31 @@ def robot(tmp_path_factory):
     return jf.io.read_robot(path)
 
 
-def made_search(sealed=(False, True, True)):
+def made_records(sealed=(1, 2)):
     """Of a record with a torque of 1 N m in every line."""
-    opened = ~np.array(sealed)
-    base = SimpleNamespace(evidence=SimpleNamespace(plain=FLOOR))
-    record = SimpleNamespace(U=np.ones((3, 2, 41, 2), complex))
-    given = SimpleNamespace(axis_names=("shoulder", "elbow"))
-    return SimpleNamespace(opened=opened, base=base, record=record, given=given)
+    whole = SimpleNamespace(U=np.ones((3, 2, 41, 2), complex), frequency=np.arange(41.0))
+    fit = np.setdiff1d(np.arange(3), sealed)
+    return Records(whole, fit, fit, np.array(sealed, int))
 
 
 def leaving(opened, sealed):
     """A robot that leaves so many floors on the fitted and on the sealed positions, one number for each axis."""
     one = lambda times: np.sqrt(2) * FLOOR * np.asarray(times) * np.ones((1, 2, 41, 2))
-    return SimpleNamespace(residual=np.concatenate([one(opened), one(sealed), one(sealed)]).astype(complex))
+    return SimpleNamespace(
+        residual=np.concatenate([one(opened), one(sealed), one(sealed)]).astype(complex),
+        evidence=SimpleNamespace(plain=FLOOR),
+        robot=SimpleNamespace(axis_names=("shoulder", "elbow")),
+    )
 
 
 class TestSealedPositions:
     @pytest.mark.parametrize(
         ("joint", "sealed", "says"),
         [
-            ("shoulder", [1.0, 1.1], None),  # both axes gain
-            ("shoulder", [1.0, 2.0], None),  # one does, the other stays
-            ("shoulder", [1.0, 2.1], None),  # or loses little beside that
-            ("", [1.0, 1.9], None),
+            ("shoulder", [1.0, 1.1], ""),  # both axes gain
+            ("shoulder", [1.0, 2.0], ""),  # one does, the other stays
+            ("shoulder", [1.0, 2.1], ""),  # or loses little beside that
+            ("", [1.0, 1.9], ""),
             ("shoulder", [3.0, 2.0], "the gap is 2.55 times the floor, 2.55 without"),  # nothing gained
             ("shoulder", [1.0, 2.5], "elbow rises from 2 to 2.5"),  # one pays for the other
             ("shoulder", [4.0, 2.0], "the gap is 3.16"),
@@ -58,83 +65,118 @@ class TestSealedPositions:
     def test_gap_of_every_axis(self, joint, sealed, says):
         """Whatever the fitted positions say."""
         base, extended = leaving([9.0, 9.0], [3.0, 2.0]), leaving([0.1, 0.1], sealed)
-        against = _against(made_search(), base, extended, joint)
-        assert (against is None) if says is None else (says in against)
+        against = against_it(made_records(), base, extended, joint)
+        assert (says in against) if says else against == ""
 
     def test_an_axis_within_its_floor_may_move(self):
         """But not that of the effect itself."""
         base, extended = leaving([9.0, 9.0], [3.0, 0.3]), leaving([0.1, 0.1], [1.0, 0.6])
-        assert _against(made_search(), base, extended, "shoulder") is None
-        assert "torque of elbow itself" in _against(made_search(), base, extended, "elbow")
+        assert against_it(made_records(), base, extended, "shoulder") == ""
+        assert "torque of elbow itself" in against_it(made_records(), base, extended, "elbow")
 
     def test_none_are_sealed(self):
-        search = made_search((False, False, False))
+        records = made_records(())
         base, extended = leaving([3.0, 3.0], [3.0, 3.0]), leaving([1.0, 1.0], [1.0, 1.0])
-        assert _against(search, base, extended, "elbow") is None
-        np.testing.assert_allclose(over_floor(base.residual, FLOOR, verify.judged_positions(search)), 3.0)
+        assert against_it(records, base, extended, "elbow") == ""
+        np.testing.assert_allclose(over_floor(base.residual, FLOOR, records.judged), 3.0)
+
+
+class TestPositionsThatChooseNothing:
+    @staticmethod
+    def left(size, positions, seed=0):
+        rng = np.random.default_rng(seed)
+        shape = (positions, 2, 41, 2)
+        return (
+            np.asarray(size).reshape(-1, 1, 1, 1) * 0.1 * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+        )
+
+    def test_against_a_paired_interval(self):
+        """Of the squares of every position, as SciPy has it."""
+        before, after = self.left([3, 2, 3, 4, 3, 2], 6), self.left([1, 2, 1, 2, 1, 1], 6, 1)
+        found = compared(before, after, FLOOR, np.arange(41.0))
+        one, two = (np.sum(np.abs(x / 0.1) ** 2, axis=(1, 2, 3)) for x in (before, after))
+        interval = scipy.stats.ttest_rel(one, two).confidence_interval(0.9)
+        np.testing.assert_allclose([found.least, found.most], 6 * np.array(interval) / one.sum(), rtol=1e-10)
+        np.testing.assert_allclose(found.gain, 1 - two.sum() / one.sum(), rtol=1e-10)
+        drops = one - two
+        signs = itertools.product([1, -1], repeat=6)
+        assert found.p_value == np.mean([np.dot(s, drops) >= drops.sum() - 1e-9 for s in signs])
+
+    def test_a_p_value_is_what_the_blocks_can_tell(self):
+        found = compared(self.left(9.0, 5), self.left(1e-3, 5), FLOOR, np.arange(41.0))
+        assert found.p_value == 2.0**-5
+        few = compared(self.left(9.0, 2), self.left(1e-3, 2), FLOOR, np.arange(41.0))  # by bands of lines, too
+        assert few.p_value == 1 / 4096
+
+    def test_two_that_are_alike(self):
+        found = compared(self.left(2.0, 6), self.left(2.0, 6, 1), FLOOR, np.arange(41.0))
+        assert found.least < 0 < found.most and found.p_value > 0.05
+
+    def test_who_they_are(self):
+        """None where there are few; then what is fitted decides."""
+        whole = lambda n: SimpleNamespace(data=made_up(n))
+        few = split(whole(3), None)
+        assert [x.tolist() for x in (few.fit, few.select, few.sealed)] == [[0, 1], [0, 1], [2]]
+        many = split(whole(9), None)
+        assert sorted([*many.fit, *many.select, *many.sealed]) == list(range(9))
+        assert (len(many.fit), len(many.select), len(many.sealed)) == (4, 2, 3)
+
+
+class TestHypotheses:
+    @staticmethod
+    def view(robot):
+        return Fitted(robot, Tolerances(), numbers(robot), None, False)
+
+    def unknown(self, robot, effect):
+        found = hypothesis(self.view(robot), effect, effect.joint)
+        these = numbers(found.robot.with_tolerances(found.unknown))
+        own = {o.number for o in found.own}
+        return found, {n.name: n.given for n in these if n.name in own}
 
     @pytest.mark.parametrize(
-        ("first", "both", "kept"),
+        ("effect", "own"),
         [
-            ([1.5, 1.5], [1.0, 1.0], 2),
-            ([1.0, 1.0], [1.0, 1.0], 1),  # the second one is imaginary: smaller than the base's, no smaller than that
-            ([1.0, 1.0], [0.2, 4.0], 1),
-            ([3.5, 1.0], [1.0, 1.0], 2),  # the first one shows only beside the second
-            ([3.5, 1.0], [4.0, 1.0], 0),
+            (fx.TorqueDelay("elbow", 3e-4), {"elbow.delay": 3e-4}),
+            (fx.Backlash("elbow", 2e-4), {"elbow.backlash": 2e-4}),
+            (fx.StiffnessHardening("elbow", 0.6, 3e-4), {"elbow.stiffness_ratio": 0.6, "elbow.stiffness_knee": 3e-4}),
+            (
+                fx.ExtraFlexibility("elbow", [0.0, 1.0, 0.0], 5e5, 90.0),
+                {"elbow_flexibility.stiffness": 5e5, "elbow_flexibility.damping": 90.0},
+            ),
+            (
+                fx.GearHysteresis("elbow", 5.0, 1e-4),
+                {"elbow.gear_hysteresis.torque": 5.0, "elbow.gear_hysteresis.slip": 1e-4},
+            ),
+            (fx.WristCoupling("elbow", 0.02), {"elbow.wrist_coupling.ratio": 0.02}),
         ],
     )
-    def test_every_effect_must_gain(self, monkeypatch, first, both, kept):
-        key = lambda name: SimpleNamespace(option=SimpleNamespace(key=(name, "elbow")), effect=name, stage=name)
-        steps = (key("torque_delay"), key("backlash"))
-        leaves = [leaving([9, 9], [3, 3]), leaving([1, 1], first), leaving([0.5, 0.5], both)]
-        monkeypatch.setattr(verify, "written", lambda setting, stage, effects: leaves[len(effects)])
-        monkeypatch.setattr(verify, "Verified", lambda *fields: fields)
-        search = made_search()
-        search.setting, search.steps = None, steps
-        base, stands, extended, refused = verify.verified(search)
-        assert (base, stands, extended) == (leaves[0], steps[:kept], leaves[kept])
-        assert len(refused) == 2 - kept
-        assert all("was taken back" in text for text in refused)
+    def test_parameters_are_numbers(self, effect, own):
+        found, given = self.unknown(small_robot(), effect)
+        assert given == pytest.approx(own)
+        assert found.key == (effect.name, "elbow")
 
+    def test_a_number_that_the_robot_has_is_set_free(self):
+        """What it is off by is the effect's."""
+        found, given = self.unknown(small_robot(), fx.CoulombFriction("elbow", 0.05))
+        assert given == pytest.approx({"elbow.coulomb_friction": 0.1}) and found.own[0].minus == 0.1
+        assert numbers(found.robot) == numbers(small_robot())
 
-class TestIntervals:
-    @staticmethod
-    def sure(robot, effect, std):
-        option = SimpleNamespace(key=(effect.name, effect.joint))
-        trial = SimpleNamespace(
-            fitted=SimpleNamespace(effect=effect, std=std), view=SimpleNamespace(robot=robot), option=option
-        )
-        return _Trial.is_sure(trial, lambda text: None)
+    def test_what_is_nothing_before(self, robot):
+        smooth = jf.robot.with_parameters(robot, {"elbow.coulomb_friction": 0.0})
+        found, given = self.unknown(smooth, fx.CoulombFriction("elbow", 0.05))
+        assert given == pytest.approx({"elbow.coulomb_friction": 0.05}) and found.own[0].minus == 0.0
 
-    def test_a_level_of_none(self, robot):
-        assert self.sure(robot, fx.CoulombFriction("elbow", -0.1), (0.05,))
-        assert not self.sure(robot, fx.CoulombFriction("elbow", 0.1), (0.06,))
-
-    def test_a_stiffness_that_may_be_infinite(self, robot):
-        """The case that was named once: 3.7e6 +- 5.8e6 N m/rad (95 %)."""
-        assert not self.sure(robot, fx.ExtraFlexibility("elbow", [0, 0, 1], 3.7e6, 700.0), (5.8e6 / 1.96, 1.0))
-        assert self.sure(robot, fx.ExtraFlexibility("elbow", [0, 0, 1], 3.7e5, 70.0), (5e4, 1.0))
-
-    def test_a_spring_that_is_as_it_was(self, robot):
-        """A ratio of one is no hardening, not a ratio of zero."""
-        hard = lambda ratio: fx.StiffnessHardening("elbow", ratio, 1e-4)
-        assert absent(hard(0.5), robot) == 1.0
-        assert not self.sure(robot, hard(0.9), (0.06, 1e-5))
-        assert self.sure(robot, hard(0.6), (0.1, 1e-5))
-        bent = robot.with_effects(hard(0.7))
-        assert not self.sure(bent, hard(0.6), (0.06, 1e-5))
+    def test_what_cannot_be(self):
+        assert hypothesis(self.view(small_robot(stiffness=np.inf)), fx.Backlash("elbow", 1e-4), "elbow") is None
 
 
 def test_rivals_that_are_named_too():
-    """Two effects that both act are no alternatives."""
-    rival = lambda name, near: SimpleNamespace(option=SimpleNamespace(key=(name, "elbow")), near=near)
-    step = lambda name, *rivals: SimpleNamespace(
-        option=SimpleNamespace(key=(name, "elbow")), effect=SimpleNamespace(name=name), rivals=rivals
-    )
-    rivals = (rival("backlash", True), rival("stiffness_hardening", False), rival("current_loop_lag", True))
-    first = step("torque_delay", *rivals)
-    assert _close_rivals((first,), first) == [("backlash", "elbow")]
-    assert _close_rivals((first, step("backlash")), first) == []
+    """Two effects that both act are no alternatives, nor are two names of one law."""
+    rival = lambda name, near: SimpleNamespace(key=(name, "elbow"), near=near)
+    step = lambda name, *rivals: SimpleNamespace(key=(name, "elbow"), rivals=rivals)
+    first = step("counterbalance", rival("backlash", True), rival("torque_delay", False), rival("dress_pack", True))
+    assert close_rivals((first,)) == [("backlash", "elbow")]
+    assert close_rivals((first, step("backlash"))) == []
 
 
 def test_bands_against_a_loop():
@@ -152,29 +194,8 @@ def test_bands_against_a_loop():
     assert np.all(np.diff(few) > 0) and by_band(left[:, :, :4], floor[:4], np.array([0.0, 7, 14, 21])).shape[-1] == 3
 
 
-def test_ripple_that_is_written_is_what_was_fitted(robot):
-    """A cos, b sin of the columns as amplitude and phase of the effect; what is unsure is left out."""
-    from jaxfrf.gap.score import BaseFit, Gram, Limits
-    from jaxfrf.trajectory.ripple import Order
-
-    orders = (Order("torque", 1, 6.0), Order("resolver", 0, 2.0), Order("torque", 1, 9.0))
-    c = np.array([3.0, 4.0, -5.0, 12.0, 1e-3, 0.0])
-    gram = Gram(np.eye(6)[None] * 1e2, c[None] * 1e2, np.array([1.0]), np.zeros(1, int), 100)
-    free = np.full(6, np.inf)
-    fit = BaseFit(np.arange(6), Limits.between(-free, free), c, free > 0, 1.0, 1.0, 1.0, np.array([True]))
-    stage = SimpleNamespace(fit=fit, knobs=(), orders=orders, weighed=SimpleNamespace(gram=gram), robot=robot)
-    torque, resolver = sorted(motors_ripple(stage), key=lambda effect: effect.name, reverse=True)
-    assert (torque.joint, torque.order) == ("elbow", (6,)) and (resolver.joint, resolver.order) == ("shoulder", (2,))
-    angle = np.linspace(0.0, 6.0, 7)
-    np.testing.assert_allclose(torque.torque(angle), 3.0 * np.sin(6 * angle) + 4.0 * np.cos(6 * angle), atol=1e-12)
-    expected = angle - 5.0 * np.sin(2 * angle) + 12.0 * np.cos(2 * angle)
-    np.testing.assert_allclose(resolver.measured(angle), expected, atol=1e-12)
-
-
 def test_gears_that_are_rigid_take_no_effect_of_a_spring():
     """A wrist's coupling too, which a robot with rigid gears may have but which no simulation of it knows."""
-    from test_gap import small_robot
-
     from jaxfrf.gap.candidates import candidates
 
     names = {(c.name, c.joint) for c in candidates(small_robot(stiffness=np.inf), np.ones(2))}

@@ -52,18 +52,26 @@ class Descent:
 
     def run(self, rounds: int, kept: Rounds) -> None:
         """So many simulations, from where an earlier run was interrupted."""
-        self._begin(kept)
-        while len(kept.done) < rounds and not self.settled:
-            look = self._nearer()
-            if look is None:
-                look = self._further()
-            if look is None:
-                self.say("no step makes the misfit smaller")
-                break
-            self.look = look
-            self._keep(kept)
+        self.begin(kept)
+        while len(kept.done) < rounds and self.advance(kept):
+            pass
 
-    def _begin(self, kept: Rounds) -> None:
+    def advance(self, kept: Rounds) -> bool:
+        """One simulation further; whether there was one that leaves less."""
+        if self.settled:
+            return False
+        look = self._nearer()
+        if look is None:
+            look = self._further()
+        if look is None:
+            self.say("no step makes the misfit smaller")
+            return False
+        self.look = look
+        self._keep(kept)
+        return True
+
+    def begin(self, kept: Rounds) -> None:
+        """Simulate the robot as it was given, or where the last of the finished rounds had it."""
         if not kept.done:
             self._take(False, (), None)
             self.look = self.search.look(np.zeros(len(self.these)), (), True)

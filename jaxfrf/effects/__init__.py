@@ -31,6 +31,7 @@ from .effect import (
     AbstractStatelessActuator as AbstractStatelessActuator,
     AbstractStructure as AbstractStructure,
     Candidate as Candidate,
+    OwnNumber as OwnNumber,
 )
 from .friction import (
     ArmViscousFriction as ArmViscousFriction,
