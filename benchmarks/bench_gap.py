@@ -43,7 +43,7 @@ from jaxfrf.gap.fitted import fitted, fitted_from
 from jaxfrf.gap.hypothesis import hypothesis
 from jaxfrf.gap.judge import written
 from jaxfrf.gap.present import gap_between
-from jaxfrf.gap.settings import EXPERIMENTS
+from jaxfrf.gap.settings import EXPERIMENTS, JUDGING
 from jaxfrf.io._json import write_json
 from jaxfrf.io.gaps import gap_contents
 from jaxfrf.io.records import read
@@ -64,9 +64,9 @@ class Looked:
     @functools.cached_property
     def _begun(self):
         """The record's positions, the robot with its own numbers fitted, and that written."""
-        records = split(measured(fewer(self._record, EXPERIMENTS)), None)
+        records = split(measured(fewer(self._record, EXPERIMENTS)), measured(fewer(self._record, JUDGING)), None)
         base, _ = fitted(self.robot, records.fitted, _silent)
-        return records, base, written(base.written(), records.whole)
+        return records, base, written(base.written(), records.every.at(records.judged))
 
     def shrink(self, effects: list[AbstractEffect]) -> float | None:
         """Shrink of the gap on the held-out positions once these effects, started from these values, are fitted with the
@@ -77,8 +77,8 @@ class Looked:
             if begun is None:
                 return None
             now = fitted_from(begun.robot, begun.unknown, records.fitted, now, _silent, _ROUNDS)
-        after = written(now.written(), records.whole)
-        return None if after is None else gap_between(records, before, after).shrink
+        after = written(now.written(), records.every.at(records.judged))
+        return None if after is None or before is None else gap_between(records, before, after).shrink
 
 
 def _silent(text: str) -> None:

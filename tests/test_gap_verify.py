@@ -13,7 +13,6 @@ import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.calibration.numbers import numbers
 from jaxfrf.gap.conclude import against_it, close_rivals
-from jaxfrf.gap.contest import Records
 from jaxfrf.gap.diagnose import split
 from jaxfrf.gap.fitted import Fitted
 from jaxfrf.gap.hypothesis import hypothesis
@@ -22,6 +21,7 @@ from jaxfrf.robot import Tolerances
 from jaxfrf.trajectory.evidence import band_edges, by_band
 
 FLOOR = np.full((41, 2), 0.1)
+TOLD = SimpleNamespace(U=np.ones((2, 2, 41, 2), complex), frequency=np.arange(41.0))  # a torque of 1 N m in every line
 
 
 @pytest.fixture(scope="module")
@@ -31,18 +31,11 @@ def robot(tmp_path_factory):
     return jf.io.read_robot(path)
 
 
-def made_records(sealed=(1, 2)):
-    """Of a record with a torque of 1 N m in every line."""
-    whole = SimpleNamespace(U=np.ones((3, 2, 41, 2), complex), frequency=np.arange(41.0))
-    fit = np.setdiff1d(np.arange(3), sealed)
-    return Records(whole, fit, fit, np.array(sealed, int))
-
-
-def leaving(opened, sealed):
-    """A robot that leaves so many floors on the fitted and on the sealed positions, one number for each axis."""
-    one = lambda times: np.sqrt(2) * FLOOR * np.asarray(times) * np.ones((1, 2, 41, 2))
+def leaving(*times):
+    """A robot that leaves so many floors, one number for each axis."""
+    size = np.sqrt(2) * FLOOR * np.asarray(times)
     return SimpleNamespace(
-        residual=np.concatenate([one(opened), one(sealed), one(sealed)]).astype(complex),
+        residual=(size * np.ones((2, 2, 41, 2))).astype(complex),
         evidence=SimpleNamespace(plain=FLOOR),
         robot=SimpleNamespace(axis_names=("shoulder", "elbow")),
     )
@@ -56,29 +49,29 @@ class TestSealedPositions:
             ("shoulder", [1.0, 2.0], ""),  # one does, the other stays
             ("shoulder", [1.0, 2.1], ""),  # or loses little beside that
             ("", [1.0, 1.9], ""),
-            ("shoulder", [3.0, 2.0], "the gap is 2.55 times the floor, 2.55 without"),  # nothing gained
+            ("shoulder", [3.0, 2.0], "takes away 0% of what is beyond the floor"),  # nothing gained
+            ("shoulder", [2.9, 2.0], "takes away 5% of what"),  # or too little
             ("shoulder", [1.0, 2.5], "elbow rises from 2 to 2.5"),  # one pays for the other
-            ("shoulder", [4.0, 2.0], "the gap is 3.16"),
+            ("shoulder", [4.0, 2.0], "takes away -64%"),
             ("elbow", [1.0, 2.1], "the torque of elbow itself"),  # its own joint loses
         ],
     )
     def test_gap_of_every_axis(self, joint, sealed, says):
-        """Whatever the fitted positions say."""
-        base, extended = leaving([9.0, 9.0], [3.0, 2.0]), leaving([0.1, 0.1], sealed)
-        against = against_it(made_records(), base, extended, joint)
+        against = against_it(TOLD, leaving(3.0, 2.0), leaving(*sealed), joint)
         assert (says in against) if says else against == ""
 
     def test_an_axis_within_its_floor_may_move(self):
         """But not that of the effect itself."""
-        base, extended = leaving([9.0, 9.0], [3.0, 0.3]), leaving([0.1, 0.1], [1.0, 0.6])
-        assert against_it(made_records(), base, extended, "shoulder") == ""
-        assert "torque of elbow itself" in against_it(made_records(), base, extended, "elbow")
+        base, extended = leaving(3.0, 0.3), leaving(1.0, 0.6)
+        assert against_it(TOLD, base, extended, "shoulder") == ""
+        assert "torque of elbow itself" in against_it(TOLD, base, extended, "elbow")
 
-    def test_none_are_sealed(self):
-        records = made_records(())
-        base, extended = leaving([3.0, 3.0], [3.0, 3.0]), leaving([1.0, 1.0], [1.0, 1.0])
-        assert against_it(records, base, extended, "elbow") == ""
-        np.testing.assert_allclose(over_floor(base.residual, FLOOR, records.judged), 3.0)
+    def test_nothing_beyond_the_floor(self):
+        """Whatever an effect takes away within it is no effect's."""
+        assert "nowhere beyond its floor" in against_it(TOLD, leaving(0.9, 0.9), leaving(0.1, 0.1), "elbow")
+
+    def test_rms_over_the_floor(self):
+        np.testing.assert_allclose(over_floor(leaving(3.0, 2.0).residual, FLOOR), [3.0, 2.0])
 
 
 class TestPositionsThatChooseNothing:
@@ -86,46 +79,96 @@ class TestPositionsThatChooseNothing:
     def left(size, positions, seed=0):
         rng = np.random.default_rng(seed)
         shape = (positions, 2, 41, 2)
-        return (
-            np.asarray(size).reshape(-1, 1, 1, 1) * 0.1 * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
-        )
+        noise = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+        return np.asarray(size).reshape(-1, 1, 1, 1) * 0.1 * noise
 
-    def test_against_a_paired_interval(self):
-        """Of the squares of every position, as SciPy has it."""
+    def test_against_a_loop(self):
+        """What is beyond the floor run by run and band by band; the interval of the share against the jackknife."""
         before, after = self.left([3, 2, 3, 4, 3, 2], 6), self.left([1, 2, 1, 2, 1, 1], 6, 1)
-        found = compared(before, after, FLOOR, np.arange(41.0))
-        one, two = (np.sum(np.abs(x / 0.1) ** 2, axis=(1, 2, 3)) for x in (before, after))
-        interval = scipy.stats.ttest_rel(one, two).confidence_interval(0.9)
-        np.testing.assert_allclose([found.least, found.most], 6 * np.array(interval) / one.sum(), rtol=1e-10)
-        np.testing.assert_allclose(found.gain, 1 - two.sum() / one.sum(), rtol=1e-10)
+        frequency = np.arange(41.0)
+        found = compared(before, after, FLOOR, frequency)
+        edges = band_edges(frequency)
+
+        def beyond(x):
+            runs = []
+            for run in 0.5 * np.abs(x / 0.1).reshape(12, 41, 2) ** 2:
+                more = 0.0
+                for low, high in itertools.pairwise(edges):
+                    here = run[(frequency >= low) & ((frequency < high) | (high == edges[-1]))]
+                    more += np.maximum(here.sum(axis=0) - len(here), 0.0).sum()
+                runs.append(more / 82)
+            return np.array(runs)
+
+        one, two = beyond(before), beyond(after)
+        np.testing.assert_allclose([found.before, found.after], [one.mean(), two.mean()], rtol=1e-12)
+        np.testing.assert_allclose(found.gain, 1 - two.sum() / one.sum(), rtol=1e-12)
+        left_out = [1 - np.delete(two, i).sum() / np.delete(one, i).sum() for i in range(12)]
+        std = np.sqrt(11 / 12 * np.sum((left_out - np.mean(left_out)) ** 2))
+        half = scipy.stats.t.ppf(0.95, 11) * std
+        np.testing.assert_allclose([found.gain - found.least, found.most - found.gain], half, rtol=0.25)
         drops = one - two
-        signs = itertools.product([1, -1], repeat=6)
+        signs = itertools.product([1, -1], repeat=12)
         assert found.p_value == np.mean([np.dot(s, drops) >= drops.sum() - 1e-9 for s in signs])
 
     def test_a_p_value_is_what_the_blocks_can_tell(self):
         found = compared(self.left(9.0, 5), self.left(1e-3, 5), FLOOR, np.arange(41.0))
-        assert found.p_value == 2.0**-5
-        few = compared(self.left(9.0, 2), self.left(1e-3, 2), FLOOR, np.arange(41.0))  # by bands of lines, too
-        assert few.p_value == 1 / 4096
+        assert found.p_value == found.finest == 2.0**-10
+        few = compared(self.left(9.0, 2), self.left(1e-3, 2), FLOOR, np.arange(41.0))  # by combs of lines, too
+        assert few.p_value == few.finest == 2.0**-8
 
     def test_two_that_are_alike(self):
         found = compared(self.left(2.0, 6), self.left(2.0, 6, 1), FLOOR, np.arange(41.0))
         assert found.least < 0 < found.most and found.p_value > 0.05
+        within = compared(self.left(0.3, 6), self.left(0.1, 6, 1), FLOOR, np.arange(41.0))
+        assert (within.before, within.gain, within.p_value) == (0.0, 0.0, 1.0)
 
     def test_who_they_are(self):
         """None where there are few; then what is fitted decides."""
-        whole = lambda n: SimpleNamespace(data=made_up(n))
-        few = split(whole(3), None)
+        parts = lambda n: split(*(SimpleNamespace(data=made_up(n)),) * 2, None)
+        few = parts(3)
         assert [x.tolist() for x in (few.fit, few.select, few.sealed)] == [[0, 1], [0, 1], [2]]
-        many = split(whole(9), None)
+        many = parts(9)
         assert sorted([*many.fit, *many.select, *many.sealed]) == list(range(9))
         assert (len(many.fit), len(many.select), len(many.sealed)) == (4, 2, 3)
+
+
+class TestStrain:
+    """Numbers that are off by more than is known, against Pope's test with all covariances written out."""
+
+    @staticmethod
+    def found(robot, x, told=1e-4):
+        these = numbers(robot)
+        normal = np.diag(np.where([n.prior > 0 for n in these], 1.0 / told, 1.0))
+        look = SimpleNamespace(posterior=SimpleNamespace(normal=normal))
+        return Fitted(robot, Tolerances(), these, np.asarray(x, float), look, False, (), True)
+
+    def test_against_the_formula(self, robot):
+        these = numbers(robot)
+        x = np.random.default_rng(0).standard_normal(len(these))
+        found = self.found(robot, x)
+        known = np.array([n.prior > 0 and n.kind != "smoothing" for n in these])
+        for i in np.flatnonzero(known):
+            other = known & (np.arange(len(x)) != i)
+            factor = min(1.0, np.sum(x[other] ** 2) / (np.sum(other) * (1 - 1e-4)))
+            assert found.strain[i] == pytest.approx(x[i] / np.sqrt((1 - 1e-4) * factor))
+        assert found.strained == ()
+
+    def test_one_that_stands_out(self, robot):
+        """Two tolerances are much where all others are known better than was said."""
+        these = numbers(robot)
+        place = [n.name for n in these].index("elbow.torque_constant")
+        x = np.full(len(these), 0.3)
+        x[place] = 2.5
+        found = self.found(robot, x)
+        assert found.strained == (place,) and found.strain_p_value(place) < 1e-10
+        assert self.found(robot, 2.5 * np.sign(x)).strained == ()  # all are off: none stands out
 
 
 class TestHypotheses:
     @staticmethod
     def view(robot):
-        return Fitted(robot, Tolerances(), numbers(robot), None, False)
+        these = numbers(robot)
+        return Fitted(robot, Tolerances(), these, np.zeros(len(these)), None, False, (), False)
 
     def unknown(self, robot, effect):
         found = hypothesis(self.view(robot), effect, effect.joint)
@@ -173,10 +216,13 @@ class TestHypotheses:
 def test_rivals_that_are_named_too():
     """Two effects that both act are no alternatives, nor are two names of one law."""
     rival = lambda name, near: SimpleNamespace(key=(name, "elbow"), near=near)
-    step = lambda name, *rivals: SimpleNamespace(key=(name, "elbow"), rivals=rivals)
-    first = step("counterbalance", rival("backlash", True), rival("torque_delay", False), rival("dress_pack", True))
+    step = lambda effect, *rivals: SimpleNamespace(
+        key=(effect.name, "elbow"), hypothesis=SimpleNamespace(effect=effect), rivals=rivals
+    )
+    balance, play = fx.Counterbalance("elbow", 20.0), fx.Backlash("elbow", 1e-4)
+    first = step(balance, rival("backlash", True), rival("torque_delay", False), rival("dress_pack", True))
     assert close_rivals((first,)) == [("backlash", "elbow")]
-    assert close_rivals((first, step("backlash"))) == []
+    assert close_rivals((first, step(play))) == []
 
 
 def test_bands_against_a_loop():

@@ -17,6 +17,7 @@ from ..effects import AbstractEffect
 from ..parts import Parts
 from ..robot import Robot, Tolerances
 from ..robot.tolerances import Tolerance
+from ..trajectory.evidence import by_band
 from ..trajectory.measured import Measured
 from .fitted import Fit, Fitted, Say, at, fitted, fitted_from, further
 from .hypothesis import Hypothesis, hypothesis
@@ -24,6 +25,7 @@ from .judge import COMPARED, Comparison, compared, written
 from .rank import Scored, ranked
 from .rounds import Round, keep_round, read_round
 from .settings import (
+    DOUBTFUL,
     FINAL_ROUNDS,
     FINALISTS,
     FIRST_HEAT,
@@ -34,6 +36,7 @@ from .settings import (
     LEAST_SIZE,
     MORE_ROUNDS,
     MOST,
+    MUCH,
     NEAR,
     SHARE,
     SIGNIFICANT,
@@ -126,20 +129,22 @@ def contest(
     done(0.3)
     now, steps, first, refused = base, [], (), ""
     while len(steps) < MOST:
-        needed = _needed(now, records, say)
-        if not needed:
+        misses, strained = _misses(now, records, say), _strained(now)
+        if strained:
+            say(f"{', '.join(strained)}: off by more than is known")
+        if not misses and not strained:
             break
         kept = read_round(parts, len(steps) + 1)
         if kept is not None and kept.effect is None:
             refused = kept.refused
             break
         views = [now] if given is None or steps or now.look.left <= FLOOR else [now, given]
-        rankings = [ranked(view, fit, own) for view in views] if kept is None or not first else []
+        rankings = [ranked(view, fit, own, misses) for view in views] if kept is None or not first else []
         first = first or tuple(rankings[0])
         if kept is not None:
-            step = _remembered(kept, now, records, say)
+            step = _remembered(kept, now, records, misses, say)
         else:
-            step, refused = _Heat(now, records, say).best(views, rankings, {s.key for s in steps})
+            step, refused = _Heat(now, records, misses, say).best(views, rankings, {s.key for s in steps})
             keep_round(parts, len(steps) + 1, _round(step, refused))
         if step is None:
             say(refused)
@@ -150,13 +155,19 @@ def contest(
     return Contest(base, tuple(steps), _on_all(now, records, say), first, refused)
 
 
-def _needed(now: Fitted, records: Records, say: Say) -> bool:
-    """Whether anything is beyond the floor, on the fitted positions and on those that decide, or a number is off by
-    what its tolerance does not allow."""
-    most, strained = now.excess(records.fitted), _strained(now)
-    text = f"; {', '.join(strained)}: off by more than is known" if strained else ""
-    say(f"at most {most:.3g} times the floor is left{text}")
-    return most > FLOOR or bool(strained)
+def _misses(now: Fitted, records: Records, say: Say) -> bool:
+    """Whether one axis in one band is beyond the floor, on the fitted positions and on those that decide."""
+    frequency = records.whole.frequency
+    cells = np.mean(by_band(now.left, now.look.evidence.plain, frequency), axis=(0, 1))
+    say(f"at most {cells.max():.3g} times the floor is left")
+    if cells.max() <= FLOOR:
+        return False
+    its = written(now.written(), records.deciding)
+    if its is None:
+        return True
+    there = np.mean(by_band(its.residual, its.evidence.plain, frequency), axis=(0, 1))
+    say(f"at most {np.max(there[cells > FLOOR]):.3g} times there, on positions that decide")
+    return bool(np.any(there[cells > FLOOR] > FLOOR))
 
 
 def _strained(now: Fitted) -> list[str]:
@@ -196,14 +207,14 @@ def _round(step: Step | None, refused: str) -> Round:
     return Round.of(step.found, step.hypothesis.effect, step.hypothesis.joint, told)
 
 
-def _remembered(kept: Round, now: Fitted, records: Records, say: Say) -> Step | None:
+def _remembered(kept: Round, now: Fitted, records: Records, misses: bool, say: Say) -> Step | None:
     """The step of a round that an earlier run had finished."""
     begun = hypothesis(now, kept.effect, kept.joint)
     found = _again(kept, begun.robot, begun.unknown, records.fitted, say)
     told = kept.told
     rivals = tuple(Rival((name, joint), cost, near) for name, joint, cost, near in told["rivals"])
     scored = Scored(kept.effect, kept.joint, *told["scored"])
-    without = _Heat(now, records, say).to_beat(begun)[-1]
+    without = _Heat(now, records, misses, say).to_beat(begun)[-1]
     return Step(begun, scored, found, without, Comparison(*told["on_select"]), told["cost"], rivals)
 
 
@@ -221,10 +232,11 @@ class _Runner:
 
 
 class _Heat:
-    """One round: candidates for the place of the robot that stands."""
+    """One round: candidates for the place of the robot that stands, which `misses` something beyond the floor, or
+    whose numbers are off by what is not believed."""
 
-    def __init__(self, now: Fitted, records: Records, say: Say):
-        self.now, self.records, self.say = now, records, say
+    def __init__(self, now: Fitted, records: Records, misses: bool, say: Say):
+        self.now, self.records, self.misses, self.say = now, records, misses, say
         self.record, self.deciding = records.fitted, records.deciding
 
     def best(self, views, rankings, had) -> tuple[Step | None, str]:
@@ -265,7 +277,7 @@ class _Heat:
         """The robots that an effect must beat: the one before, where something of it is beyond the floor. What fits
         only because a number is off by what nobody believes is no robot: where there is nothing else, and where the
         effect is such an error, the one in which these numbers are as given and the others are fitted."""
-        found = [self.now.written()] if self.now.excess(self.record) > FLOOR else []
+        found = [self.now.written()] if self.misses else []
         if not found or free.is_number:
             names = [o.number for o in free.own] if free.is_number else _strained(self.now)
             held = self.now.unknown.updated(Tolerances(tuple((name, Tolerance(0.0)) for name in names)))
@@ -273,11 +285,12 @@ class _Heat:
         return found
 
     def _first_heat(self, views, rankings, had) -> list[_Runner]:
-        """Candidates of one view after the other, and those that numbers imitate, until one comes down to the floor."""
+        """Candidates of one view after the other, and those that numbers imitate, until one takes much away."""
         found: list[_Runner] = []
         views = list(zip(views, rankings, strict=True))
         heats = [(view, _chosen(scored, had)) for view, scored in views]
-        if self.now.excess(self.record) > FLOOR:
+        most = max((s.part for _, scored in views for s in scored[:1]), default=0.0)
+        if most < DOUBTFUL and self.misses:
             heats += [(view, _imitated(view, scored, had)) for view, scored in views]
         for view, chosen in heats:
             for this in chosen:
@@ -291,7 +304,8 @@ class _Heat:
                     continue
                 fit.go_on(FIRST_HEAT - 1)
                 found.append(_Runner(this, begun, fit))
-            if any(r.found.excess(self.record) <= FLOOR for r in found):
+            *costs, before = _costs([*(r.found for r in found), self.now], self.now)
+            if costs and min(costs) < MUCH * before:
                 break
         return found
 

@@ -21,7 +21,7 @@ from ..robot import Robot, Tolerances
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import excess, remainder
 from ..trajectory.ripple import Order, Wave, with_ripple
-from .settings import FLOOR, ROUNDS, SLOW, STRAINED
+from .settings import FAR, FLOOR, ROUNDS, SLOW, STRAINED
 
 Say = Callable[[str], None]
 
@@ -78,12 +78,15 @@ class Fitted(eqx.Module):
 
     @property
     def strain(self) -> Float[np.ndarray, "number"]:
-        """Of every number's tolerance, in standard deviations: what it is off by, were it not known, over what that
-        may be off by itself (data snooping: Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). 0 where
-        nothing is known beforehand."""
+        """Of every number's tolerance: what it is off by, over the standard deviation that it would have if all
+        tolerances were true, but for one factor (data snooping: Baarda, A Testing Procedure for Use in Geodetic
+        Networks, 1968; with the factor of all other numbers: Pope, The Statistics of Residuals, NOAA 1976). 0 where
+        nothing is known beforehand. No tolerance is taken to be wider than it is stated."""
         known = np.array([n.prior > 0 and n.kind != "smoothing" for n in self.these])
         own = np.diag(np.linalg.inv(self.look.posterior.normal))[: len(self.these)]
-        return np.where(known, self.x / np.sqrt(np.maximum(1.0 - own, 1e-6)), 0.0)
+        told, squares = np.where(known, np.clip(1.0 - own, 1e-6, 1.0), 0.0), np.where(known, self.x**2, 0.0)
+        factor = (squares.sum() - squares) / np.maximum(told.sum() - told, 1e-6)
+        return np.where(known, self.x / np.sqrt(np.maximum(told, 1e-6) * np.clip(factor, 1e-6, 1.0)), 0.0)
 
     def strain_p_value(self, i: int) -> float:
         """Of a number's strain among those of all numbers, were all tolerances true."""
@@ -94,7 +97,7 @@ class Fitted(eqx.Module):
     def strained(self) -> tuple[int, ...]:
         """Numbers whose tolerance the record does not let one believe, worst first."""
         order = np.argsort(-np.abs(self.strain))
-        return tuple(int(i) for i in order if self.strain_p_value(i) < STRAINED)
+        return tuple(int(i) for i in order if self.strain_p_value(i) < STRAINED and abs(self.x[i]) > FAR)
 
     @property
     def waves(self) -> tuple[Wave, ...]:

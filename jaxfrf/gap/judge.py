@@ -11,9 +11,10 @@ from .._errors import InputError
 from ..robot import Robot
 from ..trajectory.evidence import Evidence, band_edges, by_band
 from ..trajectory.measured import Measured
+from ..trajectory.ripple import shared
 from .settings import BLOCKS, FLOOR, TOOTH
 
-_FLIPS = 4095  # of signs; all of them, where there are fewer
+_FLIPS = 4096  # of signs; all of them, where there are fewer
 _LEVEL = 0.95  # one-sided, of an interval
 
 
@@ -32,7 +33,7 @@ class Written(eqx.Module):
 def written(robot: Robot, record: Measured) -> Written | None:
     """`None` where the robot cannot be simulated."""
     try:
-        return Written(robot, Evidence(jax.tree.map(jnp.asarray, robot), record))
+        return Written(robot, Evidence(jax.tree.map(jnp.asarray, shared(robot)), record))
     except InputError:
         return None
 

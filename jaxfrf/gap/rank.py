@@ -35,14 +35,19 @@ class Scored(eqx.Module):
         return self.effect.name, self.joint
 
 
-def ranked(view: Fitted, record: Measured, own: Sequence[type[AbstractEffect]] = ()) -> list[Scored]:
-    """All candidates beside the numbers of a robot, best first.
+def ranked(
+    view: Fitted, record: Measured, own: Sequence[type[AbstractEffect]] = (), misses: bool = True
+) -> list[Scored]:
+    """All candidates beside the numbers of a robot, best first; those numbers alone whose tolerance cannot be believed,
+    where there are some and the robot `misses` nothing else.
 
     The cost is |residual/floor|^2/effect + the squares of the tolerances that numbers are off by; a column takes off it
     what is its own beside the numbers, and what it saves them. A number whose tolerance cannot be believed is set
     free."""
     cost = squares(view) / view.look.posterior.effect + view.priced
-    return sorted([*_columns(view, record, own, cost), *_set_free(view, cost)], key=lambda s: -s.part)
+    numbers = _set_free(view, cost)
+    terms = _columns(view, record, own, cost) if misses or not numbers else []
+    return sorted([*terms, *numbers], key=lambda s: -s.part)
 
 
 def squares(view: Fitted) -> float:

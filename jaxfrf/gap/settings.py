@@ -17,6 +17,7 @@ IN_THE_RACE = 1.5  # times the least cost: more after the first heat is not fitt
 # What is beyond a robot whose numbers are fitted
 FLOOR = 1.0  # mean square over the floor of one axis in one band: an honest model leaves less everywhere
 STRAINED = 0.01  # p-value of one number among all of a robot, from which on its tolerance is not believed
+FAR = 2.0  # tolerances that such a number is off by at least
 HOPELESS = 9.0  # tolerances: a robot in which one is further off explains nothing
 OFF = 1.0  # tolerances from which on a number is told to be off
 TOLD = 0.9  # of what was not known of a number, by the record, before it is told to be off
@@ -26,6 +27,8 @@ FINALISTS = 2  # of every view, by the cost that they promise to take away
 SHARE = 0.3  # of what the best promises
 LEAST_PART = 0.01  # of the cost
 LEAST_SIZE = 0.3  # of what is just visible
+MUCH = 0.7  # of the cost before: where a candidate leaves less, those of the next view are not fitted
+DOUBTFUL = 0.3  # of the cost: where no candidate promises as much, those that numbers imitate are fitted, too
 OWN = 1e-3  # of a column's square that must be its own beside the robot's numbers
 
 # What decides

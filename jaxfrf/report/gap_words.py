@@ -3,8 +3,6 @@
 import math
 from collections.abc import Sequence
 
-from ..effects import ResolverRipple, TorqueRipple
-
 _Z = 1.959964  # of a 95 % interval
 _FAR = 0.3  # of the largest misfit: less is not what a diagnosis is about
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
