@@ -69,8 +69,8 @@ class Looked:
         return records, base, written(base.written(), records.every.at(records.judged))
 
     def shrink(self, effects: list[AbstractEffect]) -> float | None:
-        """Shrink of the gap on the held-out positions once these effects, started from these values, are fitted with the
-        robot's own numbers; `None` where that cannot be told."""
+        """Shrink of the gap on the held-out positions once these effects, started from these values, are fitted with
+        the robot's own numbers; `None` where that cannot be told."""
         records, now, before = self._begun
         for effect in effects:
             begun = hypothesis(now, effect, str(effect.joint))

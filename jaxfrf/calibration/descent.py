@@ -13,10 +13,11 @@ from jaxtyping import Float
 from .._errors import InputError
 from ..effects import AbstractFriction
 from ..robot import Robot
+from ..trajectory.alike import alike
 from ..trajectory.evidence import Column
 from ..trajectory.measured import Measured
-from ..trajectory.ripple import Wave, with_any_ripple
-from .numbers import Number, alike
+from ..trajectory.ripple import Wave
+from .numbers import Number
 from .result import Round, missed
 from .ripple import found_waves
 from .rounds import Kept, Rounds
@@ -87,7 +88,7 @@ class Descent:
 
     def _take(self, near: bool, inside: Sequence[Wave], floor) -> None:
         self.near, self.inside = near, tuple(inside)
-        robot = with_any_ripple(alike(self.robot, self.these), inside)
+        robot = alike(self.robot, inside)
         orders = [o for o, _ in inside]
         # Laws of friction that turn over some speed of their own tell it together with the robot's.
         turns = near and not any(isinstance(e, AbstractFriction) for e in robot.effects)

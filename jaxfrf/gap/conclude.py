@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import numpy as np
 
+from ..calibration.numbers import Number
 from ..effects import AbstractEffect, EncoderQuantisation, TorqueRipple, library
 from ..robot import Robot
 from ..trajectory.measured import Measured
@@ -261,22 +262,28 @@ def _counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
     return tuple(found)
 
 
-def wrong_numbers(last: Fitted) -> list[tuple[str, float, float]]:
-    """Numbers that are further off than their tolerance, by the record, with their relative change and its p-value
-    among those of all numbers."""
-    told = last.look.posterior.told
+def wrong_numbers(last: Fitted) -> list[tuple[str, str, float]]:
+    """Numbers that are further off than their tolerance, by the record: by how much, and the p-value of that among all
+    numbers. Those that stand out, and those that the data tell."""
+    told, strained = last.look.posterior.told, last.strained
     return [
-        (n.name, n.value(float(x)) / n.given - 1.0, last.strain_p_value(i))
-        for i, (n, x, part) in enumerate(zip(last.these, last.x, told, strict=False))
-        if n.prior > 0 and n.kind != "smoothing" and n.positive and abs(x) > OFF and part > TOLD
+        (n.name, _change(n, float(x)), last.strain_p_value(i))
+        for i, (n, x) in enumerate(zip(last.these, last.x, strict=True))
+        if i in strained or (n.prior > 0 and n.kind != "smoothing" and n.positive and abs(x) > OFF and told[i] > TOLD)
     ]
+
+
+def _change(number: Number, x: float) -> str:
+    if number.positive:
+        return f"{100 * (number.value(x) / number.given - 1.0):+.0f} %"
+    return f"{number.value(x) - number.given:+.2g} {number.unit.removesuffix('1')}".rstrip()
 
 
 def _wrong_numbers(last: Fitted) -> str:
     wrong = wrong_numbers(last)
     if not wrong:
         return ""
-    changes = [f"{name} by {100 * change:+.0f} % (p = {p:.2g})" for name, change, p in wrong]
+    changes = [f"{name} by {change} (p = {p:.2g})" for name, change, p in wrong]
     return f" Numbers of the robot that are off by more than is known of them: {', '.join(changes)}."
 
 

@@ -16,10 +16,9 @@ from .._errors import InputError
 from ..effects import AbstractEffect
 from ..parts import Parts
 from ..robot import Robot, Tolerances
-from ..robot.tolerances import Tolerance
 from ..trajectory.evidence import by_band
 from ..trajectory.measured import Measured
-from .fitted import Fit, Fitted, Say, at, fitted, fitted_from, further
+from .fitted import Fit, Fitted, Say, at, fitted, further
 from .hypothesis import Hypothesis, hypothesis
 from .judge import COMPARED, Comparison, compared, written
 from .rank import Scored, ranked
@@ -53,9 +52,8 @@ class Rival(eqx.Module):
 
 
 class Step(eqx.Module):
-    """An effect that was found. `found`: the robot with it. `without`: the best robot that has it not: the one before;
-    where only numbers that are not to be believed made that fit, the one in which these are as given. `on_select`:
-    against that. `cost`: over the cost before."""
+    """An effect that was found. `found`: the robot with it. `without`: the last of those that it had to beat
+    (`to_beat`). `on_select`: against that. `cost`: over the cost before."""
 
     hypothesis: Hypothesis
     scored: Scored
@@ -138,13 +136,14 @@ def contest(
         if kept is not None and kept.effect is None:
             refused = kept.refused
             break
-        views = [now] if given is None or steps or now.look.left <= FLOOR else [now, given]
-        rankings = [ranked(view, fit, own, misses) for view in views] if kept is None or not first else []
-        first = first or tuple(rankings[0])
         if kept is not None:
+            first = first or tuple(ranked(now, fit, own, misses))
             step = _remembered(kept, now, records, misses, say)
         else:
-            step, refused = _Heat(now, records, misses, say).best(views, rankings, {s.key for s in steps})
+            views = [now] if given is None or steps or now.look.left <= FLOOR else [now, given]
+            heat = _Heat(now, records, own, misses, say)
+            step, refused = heat.best(views, {s.key for s in steps})
+            first = first or heat.scored
             keep_round(parts, len(steps) + 1, _round(step, refused))
         if step is None:
             say(refused)
@@ -152,7 +151,7 @@ def contest(
         steps.append(step)
         now = step.found
         done(0.3 + 0.6 * len(steps) / MOST)
-    return Contest(base, tuple(steps), _on_all(now, records, say), first, refused)
+    return Contest(base, tuple(steps), _on_all(now, records, say) if steps else now, first, refused)
 
 
 def _misses(now: Fitted, records: Records, say: Say) -> bool:
@@ -214,8 +213,20 @@ def _remembered(kept: Round, now: Fitted, records: Records, misses: bool, say: S
     told = kept.told
     rivals = tuple(Rival((name, joint), cost, near) for name, joint, cost, near in told["rivals"])
     scored = Scored(kept.effect, kept.joint, *told["scored"])
-    without = _Heat(now, records, misses, say).to_beat(begun)[-1]
+    without = to_beat(now, begun, found, misses)[-1]
     return Step(begun, scored, found, without, Comparison(*told["on_select"]), told["cost"], rivals)
+
+
+def to_beat(now: Fitted, begun: Hypothesis, found: Fitted, misses: bool) -> list[Robot]:
+    """The robots that an effect must beat: the one before, where something of it is beyond the floor. Where there is
+    nothing, the one before with numbers that nobody believes as given; where the effect is the error of a number, also
+    the same robot without it."""
+    robots = [now.written()] if misses else []
+    if begun.is_number:
+        robots.append(found.written(given=[o.number for o in begun.own]))
+    elif not misses:
+        robots.append(now.written(given=_strained(now)))
+    return robots
 
 
 @dataclasses.dataclass(frozen=True)
@@ -235,12 +246,13 @@ class _Heat:
     """One round: candidates for the place of the robot that stands, which `misses` something beyond the floor, or
     whose numbers are off by what is not believed."""
 
-    def __init__(self, now: Fitted, records: Records, misses: bool, say: Say):
-        self.now, self.records, self.misses, self.say = now, records, misses, say
+    def __init__(self, now: Fitted, records: Records, own, misses: bool, say: Say):
+        self.now, self.records, self.own, self.misses, self.say = now, records, own, misses, say
         self.record, self.deciding = records.fitted, records.deciding
+        self.scored: tuple[Scored, ...] = ()  # from the first view
 
-    def best(self, views, rankings, had) -> tuple[Step | None, str]:
-        runners = self._first_heat(views, rankings, had)
+    def best(self, views: Sequence[Fitted], had) -> tuple[Step | None, str]:
+        runners = self._first_heat(views, had)
         if not runners:
             return None, "no candidate explains more than chance"
         costs = _costs([r.found for r in runners], self.now)
@@ -256,7 +268,8 @@ class _Heat:
 
     def _judged(self, running) -> tuple[Step | None, str]:
         winner, cost, its = running[0]
-        name, others = said(winner.hypothesis.key), self.to_beat(winner.hypothesis)
+        name = said(winner.hypothesis.key)
+        others = to_beat(self.now, winner.hypothesis, winner.found, self.misses)
         before = [written(robot, self.deciding) for robot in others]
         floor, frequency = its.evidence.plain, self.deciding.frequency
         versus = lambda one, two: compared(one.residual, two.residual, floor, frequency)
@@ -273,41 +286,37 @@ class _Heat:
         rivals = tuple(Rival(r.hypothesis.key, c, near(w)) for r, c, w in running[1:])
         return Step(winner.hypothesis, winner.scored, winner.found, others[-1], results[-1], cost, rivals), ""
 
-    def to_beat(self, free: Hypothesis) -> list[Robot]:
-        """The robots that an effect must beat: the one before, where something of it is beyond the floor. What fits
-        only because a number is off by what nobody believes is no robot: where there is nothing else, and where the
-        effect is such an error, the one in which these numbers are as given and the others are fitted."""
-        found = [self.now.written()] if self.misses else []
-        if not found or free.is_number:
-            names = [o.number for o in free.own] if free.is_number else _strained(self.now)
-            held = self.now.unknown.updated(Tolerances(tuple((name, Tolerance(0.0)) for name in names)))
-            found.append(fitted_from(self.now.robot, held, self.record, self.now, self.say, MORE_ROUNDS).written())
-        return found
-
-    def _first_heat(self, views, rankings, had) -> list[_Runner]:
+    def _first_heat(self, views: Sequence[Fitted], had) -> list[_Runner]:
         """Candidates of one view after the other, and those that numbers imitate, until one takes much away."""
         found: list[_Runner] = []
-        views = list(zip(views, rankings, strict=True))
-        heats = [(view, _chosen(scored, had)) for view, scored in views]
-        most = max((s.part for _, scored in views for s in scored[:1]), default=0.0)
-        if most < DOUBTFUL and self.misses:
-            heats += [(view, _imitated(view, scored, had)) for view, scored in views]
-        for view, chosen in heats:
-            for this in chosen:
-                begun = hypothesis(view, this.effect, this.joint)
-                if begun is None or begun.key in {r.hypothesis.key for r in found}:
-                    continue
-                self.say(f"  tries {said(this.key)}, which promises {this.part:.1%}")
-                try:
-                    fit = Fit.beside(view, begun.robot, begun.unknown, self.record, self.say)
-                except InputError:
-                    continue
-                fit.go_on(FIRST_HEAT - 1)
-                found.append(_Runner(this, begun, fit))
-            *costs, before = _costs([*(r.found for r in found), self.now], self.now)
-            if costs and min(costs) < MUCH * before:
-                break
+        seen = []
+        for view in views:
+            scored = ranked(view, self.record, self.own, self.misses)
+            self.scored = self.scored or tuple(scored)
+            seen.append((view, scored))
+            if self._run(view, _chosen(scored, had), found):
+                return found
+        most = max((s.part for _, scored in seen for s in scored[:1]), default=0.0)
+        if most < DOUBTFUL and np.max(self.now.of_axes) > FLOOR:
+            for view, scored in seen:
+                self._run(view, _imitated(view, scored, had), found)
         return found
+
+    def _run(self, view: Fitted, chosen: Sequence[Scored], found: list[_Runner]) -> bool:
+        """Fit candidates for some rounds; whether one of all takes much away."""
+        for this in chosen:
+            begun = hypothesis(view, this.effect, this.joint)
+            if begun is None or begun.key in {r.hypothesis.key for r in found}:
+                continue
+            self.say(f"  tries {said(this.key)}, which promises {this.part:.1%}")
+            try:
+                fit = Fit.beside(view, begun.robot, begun.unknown, self.record, self.say)
+            except InputError:
+                continue
+            fit.go_on(FIRST_HEAT - 1)
+            found.append(_Runner(this, begun, fit))
+        *costs, before = _costs([*(r.found for r in found), self.now], self.now)
+        return bool(costs) and min(costs) < MUCH * before
 
     def _finish(self, runner: _Runner) -> None:
         runner.fit.go_on(MORE_ROUNDS)

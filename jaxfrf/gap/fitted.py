@@ -4,7 +4,7 @@ The fit is the calibration's (`calibration.descent`): ripple beside the robot fi
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -116,10 +116,14 @@ class Fitted(eqx.Module):
         tests = self.robot.n_axes * sum(map(len, TRIED.values()))
         return float(min(1.0, tests * scipy.stats.chi2.sf(max(own), 2)))
 
-    def written(self, without: Callable[[Order, tuple[float, float]], bool] = lambda o, w: False) -> Robot:
-        """The robot as it would be written, with its motors' ripple but for that which is left out."""
+    def written(
+        self, without: Callable[[Order, tuple[float, float]], bool] = lambda o, w: False, given: Collection[str] = ()
+    ) -> Robot:
+        """The robot as it would be written, with its motors' ripple but for that which is left out; numbers of these
+        names as they were given."""
         waves = [(o, w) for o, w in self.waves if not without(o, w)]
-        return with_numbers(with_ripple(self.robot, waves), self.these, self.x)
+        x = np.where([n.name in given for n in self.these], 0.0, self.x)
+        return with_numbers(with_ripple(self.robot, waves), self.these, x)
 
 
 def is_loud(robot: Robot, order: Order, wave: Sequence[float]) -> bool:

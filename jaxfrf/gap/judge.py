@@ -1,17 +1,15 @@
 """Whether one robot is better than another on positions that neither was fitted to."""
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy.stats
 from jaxtyping import Complex, Float
 
 from .._errors import InputError
 from ..robot import Robot
+from ..trajectory.alike import alike_as_written
 from ..trajectory.evidence import Evidence, band_edges, by_band
 from ..trajectory.measured import Measured
-from ..trajectory.ripple import shared
 from .settings import BLOCKS, FLOOR, TOOTH
 
 _FLIPS = 4096  # of signs; all of them, where there are fewer
@@ -33,7 +31,7 @@ class Written(eqx.Module):
 def written(robot: Robot, record: Measured) -> Written | None:
     """`None` where the robot cannot be simulated."""
     try:
-        return Written(robot, Evidence(jax.tree.map(jnp.asarray, shared(robot)), record))
+        return Written(robot, Evidence(alike_as_written(robot), record))
     except InputError:
         return None
 

@@ -10,7 +10,6 @@ import scipy.fft
 from jaxtyping import Float
 
 from ..effects import AbstractEffect, ResolverRipple, TorqueRipple
-from ..effects._place import axis_of
 from ..robot import Robot
 from .scene import Scene, Signature
 
@@ -163,64 +162,6 @@ def with_ripple(robot: Robot, waves: Sequence[Wave]) -> Robot:
     if not waves:
         return robot
     return robot.with_effects(*ripple_effects(robot.axis_names, [o for o, _ in waves], np.array([w for _, w in waves])))
-
-
-_ROOM = {TorqueRipple: 8, ResolverRipple: 4}  # orders of a motor, or a multiple of so many
-
-
-class _AnyTorqueRipple(TorqueRipple):
-    """Ripple whose orders are no part of a program."""
-
-    order: Float[np.ndarray, "order"]
-
-    def __init__(self, joint, amplitude, order, phase):
-        self.joint, self.amplitude, self.order, self.phase = joint, amplitude, order, phase
-
-
-class _AnyResolverRipple(ResolverRipple):
-    """The same of a resolver."""
-
-    order: Float[np.ndarray, "order"]
-
-    def __init__(self, joint, amplitude, order, phase):
-        self.joint, self.amplitude, self.order, self.phase = joint, amplitude, order, phase
-
-
-_ANY = {TorqueRipple: _AnyTorqueRipple, ResolverRipple: _AnyResolverRipple}
-
-
-def with_any_ripple(robot: Robot, waves: Sequence[Wave] = ()) -> Robot:
-    """The robot with this ripple beside its own, as `with_ripple`, or none: all such robots share what is compiled."""
-    found = {(type(e), e.joint): e for e in with_ripple(dataclasses.replace(robot, effects=()), waves).effects}
-    more = []
-    for kind, room in _ROOM.items():
-        count = room * max(1, *(-(-len(e.order) // room) for e in found.values() if isinstance(e, kind)), 1)
-        for joint in robot.axis_names:
-            amplitude, order, phase = np.zeros(count), np.ones(count), np.zeros(count)
-            own = found.get((kind, joint))
-            if own is not None:
-                some = slice(len(own.order))
-                amplitude[some], order[some], phase[some] = own.amplitude, own.order, own.phase
-            more.append(_ANY[kind](joint, amplitude, order, phase))
-    return robot.with_effects(*more)
-
-
-def shared(robot: Robot) -> Robot:
-    """The same robot, its ripple of whole orders as `with_any_ripple` has it where every motor's stands once."""
-    kinds = tuple(_ROOM)
-    own = [e for e in robot.effects if isinstance(e, kinds)]
-    if len({(type(e), axis_of(robot, e.joint)) for e in own}) < len(own):
-        return robot
-    other = dataclasses.replace(robot, effects=tuple(e for e in robot.effects if not isinstance(e, kinds)))
-    waves = [
-        (
-            Order("torque" if isinstance(e, TorqueRipple) else "resolver", axis_of(robot, e.joint), float(h)),
-            (float(a * np.cos(p)), float(a * np.sin(p))),
-        )
-        for e in own
-        for a, h, p in zip(np.asarray(e.amplitude), e.order, np.asarray(e.phase), strict=True)
-    ]
-    return with_any_ripple(other, waves)
 
 
 def without_silent_orders(robot: Robot) -> Robot:
