@@ -3,6 +3,7 @@
 import itertools
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 import scipy.stats
@@ -18,7 +19,9 @@ from jaxfrf.gap.fitted import Fitted
 from jaxfrf.gap.hypothesis import hypothesis
 from jaxfrf.gap.judge import compared, over_floor
 from jaxfrf.robot import Tolerances
+from jaxfrf.trajectory.alike import alike, alike_as_written
 from jaxfrf.trajectory.evidence import band_edges, by_band
+from jaxfrf.trajectory.ripple import Order, with_ripple
 
 FLOOR = np.full((41, 2), 0.1)
 TOLD = SimpleNamespace(U=np.ones((2, 2, 41, 2), complex), frequency=np.arange(41.0))  # a torque of 1 N m in every line
@@ -247,3 +250,33 @@ def test_gears_that_are_rigid_take_no_effect_of_a_spring():
     names = {(c.name, c.joint) for c in candidates(small_robot(stiffness=np.inf), np.ones(2))}
     assert ("wrist_coupling", "elbow") not in names and ("gear_hysteresis", "elbow") not in names
     assert ("wrist_coupling", "elbow") in {(c.name, c.joint) for c in candidates(small_robot(), np.ones(2))}
+
+
+class TestAlike:
+    """Robots whose ripple differs share what is compiled, and are what they were."""
+
+    WAVES = (
+        ((Order("torque", 0, 6.0), (3.0, 4.0)), (Order("resolver", 1, 2.0), (-5e-4, 1e-3))),
+        ((Order("torque", 1, 41.0), (0.1, 0.2)), (Order("torque", 1, 3.0), (-0.1, 0.0))),
+        (),
+    )
+
+    def test_one_structure(self):
+        robots = [alike(small_robot(), waves) for waves in self.WAVES]
+        robots += [alike_as_written(with_ripple(small_robot(), waves)) for waves in self.WAVES]
+        assert len({jax.tree.structure(robot) for robot in robots}) == 1
+        shapes = [[np.shape(x) for x in jax.tree.leaves(robot)] for robot in robots]
+        assert all(shape == shapes[0] for shape in shapes)
+
+    @pytest.mark.parametrize("waves", WAVES)
+    def test_the_same_ripple(self, waves):
+        angle = np.linspace(-4.0, 9.0, 50)
+        stated = with_ripple(small_robot(), waves)
+        laws = {fx.TorqueRipple: lambda e: e.torque(angle), fx.ResolverRipple: lambda e: e.measured(angle) - angle}
+        for robot in (alike(small_robot(), waves), alike_as_written(stated)):
+            for kind, law in laws.items():
+                for joint in robot.axis_names:
+                    mine, theirs = (
+                        [law(e) for e in r.effects if isinstance(e, kind) and e.joint == joint] for r in (robot, stated)
+                    )
+                    np.testing.assert_allclose(mine, theirs or [0.0 * angle], atol=1e-12)

@@ -10,7 +10,7 @@ SELECT = 3  # one of so many
 ROUNDS = 10  # simulations of the robot as given, at most
 FIRST_HEAT = 2  # of a candidate, before those that are far behind are given up
 MORE_ROUNDS = 4  # of a candidate that is not: it begins where the robot before was fitted
-FINAL_ROUNDS = 3  # of the robot that is left, on all opened positions
+FINAL_ROUNDS = 2  # of the robot that is left, on all opened positions: it begins where some of them have put it
 SLOW = 0.7  # of what a round before left: more, and what is far from the floor will not come down to it by itself
 IN_THE_RACE = 1.5  # times the least cost: more after the first heat is not fitted further
 
