@@ -59,7 +59,9 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     if verdict not in ("named", "ambiguous"):
         taken_back = "".join(f" {text[0].upper() + text[1:]}." for text in (*refused, found.refused) if text)
         says += taken_back
-    return Conclusion(verdict, says + _wrong_numbers(last), effects, base, extended, last, steps)
+    if verdict != "unexplained":  # else numbers imitate what is missing
+        says += _wrong_numbers(last)
+    return Conclusion(verdict, says, effects, base, extended, last, steps)
 
 
 def _without(found: Contest, steps, last: Fitted, louder, extended: Written, told: Measured) -> Written:
@@ -205,21 +207,22 @@ def _ripple_of(robot: Robot, order: Order) -> tuple[type[AbstractEffect], str]:
 def _loud_ripple(last: Fitted, extended: Written, records: Records, told: Measured) -> tuple[Named, ...]:
     """Ripple that is more than motors have, and without which more is beyond the floor on positions that chose
     nothing."""
-    robot, deciding, found = last.robot, records.deciding, []
+    robot = last.robot
     loud = [(o, w) for o, w in last.waves if is_loud(robot, o, w)]
-    for effect in ripple_effects(robot.axis_names, [o for o, _ in loud], np.array([w for _, w in loud]).reshape(-1, 2)):
-        if _loudness(effect, robot) < LEAST_SIZE:
-            continue
+    effects = ripple_effects(robot.axis_names, [o for o, _ in loud], np.array([w for _, w in loud]).reshape(-1, 2))
+    effects = [effect for effect in effects if _loudness(effect, robot) >= LEAST_SIZE]
+    if not effects:
+        return ()
+    after = [(written(last.written(), records.deciding), records.deciding), (extended, told)]
+    found = []
+    for effect in effects:
         own = type(effect), effect.joint
         quiet = last.written(lambda o, w, own=own: _ripple_of(robot, o) == own and is_loud(robot, o, w))
-        sides = [(written(quiet, r), written(last.written(), r), r) for r in (deciding, told)]
-        if any(before is None or after is None for before, after, _ in sides):
-            continue
-        if any(against_it(r, before, after, effect.joint) for before, after, r in sides):
-            continue
-        before, after, _ = sides[0]
-        gain = compared(before.residual, after.residual, before.evidence.plain, deciding.frequency)
-        found.append(_ripple(effect, last, gain))
+        sides = [(written(quiet, record), its, record) for its, record in after]
+        if all(x and its and not against_it(record, x, its, effect.joint) for x, its, record in sides):
+            before, its, record = sides[0]
+            gain = compared(before.residual, its.residual, before.evidence.plain, record.frequency)
+            found.append(_ripple(effect, last, gain))
     return tuple(found)
 
 
