@@ -239,7 +239,8 @@ def _work(job: _Job, piece: range, read: list[Block] | None = None, advanced=Non
             place = job.folder / _name(pos)
             if not place.is_file():
                 one, record = (spectra, data) if len(piece) == 1 else _position(spectra, data, i)
-                write_frf(place, with_distortion(estimate(one, method), record))
+                known = None if chosen.robust or isinstance(method, Welch) else one
+                write_frf(place, with_distortion(estimate(one, method), record, known))
             alive()
             if advanced is not None:
                 advanced(1)

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 import numpy as np
-import scipy.fft
 import scipy.linalg
 
 from .._text import number
@@ -26,8 +25,8 @@ def glitch(record: Record) -> Iterator[Finding]:
     """
     if record.data.n_periods > 1:
         return
-    for c in record.channels():
-        if c.signal != "r" and (found := _place(c)) is not None:
+    for c in record.channels("uy"):
+        if (found := _place(c)) is not None:
             at, size = found
             yield c.finding(
                 "glitch",
@@ -46,9 +45,7 @@ def _place(c: Channel) -> tuple[int, float] | None:
     n = len(x)
     if n < 20 * _ORDER:
         return None
-    size = scipy.fft.next_fast_len(2 * n, real=True)
-    power = np.abs(scipy.fft.rfft(x, size)) ** 2
-    together = scipy.fft.irfft(power, size)[: _ORDER + 1]
+    together = np.array([x[: n - lag] @ x[lag:] for lag in range(_ORDER + 1)])
     together[0] *= 1 + 1e-10
     try:
         a = scipy.linalg.solve_toeplitz(together[:-1], together[1:])

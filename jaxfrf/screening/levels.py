@@ -77,14 +77,15 @@ def saturated(record: Record) -> Iterator[Finding]:
     """
     if len(record.lines) < _MANY_LINES:
         return
-    references = [c for c in record.channels() if c.signal == "r"]
-    heaps = [_heap(c.x[c.first :])[0] for c in references]
-    if any(_sharp_edge(c)[0] for c in references):
-        return
+    heaps = []
+    for c in record.channels("r"):
+        if _sharp_edge(c)[0]:
+            return
+        heaps.append(_heap(c.x[c.first :])[0])
     calm = not heaps or max(heaps) <= _HEAP_OF_REFERENCE
     least = _HEAP_BESIDE if heaps else _HEAP
-    for c in record.channels():
-        if c.signal == "r" or len(np.unique(c.x[: 10 * _MANY_LINES])) <= _MANY_LINES:
+    for c in record.channels("uy"):
+        if len(np.unique(c.x[: 10 * _MANY_LINES])) <= _MANY_LINES:
             continue
         ratio, share = _heap(c.x[c.first :])
         sharp = not (calm and ratio > least and share > _HEAP_SHARE and ratio > _HEAP_OF_LINES * _heap_of_lines(c))
@@ -166,9 +167,7 @@ def _runs_into(x: np.ndarray, flat: np.ndarray) -> bool:
 
 def coarse(record: Record) -> Iterator[Finding]:
     """Steps of a quantiser that are large beside the signal, or beside its part at the excited lines."""
-    for c in record.channels():
-        if c.signal == "r":
-            continue
+    for c in record.channels("uy"):
         step = _quantum(c.x)
         two_levels = step >= np.ptp(c.x) * (1 - 1e-9)
         if step > _COARSE_STEP * c.x.std() and not two_levels:
@@ -294,12 +293,12 @@ def _leave_out(c: Channel, start: int, stop: int) -> str:
 
 def wrapped(record: Record) -> Iterator[Finding]:
     """Jumps from near one end of the range to near the other, in one sample: a counter that overflows."""
-    for c in record.channels():
+    for c in record.channels("uy"):
         steps = np.diff(c.x)
         size = np.abs(steps)
         jumps = np.flatnonzero(size > _WRAP_RANGE * np.ptp(c.x))
         jumps = jumps[(jumps > 1) & (jumps < len(steps) - 2)]
-        if c.signal == "r" or not jumps.size or jumps.size > 0.05 * len(steps):
+        if not jumps.size or jumps.size > 0.05 * len(steps):
             continue
         low, high = c.x.min(), c.x.max()
         near = _WRAP_NEAR * (high - low)
@@ -322,7 +321,7 @@ def wrapped(record: Record) -> Iterator[Finding]:
 
 def dead(record: Record) -> Iterator[Finding]:
     """Channels that stand still. Inputs and references may rest in single experiments (one axis a time)."""
-    still = {name: np.ptp(x, axis=2) == 0 for name, x in record.signals()}  # (pos, exp, channel)
+    still = {name: ~moving for name, moving in record.moving.items()}  # (pos, exp, channel)
     inputs_move = ~still["u"].any(axis=-1, keepdims=True)
     for name, flags in still.items():
         everywhere = flags.all(axis=1, keepdims=True)

@@ -57,15 +57,24 @@ class Record:
             if x is not None:
                 yield name, np.asarray(x)
 
-    def channels(self) -> Iterator[Channel]:
-        """The channels that move."""
+    def channels(self, names: str = "uyr") -> Iterator[Channel]:
+        """The channels that move, of the signals of these names."""
         data = self.data
         first = data.transient_periods * data.period
         for name, x in self.signals():
+            if name not in names:
+                continue
             for pos, exp in np.ndindex(data.n_pos, data.n_exp):
+                moving = self.moving[name][pos, exp]
                 for channel, one in enumerate(np.ascontiguousarray(x[pos, exp].T)):
-                    if np.ptp(one) > 0:
+                    if moving[channel]:
                         yield Channel(name, channel, pos, exp, one, data.period, first)
+
+    @functools.cached_property
+    def moving(self) -> dict[str, np.ndarray]:
+        """Which channels move: (pos, exp, channel)."""
+        by_channel = lambda x: np.array([[np.ptp(np.ascontiguousarray(one.T), axis=1) for one in at] for at in x])
+        return {name: by_channel(x) > 0 for name, x in self.signals()}
 
     @functools.cached_property
     def found_lines(self) -> FoundLines | None:

@@ -85,7 +85,10 @@ def examine(data: Experiment, checks: tuple[Check, ...] = CHECKS + ACROSS) -> tu
     **Raises:** `jaxfrf.InputError` if `data` is no experiment.
     """
     expect("data", data, Experiment)
-    record = Record(data)
+    return _examined(Record(data), checks)
+
+
+def _examined(record: Record, checks: Sequence[Check]) -> tuple[Finding, ...]:
     found: list[Finding] = []
     for check in checks:
         found += check(record)
@@ -119,11 +122,12 @@ def look(files: Sequence[tuple[Experiment, int]], whole: Experiment, first: int)
     **Arguments:** `files`: what each of the files holds of them, and the number of its first one there. `whole`: these
     joined, from position `first` of the data set on.
     """
-    found = []
+    found, joined = [], Record(whole)
     for data, start in files:
         checks = CHECKS if start == 0 else tuple(x for x in CHECKS if x not in _OF_ALL)
-        found.append(tuple(shifted(f, start) for f in examine(data, checks)))
-    across = tuple(shifted(f, first) for f in examine(whole, (halves, foreign)))
+        record = joined if data is whole else Record(data)
+        found.append(tuple(shifted(f, start) for f in _examined(record, checks)))
+    across = tuple(shifted(f, first) for f in _examined(joined, (halves, foreign)))
     return Looked(tuple(found), across, marks(whole))
 
 

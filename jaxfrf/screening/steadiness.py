@@ -83,8 +83,8 @@ def _called(period: int, n: int) -> str:
 
 def drift(record: Record) -> Iterator[Finding]:
     """Means that move from period to period, or within two of them."""
-    for c in record.channels():
-        if c.signal != "r" and c.n_periods > 1:
+    for c in record.channels("uy"):
+        if c.n_periods > 1:
             yield from _drift_over_periods(c) if c.n_periods > 3 else _drift_of_few(c)
 
 

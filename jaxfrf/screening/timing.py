@@ -41,8 +41,8 @@ def jitter(record: Record) -> Iterator[Finding]:
 
     Var[x_p(t) - x_q(t)] = 2 s^2 x'(t)^2 + const.
     """
-    for c in record.channels():
-        if c.n_periods > 1 and c.signal != "r":
+    for c in record.channels("uy"):
+        if c.n_periods > 1:
             yield from _jitter(c)
 
 
