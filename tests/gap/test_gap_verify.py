@@ -173,7 +173,7 @@ def test_ripple_that_is_written_is_what_was_fitted(robot):
 
 def test_gears_that_are_rigid_take_no_effect_of_a_spring():
     """A wrist's coupling too, which a robot with rigid gears may have but which no simulation of it knows."""
-    from test_gap import small_robot
+    from small_arm import small_robot
 
     from jaxfrf.gap.candidates import candidates
 
