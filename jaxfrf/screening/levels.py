@@ -21,7 +21,6 @@ _HEAP_SHARE = 0.01
 _HEAP_BESIDE, _HEAP_OF_REFERENCE = 2.5, 1.3  # where the reference has so little; multisines have less than 1
 _HEAP_OF_LINES = 1.5  # over that of the same lines at other phases: a limit has its phases of its own, a slow sine none
 _SURROGATES = 8
-_EDGE_BINS = 300  # of the range: fine enough for a limit with noise of a third of a percent behind it
 _EDGE, _EDGE_SURE = 2.0, 5.0  # at the end over beside it; standard deviations of the count
 _EDGE_FINE = 1.6  # that ratio over the same at four times the scale: 1 for sines, which crowd at every scale
 _EDGE_LEAST = 0.3  # sample in a bin
@@ -83,7 +82,7 @@ def saturated(c: Channel) -> Iterator[Finding]:
         return
     calm = not heaps or max(heaps) <= _HEAP_OF_REFERENCE
     least = _HEAP_BESIDE if heaps else _HEAP
-    ratio, share = _heap(c.x[c.first :])
+    ratio, share = _heap(c.bins[0])
     sharp = not (calm and ratio > least and share > _HEAP_SHARE and ratio > _HEAP_OF_LINES * _heap_of_lines(c))
     if sharp:
         ratio, share = _sharp_edge(c)
@@ -104,18 +103,19 @@ def _heaps_of_references(record: Record) -> list[float] | None:
     for c in record.channels("r"):
         if _sharp_edge(c)[0]:
             return None
-        heaps.append(_heap(c.x[c.first :])[0])
+        heaps.append(_heap(c.bins[0])[0])
     return heaps
 
 
-def _heap(x: np.ndarray) -> tuple[float, float]:
+def _heap(count: np.ndarray) -> tuple[float, float]:
     """Samples in the fullest three of the five outermost hundredths of the range over those in the next three."""
-    count = np.histogram(x, 100)[0].astype(float)
+    count = count.reshape(100, -1).sum(axis=1).astype(float)
+    total = count.sum()
     best = (0.0, 0.0)
     for side in (count, count[::-1]):
         heaps = [(side[j : j + 3].sum(), side[j + 3 : j + 6].sum()) for j in range(4)]
-        top, beside = max(heaps, key=lambda h: h[0] / (h[1] + 1 + _HEAP_FLOOR * len(x)))
-        best = max(best, (top / (beside + 1 + _HEAP_FLOOR * len(x)), top / len(x)))
+        top, beside = max(heaps, key=lambda h: h[0] / (h[1] + 1 + _HEAP_FLOOR * total))
+        best = max(best, (top / (beside + 1 + _HEAP_FLOOR * total), top / total))
     return best
 
 
@@ -124,7 +124,8 @@ def _heap_of_lines(c: Channel) -> float:
     rng = np.random.default_rng(0)
     X = np.abs(np.fft.rfft(c.x[c.first :]))
     turned = lambda: np.exp(2j * np.pi * rng.random(len(X))) * np.where(np.arange(len(X)), 1, 0)
-    return float(np.median([_heap(np.fft.irfft(X * turned(), len(c.x) - c.first))[0] for _ in range(_SURROGATES)]))
+    drawn = (np.fft.irfft(X * turned(), len(c.x) - c.first) for _ in range(_SURROGATES))
+    return float(np.median([_heap(np.histogram(x, 100)[0])[0] for x in drawn]))
 
 
 def _sharp_edge(c: Channel) -> tuple[float, float]:
@@ -132,7 +133,7 @@ def _sharp_edge(c: Channel) -> tuple[float, float]:
     or how the signal crowds at wider scales, too. Periods that repeat count once, and chance is that of visits: one
     crest of a signal that is sampled finely is many samples."""
     x = c.x[c.first :]
-    count, edges = np.histogram(x, _EDGE_BINS)
+    count, edges = c.bins
     each = count / max(c.n_periods, 1)
     for side, ends in ((each, edges), (each[::-1], edges[::-1])):
         first = int(np.argmax(side[:4] + side[1:5]))
