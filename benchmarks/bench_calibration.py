@@ -23,14 +23,12 @@ import dataclasses
 import json
 import os
 import pathlib
-import sys
 import time
 
 os.environ.setdefault("NPROC", "64")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-sys.path.insert(0, str(pathlib.Path(__file__).parent))
 
 import jax.random as jr
 import numpy as np

@@ -1,6 +1,6 @@
 """Closed-loop simulation of R3X: microseconds per control sample and robot, beside MuJoCo at equal error.
 
-    python benchmarks/bench_simulation.py [--cores 1] [--fraction 0.08]
+    PYTHONPATH=tests/reference python benchmarks/bench_simulation.py [--cores 1] [--fraction 0.08]
 
 1. jaxfrf with 1 and 300 runs, noise and ripple of torque and resolver included, compile time apart.
 2. The smooth robot (linear springs, no friction, no noise: what both can do) in jaxfrf and in MuJoCo with several
@@ -14,7 +14,6 @@ controller. Times are wall clock of the best of several repeats; processor time 
 import argparse
 import os
 import pathlib
-import sys
 import time
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -27,7 +26,6 @@ os.environ["OMP_NUM_THREADS"] = "1"
 os.environ.setdefault("NPROC", "64")
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "tests"))
 
 import jax  # noqa: E402
 import jax.random as jr  # noqa: E402

@@ -157,7 +157,7 @@ def test_an_effect(drag, tmp_path):
 @pytest.mark.slow
 def test_an_effect_that_is_hidden(drag):
     """The diagnosis tries it, names it and tells its size, on a machine whose own numbers are off."""
-    from test_gap import record, small_robot
+    from small_arm import record, small_robot
 
     off = {"stiffness": 1.02, "damping": 0.95, "mass": 1.006, "viscous_friction": 1.02}
     built = {n: f * x for kind, f in off.items() for n, x in jf.robot.parameters(small_robot(), [kind]).items()}

@@ -439,3 +439,11 @@ def test_single_precision_is_refused():
         JAX_ENABLE_X64=None,
     )
     assert re.search(r"estimate needs 64-bit numbers.*JAX_ENABLE_X64=1.*jax_enable_x64", says, re.DOTALL)
+
+
+def test_tests_stand_where_the_package_has_its_rooms():
+    rooms = {x.name for x in PACKAGE.iterdir() if x.is_dir()} | {"reference", "benchmarks"}
+    folders = {x.parent for x in (ROOT / "tests").rglob("*.py")} - {ROOT / "tests"}
+    assert {x.relative_to(ROOT / "tests").as_posix() for x in folders} <= rooms
+    files = [*(ROOT / "tests").rglob("*.py"), *(ROOT / "benchmarks").glob("*.py")]
+    assert [x.name for x in files if "sys.path" + "." in x.read_text()] == []

@@ -24,7 +24,7 @@ from ..frf.distortion import with_distortion
 from ..frf.from_record import spectra_of
 from ..frf.scaled import Variances
 from ..frf.welch import Welch
-from ..io.blocks import Block, DataSet, file_warnings
+from ..io.blocks import Block, DataSet, Told, file_warnings
 from ..io.responses import read_frf, write_frf, writing_frf
 from ..io.uff import write_uff
 from ..parts import Parts, files_text
@@ -131,7 +131,7 @@ def estimate_to(
             if progress is not None:
                 progress(done / data.n_pos)
 
-        work = functools.partial(_work, job, **({"read": [first], "advanced": advanced} if here else {}))
+        work = functools.partial(_work, job, read=[first], advanced=advanced) if here else functools.partial(_work, job)
         del first  # nobody else holds its memory
         for outcome in outcomes(work, waiting, client=client, patience=patience, say=say):
             piece = waiting[outcome.number]
@@ -214,7 +214,7 @@ def _name(position: int, suffix: str = ".npz") -> str:
     return f"{position:05d}{suffix}"
 
 
-def _finished(parts: Parts, piece: range) -> Block | None:
+def _finished(parts: Parts, piece: range) -> Told | None:
     """What was told of a piece of which every part is there and whole; what is damaged is deleted."""
     whole = [parts.read(_name(pos), read_frf) is not None for pos in piece]
     for pos, good in zip(piece, whole, strict=True):
@@ -223,14 +223,14 @@ def _finished(parts: Parts, piece: range) -> Block | None:
     return parts.read(_name(piece.start, ".json"), _read_told) if all(whole) else None
 
 
-def _work(job: _Job, piece: range, read: list[Block] | None = None, advanced=None) -> Block | InputError:
+def _work(job: _Job, piece: range, read: list[Block | None] | None = None, advanced=None) -> Told | InputError:
     """Estimate some positions, in whatever process; what was told of their record, or what is wrong with it. `read`:
     the first block, if it was read already."""
     try:
         first = read.pop() if read else None
         block = first if first is not None and piece.start == 0 else job.data.read(piece)
         data = job.chosen.steady(_with_lines(block.data, job.lines))
-        told = dataclasses.replace(block, data=None)
+        told = block.told
         del first, block
         chosen = dataclasses.replace(job.chosen, periods=None, segment=None)
         spectra = chosen.spectra(data, silent=len(piece) < job.data.n_pos)
@@ -239,7 +239,8 @@ def _work(job: _Job, piece: range, read: list[Block] | None = None, advanced=Non
             place = job.folder / _name(pos)
             if not place.is_file():
                 one, record = (spectra, data) if len(piece) == 1 else _position(spectra, data, i)
-                write_frf(place, with_distortion(estimate(one, method), record))
+                known = None if chosen.robust or isinstance(method, Welch) else one
+                write_frf(place, with_distortion(estimate(one, method), record, known))
             alive()
             if advanced is not None:
                 advanced(1)
@@ -251,19 +252,20 @@ def _work(job: _Job, piece: range, read: list[Block] | None = None, advanced=Non
 
 
 def _position(spectra: Spectra, data: Experiment, i: int) -> tuple[Spectra, Experiment]:
-    part = {name: None if getattr(data, name) is None else getattr(data, name)[i : i + 1] for name in "uyrq"}
+    signals = {name: getattr(data, name) for name in "uyrq"}
+    part: dict[str, Any] = {name: None if x is None else x[i : i + 1] for name, x in signals.items()}
     return select_positions(spectra, [i]), dataclasses.replace(data, **part)
 
 
-def _told(block: Block) -> dict:
-    """What of a block is kept beside its parts, as JSON."""
-    looked = block.looked
+def _told(told: Told) -> dict:
+    """What is kept beside the parts, as JSON."""
+    looked = told.looked
     found = [[_finding(f) for f in of] for of in looked.found]
     across = [_finding(f) for f in looked.across]
     return {
-        "first": block.first,
-        "files": block.files,
-        "remarks": block.remarks,
+        "first": told.first,
+        "files": told.files,
+        "remarks": told.remarks,
         "found": found,
         "across": across,
         "marks": looked.marks,
@@ -274,28 +276,28 @@ def _finding(finding: Finding) -> dict:
     return dataclasses.asdict(finding) | {"severity": finding.severity.value}
 
 
-def _read_told(path: pathlib.Path) -> Block:
+def _read_told(path: pathlib.Path) -> Told:
     said = json.loads(path.read_text(encoding="utf-8"))
     back = lambda x: Finding(**x | {"severity": Severity(x["severity"])})
     found = tuple(tuple(map(back, of)) for of in said["found"])
     looked = Looked(found, tuple(map(back, said["across"])), said["marks"])
-    return Block(None, said["first"], looked, tuple(said["files"]), tuple(map(tuple, said["remarks"])))
+    return Told(said["first"], looked, tuple(said["files"]), tuple(map(tuple, said["remarks"])))
 
 
-def _checked(outcome: Done, piece: range, parts: Parts) -> Block:
+def _checked(outcome: Done, piece: range, parts: Parts) -> Told:
     """What came of a piece. Bad input leaves nothing: it would be refused again."""
     if isinstance(outcome.result, InputError) and not isinstance(outcome.result, OutputError):
         parts.discard()
     return raised(outcome, positions_text(piece))
 
 
-def _assembled(path, data: DataSet, parts: Parts, told: Sequence[Block]) -> FRF:
+def _assembled(path, data: DataSet, parts: Parts, told: Sequence[Told]) -> FRF:
     """The file from its parts; what is returned holds variances only."""
     light = [_light(read_frf(parts.path(_name(pos)))) for pos in range(data.n_pos)]
     frf = concatenate_positions(light)
     warnings = [
         *file_warnings(data.files, told),
-        *(across_all([block.looked for block in told]) if len(data.files) * data.n_pos * data.n_exp > 1 else ()),
+        *(across_all([x.looked for x in told]) if len(data.files) * data.n_pos * data.n_exp > 1 else ()),
         *(text for text in frf.warnings if text.partition(" estimates: ")[2] not in ADVICE.values()),
         *describe(frf.status & int(SERIOUS)),
     ]
@@ -312,10 +314,13 @@ def _assembled(path, data: DataSet, parts: Parts, told: Sequence[Block]) -> FRF:
 
 def _light(frf: FRF) -> FRF:
     names = [name for name in ("cov", "cov_noise", "cov_total") if getattr(frf, name) is not None]
-    return dataclasses.replace(frf, **{name: Variances(np.asarray(variances(getattr(frf, name)))) for name in names})
+    light: dict[str, Any] = {name: Variances(np.asarray(variances(getattr(frf, name)))) for name in names}
+    return dataclasses.replace(frf, **light)
 
 
 def _as_told(part: FRF, whole: FRF) -> FRF:
     """A part with what is said of all, without what others lack."""
-    lacking = [name for name in ("cov_noise", "cov_total", "bias", "q") if getattr(whole, name) is None]
-    return dataclasses.replace(part, sources=whole.sources, warnings=whole.warnings, **dict.fromkeys(lacking))
+    lacking: dict[str, Any] = {
+        name: None for name in ("cov_noise", "cov_total", "bias", "q") if getattr(whole, name) is None
+    }
+    return dataclasses.replace(part, sources=whole.sources, warnings=whole.warnings, **lacking)

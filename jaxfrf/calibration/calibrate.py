@@ -93,7 +93,7 @@ def calibrate(
     for record in records:
         _check(robot, record)
     data = joined(records)
-    each = [len(r.q) * r.n_exp // together(records) for r in records]
+    each = [r.n_pos * r.n_exp // together(records) for r in records]
     carried = [p for p, times in zip(_carried(payloads, records), each, strict=True) for _ in range(times)]
     these = numbers(robot)
     if not these:
@@ -126,7 +126,7 @@ def _check(robot: Robot, data: Experiment) -> None:
     if not data.period:
         check_rigid(robot)
     check_data(robot, data)
-    if not why_followed(robot, data):
+    if data.r is not None and not why_followed(robot, data):
         check_fit(robot, data.fs, data.r.shape[3], "record")
 
 

@@ -1,7 +1,8 @@
 """What every number of a robot would add to the torque that its motors need for a motion."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -33,8 +34,7 @@ def number_columns(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "
     links = [i for i, number in enumerate(these) if number.kind in OF_LINKS]
     given, linked = _OnceAScene(_given), _OnceAScene(_Links(now, [these[i] for i in links], x[links]))
     return [
-        (lambda scene, i=i: linked(scene)[links.index(i)]) if i in links else _column(robot, these, x, i, given)
-        for i in range(len(these))
+        _one_of(linked, links.index(i)) if i in links else _column(robot, these, x, i, given) for i in range(len(these))
     ]
 
 
@@ -67,9 +67,13 @@ def _with(effect, parameter: str, value: float):
     return eqx.tree_at(lambda e: getattr(e, parameter), effect, value)
 
 
+def _one_of(columns: Callable[[Scene], Sequence[Any]], place: int) -> Column:
+    return lambda scene: columns(scene)[place]
+
+
 def _heavier(robot: Robot) -> Robot:
     """The robot with everything that resists a torque larger by a part `_STEP`."""
-    values = {
+    values: dict[str, Any] = {
         name: np.asarray(value) * (1.0 + _STEP)
         for kind in _RESISTS
         for name, value in parameters(robot, [kind]).items()
@@ -85,8 +89,9 @@ def near_rest_columns(robot: Robot) -> list[Column]:
     friction = robot.drives.friction
     if not isinstance(friction, Friction) or not np.any(np.asarray(friction.coulomb)):
         return []
+    shape = lambda axis, width: lambda scene: scene.by_motor(axis, _near_rest(scene.speed[..., axis], width))
     return [
-        lambda scene, axis=axis, width=width: scene.by_motor(axis, _near_rest(scene.speed[..., axis], width))
+        shape(axis, width)
         for axis in np.flatnonzero(np.asarray(friction.coulomb))
         for width in np.array(_NEAR_REST) * float(friction.smoothing)
     ]

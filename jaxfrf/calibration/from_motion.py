@@ -9,7 +9,7 @@ from jaxtyping import Float
 from .._errors import input_error
 from ..effects import FrictionAsymmetry, Payload, TorqueConstant, TorqueDelay, WristCoupling
 from ..experiment import Experiment
-from ..robot import Robot
+from ..robot import Friction, Robot
 from ..robot.regressor import link_parameters, link_regressor
 from ..robot.robot import gear_coupling
 from ..trajectory.evidence import Gram
@@ -76,7 +76,8 @@ def calibrate_from_motion(
     these = numbers(robot, offset_size=0.05 * largest)
     # Filters that have no phase would hide a delay, and how much motors of a wrist turn each other is exact.
     these = tuple(number for number in these if number.kind not in ("delay", "effect"))
-    rows, owner = [], []
+    rows: list[Rows] = []
+    owner: list[int] = []
     for record, payload in zip(records, payloads, strict=True):
         motions = measured_motions(robot, record, chosen_cutoff(record) if cutoff is None else float(cutoff))
         owner += (np.repeat(np.arange(record.n_pos), record.n_exp) + 1 + max(owner, default=-1)).tolist()
@@ -116,7 +117,8 @@ def _rows(robot: Robot, motion: Motion, payload: Payload | None) -> Rows:
     Y = link_regressor(robot.chain, *joints)[driven].reshape(len(driven), -1, joints.shape[-1])
     links = np.stack([thinned(motion, np.moveaxis(out.T @ Y[:, k], 0, -1)) for k in range(Y.shape[1])], axis=-1)
     thin = lambda signal: thinned(motion, signal)
-    carried = 0.0 if payload is None else _parameters_of(robot.with_effects(payload)) - _parameters_of(robot)
+    own = _parameters_of(robot)
+    carried = np.zeros_like(own) if payload is None else _parameters_of(robot.with_effects(payload)) - own
     return Rows(links, thin(motion.speed), thin(motion.acceleration), thin(motion.torque), motion, carried)
 
 
@@ -157,10 +159,22 @@ def _of_axes(robot: Robot, these, x, kind: str, otherwise: float):
     return values
 
 
+def _law(robot: Robot) -> Friction:
+    law = robot.drives.friction
+    if not isinstance(law, Friction):
+        raise input_error(
+            f"{robot.name}: friction",
+            type(law).__name__,
+            "viscous and Coulomb friction (jaxfrf.robot.Friction)",
+            "Give the drives that law; a level of 0 takes a part of it out.",
+        )
+    return law
+
+
 def _slopes(robot: Robot, these: Sequence[Number], x, rows: Rows) -> Float[np.ndarray, "row axis number"]:
     """Derivatives of the needed torque by x."""
     now = with_numbers(robot, these, x)
-    friction, speed = now.drives.friction, rows.motion.speed
+    friction, speed = _law(now), rows.motion.speed
     corner, level = float(friction.smoothing), np.asarray(friction.coulomb)
     gain, own = _gains(robot, these, x), needed(robot, these, x, rows)
     sign = thinned(rows.motion, np.tanh(speed / corner))
@@ -222,7 +236,7 @@ def _result(robot, these, x, posterior: Posterior, done, converged, fitted, judg
         converged=converged,
         missed_before=_missed(robot, these, zero, fitted),
         missed_after=_missed(robot, these, x, fitted),
-        heldout=tuple(_missed(robot, these, at, judged) for at in (zero, x)) if judged else None,
+        heldout=(_missed(robot, these, zero, judged), _missed(robot, these, x, judged)) if judged else None,
         compared="by the torque that the model needs for the measured motion: its transmissions are rigid",
         sources=tuple(source for record in records for source in record.sources),
     )

@@ -37,7 +37,8 @@ class Rounds:
     """The finished rounds of these data and this robot; keeps nothing without `parts`."""
 
     def __init__(self, parts: Parts | None, robot: Robot, these: Sequence[Number], record: Measured, heldout):
-        self.parts, self.done = parts, []
+        self.parts = parts
+        self.done: list[Kept] = []
         if parts is None:
             return
         parts.begin(_about(robot, these, record, heldout), PART_FILES)

@@ -21,6 +21,7 @@ def add(commands) -> None:
     parser.add_argument("--band", metavar="LOW:HIGH", help="use only the lines in this band, Hz")
     parser.add_argument("--order", type=int, metavar="N", help="highest model order (default 30, or what lines allow)")
     parser.add_argument("--near", metavar="HZ,...", help="take the modes near these, not the automatic choice")
+    parser.add_argument("--delay", type=float, metavar="S", help="dead time, where it is known (default: found)")
     parser.add_argument("--position", type=int, default=0, metavar="P", help="operating point, from 0 (default 0)")
 
 
@@ -36,7 +37,7 @@ def run(given) -> dict:
     near, band = _frequencies(given.near), _band(given.band)
     frf = read_frf(given.frf)
     with naming([given.frf]):
-        found = modal(frf, position=given.position, band=band, max_order=given.order, near=near)
+        found = modal(frf, position=given.position, band=band, max_order=given.order, near=near, delay=given.delay)
     contents = _contents(found, given.frf)
     write_json(given.output, contents)
     written = [given.output]
@@ -54,6 +55,8 @@ def _contents(found, source: str) -> dict:
     return {
         "frf": source,
         "misfit": found.misfit,
+        "delay_s": found.delay,
+        "delay_std": found.delay_std,
         "modes": [
             {
                 "frequency_hz": m.frequency,
@@ -81,11 +84,13 @@ def _lines(found) -> list[str]:
         f"{plus_minus(100 * m.damping, 196 * m.damping_std)} %"
         for m in found.modes
     ]
+    if found.delay_std:
+        lines.append(f"  a delay of {plus_minus(1e3 * found.delay, 1960 * found.delay_std)} ms")
     if found.misfit > 2:
         lines.append(
             f"the modes leave {number(found.misfit, 2)} times the standard deviation of the FRF: a mode is missing "
-            "(--near, --order), the input was held or delayed, which shows towards high lines (--band), or the "
-            "machine is not linear"
+            "(--near, --order), channels are delayed by different times, which shows towards high lines (--band), or "
+            "the machine is not linear"
         )
     return lines
 

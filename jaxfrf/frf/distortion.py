@@ -12,7 +12,7 @@ from .._status import Status
 from .._text import counted
 from .._types import Array
 from ..experiment import Experiment
-from ..spectra import Spectra, changed_signals, dft, unexcited_spectra
+from ..spectra import Spectra, changed_signals, check_power, dft, silent_lines, unexcited_spectra
 from .average import ArithmeticMean
 from .causes import by_output, noise_level, running_mean
 from .covariance import variances
@@ -75,25 +75,33 @@ def best_linear_approximation(data: Experiment, method: AbstractMethod | None = 
     return distortion_of(frf, data)
 
 
-def with_distortion(frf: FRF, data: Experiment) -> FRF:
+def with_distortion(frf: FRF, data: Experiment, spectra: Spectra | None = None) -> FRF:
     """The FRF with what its record says of noise and distortion together (`cov_total`); as it is where that is nothing.
 
     Where the residuals leave no covariance (status `NOISE_ONLY`), it becomes the covariance, so that fits weigh by it.
+
+    **Arguments:** `spectra`: `jaxfrf.dft` of the record, where it is there already.
     """
     if not data.period:
         return frf
     try:
-        return distortion_of(frf, data).frf
+        return distortion_of(frf, data, spectra).frf
     except InputError:
         return frf
 
 
-def distortion_of(frf: FRF, data: Experiment) -> Distortion:
+def distortion_of(frf: FRF, data: Experiment, spectra: Spectra | None = None) -> Distortion:
     """As `best_linear_approximation`, of an FRF of the same record and band.
+
+    **Arguments:** `spectra`: `jaxfrf.dft` of the record, where it is there already.
 
     **Raises:** `jaxfrf.InputError` where nothing tells noise and distortion: one period, no unexcited line.
     """
-    spectra = _same_lines(dft(data), frf)
+    if spectra is None:
+        spectra = dft(data)
+    else:
+        check_power(data, spectra, silent_lines(data, spectra))
+    spectra = _same_lines(spectra, frf)
     shape = (spectra.n_pos, len(spectra.frequency), spectra.n_out)
     unknown = np.full(shape, np.nan)
     noise = unknown if spectra.noise is None else np.sqrt(noise_level(frf.G, spectra))

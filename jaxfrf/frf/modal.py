@@ -60,13 +60,16 @@ class ModalModel(eqx.Module):
     **Fields:** `modes`: by frequency, those that are significant. `background`: what the modes outside the band and the
     rigid motion amount to: coefficients of s^(q-2), s^(q-1), s^q, (3, out, in), q the derivative that y is. `misfit`:
     root mean square of the residual over its standard deviation; far above 1 the standard deviations, which are widened
-    by it, are lower limits. `stabilisation`: see there. `dropped`: frequencies, Hz, of stable poles that turned out not
+    by it, are lower limits. `delay`: s, of all elements alike, and its standard deviation; 0 where none is significant
+    or it was given. `stabilisation`: see there. `dropped`: frequencies, Hz, of stable poles that turned out not
     significant. `frequency`, `measured`: the FRF that was fitted.
     """
 
     modes: tuple[Mode, ...]
     background: Float[np.ndarray, "term out in"]
     misfit: float
+    delay: float
+    delay_std: float
     stabilisation: Stabilisation
     dropped: Float[np.ndarray, "mode"]
     frequency: Float[np.ndarray, "freq"]
@@ -76,13 +79,13 @@ class ModalModel(eqx.Module):
     y_unit: str = eqx.field(static=True, default="")
 
     def response(self, frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "freq out in"]:
-        """G of the modes and the background, (freq, out, in)."""
+        """G of the modes, the background and the delay, (freq, out, in)."""
         s = 2j * np.pi * np.asarray(frequency, float)
         G = np.einsum("ft,toi->foi", _background(s, self.y_quantity), self.background)
         for mode in self.modes:
             R, pole = mode.residue, mode.pole
             G = G + R / (s - pole)[:, None, None] + R.conj() / (s - np.conj(pole))[:, None, None]
-        return G
+        return G * np.exp(-s * self.delay)[:, None, None]
 
 
 def modal(
@@ -92,6 +95,7 @@ def modal(
     band: tuple[float, float] | None = None,
     max_order: int | None = None,
     near: Sequence[float] | None = None,
+    delay: float | None = None,
 ) -> ModalModel:
     """Modes of an FRF: frequencies, damping ratios and residues, each with its standard deviation.
 
@@ -100,38 +104,46 @@ def modal(
     to order is a mode. Modes, residues and a background are then fitted together, each line weighed by its standard
     deviation; modes without significance are left out and the others fitted again.
 
-        G(s) = sum_i R_i/(s - lambda_i) + conj. + B_0 s^(q-2) + B_1 s^(q-1) + B_2 s^q,   q = 0, 1, 2 as y is
+        G(s) = e^(-s delay) (sum_i R_i/(s - lambda_i) + conj. + B_0 s^(q-2) + B_1 s^(q-1) + B_2 s^q),
+        q = 0, 1, 2 as y is
+
+    An input that is held between samples acts half a sample late, a filter or a bus later still: one delay of all
+    elements is fitted with the modes, and left out where it is not significant.
 
     Standard deviations are those of this fit (Cramer-Rao), with the misfit, and with lines that share data (`window`)
     counted as fewer. Biased: modes smoothed by a window wider than their resonance look more damped, and closely spaced
-    modes of a record with few lines may be taken as one; a dead time, or the half sample of an input that is held
-    between samples, is in no mode, and misfits towards high lines. Fails where fewer than three lines lie in a
-    resonance.
+    modes of a record with few lines may be taken as one; delays that differ between channels misfit towards high
+    lines. Fails where fewer than three lines lie in a resonance.
 
     **Arguments:**
 
     - `frf`: `position` chooses the operating point, `band` (low, high; Hz) a part.
     - `max_order`: of the denominator; by default 30, or less where there are few lines.
     - `near`: frequencies, Hz, of the modes to take, where the automatic choice is not wanted.
+    - `delay`: s, where it is known; by default found.
 
     **Raises:** `jaxfrf.InputError` if too few lines are left, or no pole lies near one of `near`.
 
     **Source:** Peeters, Van der Auweraer, Guillaume & Leuridan, Shock and Vibration 11 (2004) 395-409.
     """
     expect("frf", frf, FRF)
+    if delay is not None and not np.isfinite(delay):
+        raise input_error("delay", f"{delay}", "seconds", "Leave it out to have it found.")
     frequency, G, std, shared = _chosen(frf, position, band)
     order = _order(max_order, len(frequency), frf.n_in)
     table = _stabilisation(frequency, G, std, order)
     start = _clusters(table) if near is None else _nearest(table, near)
     s = 2j * np.pi * frequency
     background = _background(s, frf.y_quantity)
-    fitted, dropped = _significant(s, G, std, start, background, shared, keep=near is not None)
+    fitted, dropped = _significant(s, G, std, start, background, shared, near is not None, delay)
     n_out, n_in = G.shape[1:]
     scale = fitted.misfit if np.isfinite(fitted.misfit) else 1.0
     return ModalModel(
         modes=_modes(fitted, n_out, n_in),
         background=fitted.coefficients[:, 2 * len(fitted.poles) :].T.reshape(-1, n_out, n_in),
         misfit=float(scale),
+        delay=fitted.delay,
+        delay_std=fitted.delay_std,
         stabilisation=table,
         dropped=np.sort(np.abs(dropped)) / (2 * np.pi),
         frequency=frequency,
@@ -292,24 +304,30 @@ def _pole(frequency: float, damping: float) -> complex:
     return 2 * np.pi * frequency * complex(-damping, np.sqrt(1 - damping**2))
 
 
-def _significant(s, G, std, poles, background, shared: float, keep: bool) -> tuple[PoleFit, np.ndarray]:
+def _significant(s, G, std, poles, background, shared: float, keep: bool, delay) -> tuple[PoleFit, np.ndarray]:
     """Fit all, leave out the least significant, until all that is left is significant."""
     g = G.reshape(len(s), -1)
     sigma = None if std is None else std.reshape(len(s), -1)
     dropped: list[float] = []
     while True:
-        fitted = fit_poles(s, g, sigma, poles, background, shared=shared)
-        if keep or not len(fitted.poles):
+        fitted = fit_poles(s, g, sigma, poles, background, shared=shared, delay=delay if len(poles) else delay or 0.0)
+        bad = np.zeros(len(poles), bool) if keep or not len(poles) else _doubtful(fitted)
+        if not bad.any():
+            if len(poles) and delay is None and not abs(fitted.delay) > _SIGNIFICANT * fitted.delay_std:
+                delay = 0.0
+                continue
             return fitted, np.array(dropped)
         strength = _strength(fitted)
-        loose = fitted.damping_std / np.abs(fitted.damping)
-        bad = (strength < _SIGNIFICANT) | ~(loose < _SURE) | (fitted.damping <= 0) | (fitted.damping > _LARGEST_DAMPING)
-        if not bad.any():
-            return fitted, np.array(dropped)
         # Those without any significance at once, the doubtful ones one by one: they may gain by what went.
         gone = bad & (strength <= max(_SIGNIFICANT / 2, np.min(np.where(bad, strength, np.inf))))
         dropped += list(fitted.poles[gone])
         poles = fitted.poles[~gone]
+
+
+def _doubtful(fitted: PoleFit) -> np.ndarray:
+    loose = fitted.damping_std / np.abs(fitted.damping)
+    unlikely = (fitted.damping <= 0) | (fitted.damping > _LARGEST_DAMPING)
+    return (_strength(fitted) < _SIGNIFICANT) | ~(loose < _SURE) | unlikely
 
 
 def _strength(fitted: PoleFit) -> np.ndarray:

@@ -13,7 +13,8 @@ _LEAST = 1e-6  # damping ratio
 class PoleFit(NamedTuple):
     """`poles`: rad/s, by frequency. `frequency_std`: Hz. `coefficients`: (element, 2 poles + terms), real: real and
     imaginary part of every residue, then the background; `coefficient_std` likewise. `misfit`: root mean square of the
-    residual over its standard deviation; 1 by definition where that is not known."""
+    residual over its standard deviation; 1 by definition where that is not known. `delay`: s, with its standard
+    deviation, 0 where it was given."""
 
     poles: Complex[np.ndarray, "pole"]
     damping: Float[np.ndarray, "pole"]
@@ -22,6 +23,8 @@ class PoleFit(NamedTuple):
     coefficients: Float[np.ndarray, "element coefficient"]
     coefficient_std: Float[np.ndarray, "element coefficient"]
     misfit: float
+    delay: float
+    delay_std: float
 
     @property
     def residues(self) -> tuple[Complex[np.ndarray, "element pole"], Float[np.ndarray, "element pole"]]:
@@ -45,19 +48,25 @@ def fit_poles(
     background: Complex[np.ndarray, "freq term"],
     *,
     shared: float = 1.0,
+    delay: float | None = 0.0,
 ) -> PoleFit:
     """Gauss-Newton on frequency and damping of every pole, residues and background eliminated (variable projection).
 
     **Arguments:** `std`: of G; `None`: the same relative one everywhere, found from the residual. `poles`: where to
     start. `background`: more basis functions with real coefficients. `shared`: lines behind each estimate, which
-    neighbouring ones share.
+    neighbouring ones share. `delay`: s, of all elements alike; `None`: fitted, too.
 
     **Source:** Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432.
     """
     sigma = _relative(G) if std is None else np.asarray(std, float)
     middle = float(np.exp(np.mean(np.log(np.abs(s)))))
     x = _coordinates(np.asarray(poles, complex), middle)
-    state = _project(s, G, sigma, x, background, middle)
+    if delay is None:
+        x, turned = np.append(x, 0.0), G
+    else:
+        turned = G * np.exp(s * delay)[:, None]
+    project = lambda at: _project(s, turned, sigma, at, background, middle)
+    state = project(x)
     lift = 1e-3
     for _ in range(_STEPS):
         if not len(x):
@@ -65,7 +74,7 @@ def fit_poles(
         H, g = state.gram, state.slope
         step = np.linalg.lstsq(H + lift * np.diag(np.diag(H)), g, rcond=None)[0]
         trial = x - np.clip(step, -0.2, 0.2)
-        trial_state = _project(s, G, sigma, trial, background, middle)
+        trial_state = project(trial)
         if trial_state.cost < state.cost:
             done = state.cost - trial_state.cost < _ENOUGH * state.cost
             x, state, lift = trial, trial_state, max(lift / 5, 1e-9)
@@ -75,7 +84,7 @@ def fit_poles(
             lift *= 10
             if lift > 1e4:
                 break
-    return _result(s, x, state, middle, shared, known=std is not None)
+    return _result(s, x, state, middle, shared, known=std is not None, delay=delay)
 
 
 class _State(NamedTuple):
@@ -99,13 +108,17 @@ def _coordinates(poles, middle: float) -> np.ndarray:
 
 
 def _poles(x, middle: float) -> np.ndarray:
-    w, damping = middle * np.exp(x[::2]), np.minimum(np.exp(x[1::2]), 0.999)
+    """Of the coordinates; one that is left over is the angle that a delay turns the highest line by."""
+    pairs = x[: len(x) // 2 * 2]
+    w, damping = middle * np.exp(pairs[::2]), np.minimum(np.exp(pairs[1::2]), 0.999)
     return w * (-damping + 1j * np.sqrt(1 - damping**2))
 
 
 def _project(s, G, sigma, x, background, middle: float) -> _State:
     """Residues and background for these poles, what is left, and its slope by the poles."""
-    poles = _poles(x, middle)
+    poles, turn = _poles(x, middle), s / np.abs(s).max()
+    if len(x) % 2:
+        G = G * np.exp(turn * x[-1])[:, None]
     basis = np.concatenate([mode_basis(s, poles), background], axis=1)
     scale = np.linalg.norm(basis, axis=0)
     slopes = _slopes(s, poles)  # (freq, pole, coordinate, part)
@@ -118,7 +131,10 @@ def _project(s, G, sigma, x, background, middle: float) -> _State:
     left = A @ c - b
     coefficients, inverse = c[..., 0] / scale, inverse / scale[:, None]
     parts = coefficients[:, : 2 * len(poles)].reshape(len(b), len(poles), 2)
-    J = np.einsum("fpkr,epr->efpk", slopes, parts, optimize=True).reshape(len(b), len(s), len(x))
+    J = np.einsum("fpkr,epr->efpk", slopes, parts, optimize=True).reshape(len(b), len(s), 2 * len(poles))
+    if len(x) % 2:
+        modelled = coefficients @ basis.T  # not G itself, whose noise would pass for something that a delay changes
+        J = np.concatenate([J, -(turn * modelled)[..., None]], axis=-1)
     J = _stacked(weight[..., None] * J)
     inside = Q.mT @ J
     outside = J - Q @ inside
@@ -150,14 +166,14 @@ def _slopes(s, poles) -> Complex[np.ndarray, "freq pole 2 2"]:
     return np.stack([up + down, 1j * (up - down)], axis=-1)
 
 
-def _result(s, x, state: _State, middle: float, shared: float, known: bool) -> PoleFit:
+def _result(s, x, state: _State, middle: float, shared: float, known: bool, delay: float | None) -> PoleFit:
     misfit = np.sqrt(state.cost / state.dof)
     # Relative deviations of 1 were assumed where none is known: the misfit is their size then.
     widened = (max(misfit, 1.0) if known else misfit) ** 2 * shared
     covariance = np.linalg.pinv(state.gram) if len(x) else np.zeros((0, 0))
     std = np.sqrt(np.maximum(np.diag(covariance), 0) * widened)
     through = np.einsum("ecp,pq,ecq->ec", state.change, covariance, state.change)
-    poles = _poles(x, middle)
+    poles, top = _poles(x, middle), np.abs(s).max()
     order = np.argsort(np.abs(poles))
     of_poles = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
     columns = np.concatenate([of_poles, np.arange(2 * len(poles), state.coefficients.shape[1])])
@@ -165,9 +181,11 @@ def _result(s, x, state: _State, middle: float, shared: float, known: bool) -> P
     return PoleFit(
         poles=poles[order],
         damping=damping[order],
-        frequency_std=(np.abs(poles) / 2 / np.pi * std[::2])[order],
-        damping_std=(damping * std[1::2])[order],
+        frequency_std=(np.abs(poles) / 2 / np.pi * std[: 2 * len(poles) : 2])[order],
+        damping_std=(damping * std[1 : 2 * len(poles) : 2])[order],
         coefficients=state.coefficients[:, columns.astype(int)],
         coefficient_std=np.sqrt((state.spread + through) * widened)[:, columns.astype(int)],
         misfit=float(misfit) if known else 1.0,
+        delay=float(x[-1] / top) if delay is None else delay,
+        delay_std=float(std[-1] / top) if delay is None else 0.0,
     )

@@ -18,7 +18,7 @@ from ..frf import FRF
 from .cost import Cost, check_quantity, check_shape
 from .model import AbstractModel, Model, fix
 from .parameter import Coordinates, matching
-from .solver import AbstractSolver, Descent, LevenbergMarquardt, check_solver, descents
+from .solver import AbstractSolver, LevenbergMarquardt, Minimisation, check_solver, descents
 from .target import Target, Weights, assumed_cost, select, target
 from .uncertainty import Uncertainty, products, uncertainty, without_sensitivity
 
@@ -278,7 +278,7 @@ def _coarse(tg: Target, starts: int) -> tuple[Target, float]:
     return part, float(np.sum(np.square(tg.magnitude)) / max(np.sum(np.square(part.magnitude)), 1e-300))
 
 
-def _searched(end: Descent, share: float) -> Start:
+def _searched(end: Minimisation, share: float) -> Start:
     cost = end.cost * share
     known = np.isfinite(cost) and np.isfinite(end.x).all()
     return Start(end.x, cost if known else np.inf, end.path_x, end.path_cost * share, False, end.converged)
@@ -307,7 +307,7 @@ def _chosen(made: list[Start], keep: int | None) -> dict[int, list[int]]:
     return groups
 
 
-def _polished(start: Start, end: Descent, alone: bool) -> Start:
+def _polished(start: Start, end: Minimisation, alone: bool) -> Start:
     path = end.path_x[1:] if alone else end.x[None]
     cost = end.path_cost[1:] if alone else [end.cost]
     return dataclasses.replace(

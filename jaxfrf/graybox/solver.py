@@ -20,7 +20,7 @@ _GAIN = 3.0  # of the cost's root: damping starts at 1
 _ROUNDING = 1e-15  # of the cost: less of it cannot be seen
 
 
-class Descent(eqx.Module):
+class Minimisation(eqx.Module):
     """One minimisation.
 
     **Fields:** `x`: where it ended, (parameter,). `cost`: there. `steps`: taken. `converged`: whether it ended by
@@ -93,7 +93,7 @@ def descend(
     x: Float[Array, "parameter"],
     solver: AbstractSolver,
     tolerance: float | None = None,
-) -> Descent:
+) -> Minimisation:
     """Minimise the cost from one start; `tolerance` of the solver unless it is given."""
     return descents(cost, [x], solver, tolerance)[0]
 
@@ -104,10 +104,10 @@ def descents(
     solver: AbstractSolver,
     tolerance: float | None = None,
     progress: Callable[[int], None] | None = None,
-) -> list[Descent]:
+) -> list[Minimisation]:
     """Minimise the cost from each start, block by block, so that one program serves any number of them; `progress` is
     called with how many are done."""
-    ends: list[Descent] = []
+    ends: list[Minimisation] = []
     tolerance = jnp.asarray(solver.tolerance if tolerance is None else tolerance)
     reach = tuple(jnp.asarray(end) for end in cost.coordinates.reach())
     while len(ends) < len(starts):
@@ -141,10 +141,10 @@ def _minimised(cost: Cost, solver: AbstractSolver, starts, reach, tolerance):
     return jax.lax.map(one, starts)
 
 
-def _descent(success, count, path_x, path_cost) -> Descent:
+def _descent(success, count, path_x, path_cost) -> Minimisation:
     path_x, path_cost = path_x[: max(int(count), 1)], path_cost[: max(int(count), 1)]
     converged = bool(success and np.isfinite(path_cost[-1]))
-    return Descent(path_x[-1], float(path_cost[-1]), len(path_x) - 1, converged, path_x, path_cost)
+    return Minimisation(path_x[-1], float(path_cost[-1]), len(path_x) - 1, converged, path_x, path_cost)
 
 
 class _GaussNewtonState(eqx.Module):

@@ -22,17 +22,25 @@ _SMALL = 1e8  # bytes of u in a file that is not read twice
 
 
 @dataclasses.dataclass(frozen=True)
-class Block:
-    """Some positions of a data set: the record, and what its screening found.
+class Told:
+    """What is to be said of some positions of a data set.
 
-    **Fields:** `first`: number of its first position. `remarks`: by file, what is to be said of reading it.
+    **Fields:** `first`: number of the first position. `looked`: what screening found. `files`: numbers of those that
+    hold them; `remarks`: by file, what is to be said of reading it.
     """
 
-    data: Experiment
     first: int
     looked: Looked
     files: tuple[int, ...]
     remarks: tuple[tuple[str, ...], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """Some positions of a data set: the record, and what is to be said of it."""
+
+    data: Experiment
+    told: Told
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,7 +116,7 @@ class DataSet:
                 except InputError as error:
                     raise InputError(f"{self.files[i].path}: {error}") from None
             refused(looked.across)
-        return Block(whole, positions.start, looked, numbers, tuple(tuple(remarks) for _, remarks in read))
+        return Block(whole, Told(positions.start, looked, numbers, tuple(tuple(remarks) for _, remarks in read)))
 
     def unscreened(self, positions: range) -> Experiment:
         """The record at some positions."""
@@ -214,7 +222,7 @@ class Held:
         return [range(self.n_pos)]
 
     def read(self, positions: range) -> Block:
-        return Block(self.data, 0, Looked((), (), []), (), ())
+        return Block(self.data, Told(0, Looked((), (), []), (), ()))
 
 
 in_memory = Held
@@ -236,14 +244,14 @@ def _short(data: Experiment) -> Experiment:
     return Experiment(**{f.name: getattr(data, f.name) for f in dataclasses.fields(data)} | cut)
 
 
-def file_warnings(files: Sequence[_File], blocks: Sequence[Block]) -> tuple[str, ...]:
+def file_warnings(files: Sequence[_File], told: Sequence[Told]) -> tuple[str, ...]:
     """What `jaxfrf.io.read` says of the files, of all blocks in their order."""
     from ..screening import sentences
 
-    told = []
+    warnings = []
     for i, file in enumerate(files):
-        of = [(b, b.files.index(i)) for b in blocks if i in b.files]
-        remarks = dict.fromkeys(text for block, at in of for text in block.remarks[at])
-        said = sentences([f for block, at in of for f in block.looked.found[at]])
-        told += [f"{file.path}: {text}" for text in (*remarks, *said)]
-    return tuple(dict.fromkeys(told))
+        of = [(x, x.files.index(i)) for x in told if i in x.files]
+        remarks = dict.fromkeys(text for x, at in of for text in x.remarks[at])
+        said = sentences([f for x, at in of for f in x.looked.found[at]])
+        warnings += [f"{file.path}: {text}" for text in (*remarks, *said)]
+    return tuple(dict.fromkeys(warnings))

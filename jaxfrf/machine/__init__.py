@@ -2,7 +2,12 @@
 play. Simulated and fitted through the experiment."""
 
 from .diagnose import MachineDiagnosis as MachineDiagnosis, diagnose_machine as diagnose_machine
-from .fit import MachineFit as MachineFit, Ranked as Ranked, fit_machine as fit_machine, rank_effects as rank_effects
+from .fit import (
+    MachineFit as MachineFit,
+    RankedEffect as RankedEffect,
+    fit_machine as fit_machine,
+    rank_effects as rank_effects,
+)
 from .forces import CubicSpring as CubicSpring, force as force
 from .model import Machine as Machine
 from .simulate import simulate_machine as simulate_machine

@@ -203,7 +203,7 @@ def measured_lines(machine: Machine, data: Experiment, band, floor: float):
     return lines, mean[:, lines], np.sqrt(noise[:, lines] + (floor * rms) ** 2)
 
 
-class Ranked(eqx.Module):
+class RankedEffect(eqx.Module):
     """A candidate: the `fit` with it, and `gain`, the factor by which the power of the residual fell."""
 
     effect: AbstractEffect
@@ -220,7 +220,7 @@ def rank_effects(
     band: tuple[float, float] | None = None,
     settle: int | None = None,
     floor: float = FLOOR,
-) -> tuple[MachineFit, list[Ranked]]:
+) -> tuple[MachineFit, list[RankedEffect]]:
     """The fit without any, and every candidate by how much of the residual it takes, the best first.
 
     Each is fitted together with all other parameters. `p_value` is that of an F test with as many degrees of freedom as
@@ -236,5 +236,7 @@ def rank_effects(
         more, dof = len(found.values) - len(plain.values), max(2 * len(found.lines) * data.n_exp - len(found.values), 1)
         before, after = plain.misfit**2, found.misfit**2
         statistic = max(before / max(after, 1e-300) - 1.0, 0.0) * dof / max(more, 1)
-        ranked.append(Ranked(effect, found, before / max(after, 1e-300), float(scipy.stats.f.sf(statistic, more, dof))))
+        ranked.append(
+            RankedEffect(effect, found, before / max(after, 1e-300), float(scipy.stats.f.sf(statistic, more, dof)))
+        )
     return plain, sorted(ranked, key=lambda x: -x.gain)

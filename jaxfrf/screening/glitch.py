@@ -3,13 +3,12 @@
 from collections.abc import Iterator
 
 import numpy as np
-import scipy.fft
 import scipy.linalg
 
 from .._text import number
 from .finding import Finding, Severity
 from .levels import _leave_out
-from .record import Channel, Record
+from .record import Channel, of_channels
 
 _ORDER = 16
 _SIZE = 60.0  # times the usual innovation around it
@@ -18,27 +17,25 @@ _NEAR = 2 * _ORDER  # samples that belong to one place
 _SPAN = 64  # parts of the record over which the usual is taken
 
 
-def glitch(record: Record) -> Iterator[Finding]:
+@of_channels("uy")
+def glitch(c: Channel) -> Iterator[Finding]:
     """A jump or spike that nothing before it announces, once in a record of one period or none.
 
     The signal is predicted from its 16 last samples (autoregression over the whole record); a place counts where the
     error is 60 times the usual one around it, and no other place comes near.
     """
-    if record.data.n_periods > 1:
-        return
-    for c in record.channels():
-        if c.signal != "r" and (found := _place(c)) is not None:
-            at, size = found
-            yield c.finding(
-                "glitch",
-                Severity.WARNED,
-                size,
-                f"breaks at sample {at}: it departs there from what its last {_ORDER} samples announce by "
-                f"{number(size, 2)} times the usual, and nowhere else. Samples lost or doubled, a spike, a blow? Keep "
-                f"the part before or after it ({_leave_out(c, at, at + 1)}).",
-                sure=size,
-                samples=(at, at + 1),
-            )
+    if c.record.data.n_periods < 2 and (found := _place(c)) is not None:
+        at, size = found
+        yield c.finding(
+            "glitch",
+            Severity.WARNED,
+            size,
+            f"breaks at sample {at}: it departs there from what its last {_ORDER} samples announce by "
+            f"{number(size, 2)} times the usual, and nowhere else. Samples lost or doubled, a spike, a blow? Keep "
+            f"the part before or after it ({_leave_out(c, at, at + 1)}).",
+            sure=size,
+            samples=(at, at + 1),
+        )
 
 
 def _place(c: Channel) -> tuple[int, float] | None:
@@ -46,9 +43,7 @@ def _place(c: Channel) -> tuple[int, float] | None:
     n = len(x)
     if n < 20 * _ORDER:
         return None
-    size = scipy.fft.next_fast_len(2 * n, real=True)
-    power = np.abs(scipy.fft.rfft(x, size)) ** 2
-    together = scipy.fft.irfft(power, size)[: _ORDER + 1]
+    together = np.array([x[: n - lag] @ x[lag:] for lag in range(_ORDER + 1)])
     together[0] *= 1 + 1e-10
     try:
         a = scipy.linalg.solve_toeplitz(together[:-1], together[1:])

@@ -6,7 +6,7 @@ import numpy as np
 
 from .._text import number, percent
 from .finding import Finding, Severity
-from .record import Channel, Record
+from .record import Channel, Record, of_channels
 
 # Clipping piles samples up at one extreme value. Where nothing is clipped, the extreme value itself is met at
 # most about 2.4 times as often as the 0.5 % of the range below it (a quantised sine at its crest); a
@@ -21,7 +21,6 @@ _HEAP_SHARE = 0.01
 _HEAP_BESIDE, _HEAP_OF_REFERENCE = 2.5, 1.3  # where the reference has so little; multisines have less than 1
 _HEAP_OF_LINES = 1.5  # over that of the same lines at other phases: a limit has its phases of its own, a slow sine none
 _SURROGATES = 8
-_EDGE_BINS = 300  # of the range: fine enough for a limit with noise of a third of a percent behind it
 _EDGE, _EDGE_SURE = 2.0, 5.0  # at the end over beside it; standard deviations of the count
 _EDGE_FINE = 1.6  # that ratio over the same at four times the scale: 1 for sines, which crowd at every scale
 _EDGE_LEAST = 0.3  # sample in a bin
@@ -50,65 +49,73 @@ _WRAP_USUAL = 2.0  # ... by more than this many times 99 % of the other steps ..
 _WRAP_MIDDLE = 0.2  # ... though this part of its samples stands in the middle half, as that of a square wave does not
 
 
-def clipped(record: Record) -> Iterator[Finding]:
+@of_channels("uyr")
+def clipped(c: Channel) -> Iterator[Finding]:
     """Samples piled up at an extreme value which the signal runs into."""
-    for c in record.channels():
-        low, high = c.x.min(), c.x.max()
-        bottom, top = c.x == low, c.x == high
-        if np.count_nonzero(bottom) + np.count_nonzero(top) > _TWO_LEVELS * len(c.x):
-            continue
-        share, level, side = max((_piled_up(c.x, top), high, 1), (_piled_up(-c.x, bottom), low, 0))
-        if share and (c.signal == "u" or _runs_into(c.x, top if side else bottom)):
-            yield c.finding(
-                "clipped",
-                Severity.TOLD if c.signal == "r" else Severity.WARNED,
-                share,
-                f"looks clipped: {number(share, 2)} of the samples stand at exactly {level:g}. "
-                "Lower the excitation, or expect a biased FRF.",
-            )
+    low, high = c.ends
+    bottom, top = c.x == low, c.x == high
+    if np.count_nonzero(bottom) + np.count_nonzero(top) > _TWO_LEVELS * len(c.x):
+        return
+    share, level, side = max((_piled_up(c.x, top), high, 1), (_piled_up(-c.x, bottom), low, 0))
+    if share and (c.signal == "u" or _runs_into(c, top if side else bottom)):
+        yield c.finding(
+            "clipped",
+            Severity.TOLD if c.signal == "r" else Severity.WARNED,
+            share,
+            f"looks clipped: {number(share, 2)} of the samples stand at exactly {level:g}. "
+            "Lower the excitation, or expect a biased FRF.",
+        )
 
 
-def saturated(record: Record) -> Iterator[Finding]:
+@of_channels("uy")
+def saturated(c: Channel) -> Iterator[Finding]:
     """A heap of samples near one end of the range, where a limit was met before noise was added.
 
     Only with 20 excited lines or more, whose sum is nearly Gaussian, and where the reference has no such heap (a motion
     that rests at its ends, or runs at its highest speed). A heap that is sharper than the rest of the distribution is
     one beside a slow sine, too.
     """
-    if len(record.lines) < _MANY_LINES:
+    if len(c.record.lines) < _MANY_LINES or len(np.unique(c.x[: 10 * _MANY_LINES])) <= _MANY_LINES:
         return
-    references = [c for c in record.channels() if c.signal == "r"]
-    heaps = [_heap(c.x[c.first :])[0] for c in references]
-    if any(_sharp_edge(c)[0] for c in references):
+    heaps = c.record.once(_heaps_of_references)
+    if heaps is None:
         return
     calm = not heaps or max(heaps) <= _HEAP_OF_REFERENCE
     least = _HEAP_BESIDE if heaps else _HEAP
-    for c in record.channels():
-        if c.signal == "r" or len(np.unique(c.x[: 10 * _MANY_LINES])) <= _MANY_LINES:
-            continue
-        ratio, share = _heap(c.x[c.first :])
-        sharp = not (calm and ratio > least and share > _HEAP_SHARE and ratio > _HEAP_OF_LINES * _heap_of_lines(c))
-        if sharp:
-            ratio, share = _sharp_edge(c)
-        if ratio:
-            yield c.finding(
-                "saturated",
-                Severity.WARNED,
-                share,
-                f"looks limited: {percent(share)} of its samples crowd within {0.7 if sharp else 3:g} % of the "
-                f"range near one end, {number(ratio, 2)} times as many as beside them. A sensor or a drive at its "
-                "limit biases the FRF: lower the excitation.",
-            )
+    ratio, share = _heap(c.bins[0])
+    sharp = not (calm and ratio > least and share > _HEAP_SHARE and ratio > _HEAP_OF_LINES * _heap_of_lines(c))
+    if sharp:
+        ratio, share = _sharp_edge(c)
+    if ratio:
+        yield c.finding(
+            "saturated",
+            Severity.WARNED,
+            share,
+            f"looks limited: {percent(share)} of its samples crowd within {0.7 if sharp else 3:g} % of the "
+            f"range near one end, {number(ratio, 2)} times as many as beside them. A sensor or a drive at its "
+            "limit biases the FRF: lower the excitation.",
+        )
 
 
-def _heap(x: np.ndarray) -> tuple[float, float]:
+def _heaps_of_references(record: Record) -> list[float] | None:
+    """Of every channel; `None` where one has a sharp edge."""
+    heaps = []
+    for c in record.channels("r"):
+        if _sharp_edge(c)[0]:
+            return None
+        heaps.append(_heap(c.bins[0])[0])
+    return heaps
+
+
+def _heap(count: np.ndarray) -> tuple[float, float]:
     """Samples in the fullest three of the five outermost hundredths of the range over those in the next three."""
-    count = np.histogram(x, 100)[0].astype(float)
+    count = count.reshape(100, -1).sum(axis=1).astype(float)
+    total = count.sum()
     best = (0.0, 0.0)
     for side in (count, count[::-1]):
         heaps = [(side[j : j + 3].sum(), side[j + 3 : j + 6].sum()) for j in range(4)]
-        top, beside = max(heaps, key=lambda h: h[0] / (h[1] + 1 + _HEAP_FLOOR * len(x)))
-        best = max(best, (top / (beside + 1 + _HEAP_FLOOR * len(x)), top / len(x)))
+        top, beside = max(heaps, key=lambda h: h[0] / (h[1] + 1 + _HEAP_FLOOR * total))
+        best = max(best, (top / (beside + 1 + _HEAP_FLOOR * total), top / total))
     return best
 
 
@@ -117,7 +124,8 @@ def _heap_of_lines(c: Channel) -> float:
     rng = np.random.default_rng(0)
     X = np.abs(np.fft.rfft(c.x[c.first :]))
     turned = lambda: np.exp(2j * np.pi * rng.random(len(X))) * np.where(np.arange(len(X)), 1, 0)
-    return float(np.median([_heap(np.fft.irfft(X * turned(), len(c.x) - c.first))[0] for _ in range(_SURROGATES)]))
+    drawn = (np.fft.irfft(X * turned(), len(c.x) - c.first) for _ in range(_SURROGATES))
+    return float(np.median([_heap(np.histogram(x, 100)[0])[0] for x in drawn]))
 
 
 def _sharp_edge(c: Channel) -> tuple[float, float]:
@@ -125,7 +133,7 @@ def _sharp_edge(c: Channel) -> tuple[float, float]:
     or how the signal crowds at wider scales, too. Periods that repeat count once, and chance is that of visits: one
     crest of a signal that is sampled finely is many samples."""
     x = c.x[c.first :]
-    count, edges = np.histogram(x, _EDGE_BINS)
+    count, edges = c.bins
     each = count / max(c.n_periods, 1)
     for side, ends in ((each, edges), (each[::-1], edges[::-1])):
         first = int(np.argmax(side[:4] + side[1:5]))
@@ -156,45 +164,41 @@ def _piled_up(x: np.ndarray, top: np.ndarray) -> float:
     return count / len(x) if count > _CLIPPED_RATIO * below else 0.0
 
 
-def _runs_into(x: np.ndarray, flat: np.ndarray) -> bool:
+def _runs_into(c: Channel, flat: np.ndarray) -> bool:
     """Whether x is still moving where it reaches its extreme, as a signal that comes to rest there is not."""
-    steps = np.abs(np.diff(x))
+    steps = c.steps
     entries = np.flatnonzero(flat[2:] & ~flat[1:-1]) + 1  # the step before the one that ends at the extreme
     usual = np.median(steps[steps > 0])
     return entries.size > 1 and bool(np.median(steps[entries - 1]) > _CORNER * usual)
 
 
-def coarse(record: Record) -> Iterator[Finding]:
+@of_channels("uy")
+def coarse(c: Channel) -> Iterator[Finding]:
     """Steps of a quantiser that are large beside the signal, or beside its part at the excited lines."""
-    for c in record.channels():
-        if c.signal == "r":
-            continue
-        step = _quantum(c.x)
-        two_levels = step >= np.ptp(c.x) * (1 - 1e-9)
-        if step > _COARSE_STEP * c.x.std() and not two_levels:
+    step = _quantum(c)
+    two_levels = step >= (c.ends[1] - c.ends[0]) * (1 - 1e-9)
+    if step > _COARSE_STEP * c.std and not two_levels:
+        yield c.finding(
+            "coarse",
+            Severity.WARNED,
+            step / c.std,
+            f"is coarsely quantised: it moves in steps of {number(step)}, {number(step / c.std, 2)} of its "
+            "standard deviation. Excite more strongly, or log with a finer resolution.",
+        )
+    elif c.n_periods and c.record.lines.size and not two_levels:
+        X = c.record.spectra[c.signal][c.pos, c.exp, ..., c.channel]
+        own = step**2 / 12 / c.period  # power of the quantiser at a line
+        snr = 10 * np.log10(max(np.median(np.abs(X.mean(axis=0)) ** 2), 1e-300) / own)
+        if step > 1e-6 * c.std and (snr < _COARSE_SNR_DB or (snr < _COARSE_FINE_DB and _repeats(c, X, step, own))):
             yield c.finding(
                 "coarse",
-                Severity.WARNED,
-                step / c.x.std(),
-                f"is coarsely quantised: it moves in steps of {number(step)}, {number(step / c.x.std(), 2)} of its "
-                "standard deviation. Excite more strongly, or log with a finer resolution.",
+                Severity.TOLD,
+                10 ** (-snr / 20),
+                f"is coarsely quantised: its steps of {number(step)} stand {snr:.0f} dB below the excitation at "
+                f"the median line and repeat with the period. The FRF may be off by {percent(10 ** (-snr / 20))}; "
+                "excite more strongly, or log with a finer resolution.",
+                effect=10 ** (-snr / 20),
             )
-        elif c.n_periods and record.lines.size and not two_levels:
-            X = record.spectra[c.signal][c.pos, c.exp, ..., c.channel]
-            own = step**2 / 12 / c.period  # power of the quantiser at a line
-            snr = 10 * np.log10(max(np.median(np.abs(X.mean(axis=0)) ** 2), 1e-300) / own)
-            if step > 1e-6 * c.x.std() and (
-                snr < _COARSE_SNR_DB or (snr < _COARSE_FINE_DB and _repeats(c, X, step, own))
-            ):
-                yield c.finding(
-                    "coarse",
-                    Severity.TOLD,
-                    10 ** (-snr / 20),
-                    f"is coarsely quantised: its steps of {number(step)} stand {snr:.0f} dB below the excitation at "
-                    f"the median line and repeat with the period. The FRF may be off by {percent(10 ** (-snr / 20))}; "
-                    "excite more strongly, or log with a finer resolution.",
-                    effect=10 ** (-snr / 20),
-                )
 
 
 def _repeats(c: Channel, X: np.ndarray, step: float, own: float) -> bool:
@@ -208,26 +212,28 @@ def _repeats(c: Channel, X: np.ndarray, step: float, own: float) -> bool:
     return bool(noise < 0.5 * step and own > _COARSE_NOISE * np.median(X.var(axis=0, ddof=1)) / c.n_periods)
 
 
-def _quantum(x: np.ndarray) -> float:
-    steps = np.abs(np.diff(x))
-    return steps[steps > 1e-12 * np.ptp(x)].min(initial=np.inf)  # rounding of a scale factor makes no level
+def _quantum(c: Channel) -> float:
+    low, high = c.ends
+    return float(
+        c.steps[c.steps > 1e-12 * (high - low)].min(initial=np.inf)
+    )  # rounding of a scale factor makes no level
 
 
-def held(record: Record) -> Iterator[Finding]:
+@of_channels("uyr")
+def held(c: Channel) -> Iterator[Finding]:
     """A stretch at one value (or zero) that the signal jumps out of, and a signal that is updated too rarely."""
-    for c in record.channels():
-        still = np.diff(c.x) == 0
-        if c.signal == "y" and still.mean() > _SLOW_UPDATE and (every := _updated_every(still)):
-            yield c.finding(
-                "slow update",
-                Severity.WARNED,
-                every,
-                f"changes only every {every} samples: what is logged is held in between, which delays it by "
-                f"{(every - 1) / 2:g} samples in the mean and turns the phase of the FRF. Log at its own rate, or "
-                "correct for the delay.",
-            )
-            continue
-        yield from _held_stretch(c, still)
+    still = c.steps == 0
+    if c.signal == "y" and still.mean() > _SLOW_UPDATE and (every := _updated_every(still)):
+        yield c.finding(
+            "slow update",
+            Severity.WARNED,
+            every,
+            f"changes only every {every} samples: what is logged is held in between, which delays it by "
+            f"{(every - 1) / 2:g} samples in the mean and turns the phase of the FRF. Log at its own rate, or "
+            "correct for the delay.",
+        )
+        return
+    yield from _held_stretch(c, still)
 
 
 def _updated_every(still: np.ndarray) -> int:
@@ -243,7 +249,7 @@ def _held_stretch(c: Channel, still: np.ndarray) -> Iterator[Finding]:
     if not long.any():
         return
     first, last = first[long], last[long]
-    steps = np.abs(np.diff(c.x))
+    steps = c.steps
     moving = steps[steps > 0]
     usual = np.median(moving)
     into = np.where(first > 0, steps[first - 1], 0.0)
@@ -254,8 +260,8 @@ def _held_stretch(c: Channel, still: np.ndarray) -> Iterator[Finding]:
     )  # else a signal that never stands still
     jumps = (
         ((np.maximum(into, out) > least) | (rare & (last - first + 1 >= 2 * _HELD)))
-        & (c.x[first] != c.x.max())
-        & (c.x[first] != c.x.min())
+        & (c.x[first] != c.ends[0])
+        & (c.x[first] != c.ends[1])
     )
     if not c.period:  # at rest before the start and after the end
         jumps &= (first > 0) & (last < len(steps))
@@ -292,37 +298,35 @@ def _leave_out(c: Channel, start: int, stop: int) -> str:
     return f"--set samples=0:{start}" if start > len(c.x) - stop else f"--set samples={stop}:{len(c.x)}"
 
 
-def wrapped(record: Record) -> Iterator[Finding]:
+@of_channels("uy")
+def wrapped(c: Channel) -> Iterator[Finding]:
     """Jumps from near one end of the range to near the other, in one sample: a counter that overflows."""
-    for c in record.channels():
-        steps = np.diff(c.x)
-        size = np.abs(steps)
-        jumps = np.flatnonzero(size > _WRAP_RANGE * np.ptp(c.x))
-        jumps = jumps[(jumps > 1) & (jumps < len(steps) - 2)]
-        if c.signal == "r" or not jumps.size or jumps.size > 0.05 * len(steps):
-            continue
-        low, high = c.x.min(), c.x.max()
-        near = _WRAP_NEAR * (high - low)
-        before, after = c.x[jumps], c.x[jumps + 1]
-        across = ((before > high - near) & (after < low + near)) | ((before < low + near) & (after > high - near))
-        middle = np.mean(np.abs(c.x - (high + low) / 2) < (high - low) / 4)
-        turn = np.median(size[jumps])
-        usual = np.quantile(size, 0.99 - min(jumps.size / len(steps), 0.05))
-        if across.mean() > 0.8 and middle > _WRAP_MIDDLE and size[jumps].min() > _WRAP_USUAL * usual:
-            yield c.finding(
-                "wrapped",
-                Severity.REFUSED,
-                float(turn),
-                f"jumps {jumps.size} times by {number(turn, 6)} from one end of its range to the other, first at "
-                f"sample {int(jumps[0]) + 1}, and goes on as before: a counter that overflowed. Unwrap it before it "
-                f"is used (numpy.unwrap(x, period={number(turn, 6)})).",
-                samples=(int(jumps[0]), int(jumps[-1]) + 2),
-            )
+    size, (low, high) = c.steps, c.ends
+    jumps = np.flatnonzero(size > _WRAP_RANGE * (high - low))
+    jumps = jumps[(jumps > 1) & (jumps < len(size) - 2)]
+    if not jumps.size or jumps.size > 0.05 * len(size):
+        return
+    near = _WRAP_NEAR * (high - low)
+    before, after = c.x[jumps], c.x[jumps + 1]
+    across = ((before > high - near) & (after < low + near)) | ((before < low + near) & (after > high - near))
+    middle = np.mean(np.abs(c.x - (high + low) / 2) < (high - low) / 4)
+    turn = np.median(size[jumps])
+    usual = np.quantile(size, 0.99 - min(jumps.size / len(size), 0.05))
+    if across.mean() > 0.8 and middle > _WRAP_MIDDLE and size[jumps].min() > _WRAP_USUAL * usual:
+        yield c.finding(
+            "wrapped",
+            Severity.REFUSED,
+            float(turn),
+            f"jumps {jumps.size} times by {number(turn, 6)} from one end of its range to the other, first at "
+            f"sample {int(jumps[0]) + 1}, and goes on as before: a counter that overflowed. Unwrap it before it "
+            f"is used (numpy.unwrap(x, period={number(turn, 6)})).",
+            samples=(int(jumps[0]), int(jumps[-1]) + 2),
+        )
 
 
 def dead(record: Record) -> Iterator[Finding]:
     """Channels that stand still. Inputs and references may rest in single experiments (one axis a time)."""
-    still = {name: np.ptp(x, axis=2) == 0 for name, x in record.signals()}  # (pos, exp, channel)
+    still = {name: ~moving for name, moving in record.moving.items()}  # (pos, exp, channel)
     inputs_move = ~still["u"].any(axis=-1, keepdims=True)
     for name, flags in still.items():
         everywhere = flags.all(axis=1, keepdims=True)

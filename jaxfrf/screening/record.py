@@ -2,8 +2,8 @@
 
 import dataclasses
 import functools
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.fft
@@ -14,11 +14,15 @@ from ..periodic import FoundLines
 from ..spectra import found_lines
 from .finding import Finding, Severity
 
+T = TypeVar("T")
+_BINS = 300  # of the range: fine enough for a limit with noise of a third of a percent behind it; hundredths hold three
+
 
 @dataclasses.dataclass(frozen=True)
 class Channel:
     """One channel of one signal in one experiment, and where it is."""
 
+    record: "Record"
     signal: str
     channel: int
     pos: int
@@ -40,9 +44,46 @@ class Channel:
     def n_periods(self) -> int:
         return len(self.steady) if self.period else 0
 
+    @functools.cached_property
+    def steps(self) -> np.ndarray:
+        """From sample to sample, without their sign."""
+        return np.abs(np.diff(self.x))
+
+    @functools.cached_property
+    def std(self) -> float:
+        return float(self.x.std())
+
+    @functools.cached_property
+    def bins(self) -> tuple[np.ndarray, np.ndarray]:
+        """How many samples behind the transient stand in every 300th of their range, and the edges of these."""
+        return np.histogram(self.x[self.first :], _BINS)
+
+    @functools.cached_property
+    def ends(self) -> tuple[float, float]:
+        """The least and the largest value."""
+        return float(self.x.min()), float(self.x.max())
+
     def finding(self, kind: str, severity: Severity, size: float, says: str, **more) -> Finding:
         where: dict[str, Any] = {"signal": self.signal, "channel": self.channel, "pos": self.pos, "exp": self.exp}
         return Finding(kind, severity, size, f"{self.at} {says}", **where, **more)
+
+
+@dataclasses.dataclass(frozen=True)
+class OfChannels:
+    """A check that looks at one channel after the other, of the signals of these names.
+
+    All checks of this kind look at a channel before the next one is taken: it stays in the cache."""
+
+    look: Callable[[Channel], Iterator[Finding]]
+    signals: str
+
+    def __call__(self, record: "Record") -> Iterator[Finding]:
+        for channel in record.channels(self.signals):
+            yield from self.look(channel)
+
+
+def of_channels(signals: str) -> Callable[[Callable[[Channel], Iterator[Finding]]], OfChannels]:
+    return lambda look: OfChannels(look, signals)
 
 
 class Record:
@@ -50,6 +91,13 @@ class Record:
 
     def __init__(self, data: Experiment):
         self.data = data
+        self._known: dict[Callable, Any] = {}
+
+    def once(self, function: Callable[["Record"], T]) -> T:
+        """`function(record)`, called once."""
+        if function not in self._known:
+            self._known[function] = function(self)
+        return self._known[function]
 
     def signals(self) -> Iterator[tuple[str, np.ndarray]]:
         for name in ("u", "y", "r"):
@@ -57,15 +105,24 @@ class Record:
             if x is not None:
                 yield name, np.asarray(x)
 
-    def channels(self) -> Iterator[Channel]:
-        """The channels that move."""
+    def channels(self, names: str = "uyr") -> Iterator[Channel]:
+        """The channels that move, of the signals of these names."""
         data = self.data
         first = data.transient_periods * data.period
         for name, x in self.signals():
+            if name not in names:
+                continue
             for pos, exp in np.ndindex(data.n_pos, data.n_exp):
+                moving = self.moving[name][pos, exp]
                 for channel, one in enumerate(np.ascontiguousarray(x[pos, exp].T)):
-                    if np.ptp(one) > 0:
-                        yield Channel(name, channel, pos, exp, one, data.period, first)
+                    if moving[channel]:
+                        yield Channel(self, name, channel, pos, exp, one, data.period, first)
+
+    @functools.cached_property
+    def moving(self) -> dict[str, np.ndarray]:
+        """Which channels move: (pos, exp, channel)."""
+        by_channel = lambda x: np.array([[np.ptp(np.ascontiguousarray(one.T), axis=1) for one in at] for at in x])
+        return {name: by_channel(x) > 0 for name, x in self.signals()}
 
     @functools.cached_property
     def found_lines(self) -> FoundLines | None:

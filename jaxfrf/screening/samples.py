@@ -14,7 +14,7 @@ import scipy.ndimage
 from .._text import number, percent
 from .finding import Finding, Severity
 from .levels import _leave_out
-from .record import Channel, Record
+from .record import Channel, of_channels
 
 _BLOCKS = 32  # of a period, at least ...
 _BLOCK = 16  # ... samples each
@@ -37,91 +37,91 @@ _SPIKE_SHARE = 0.2  # of all power of the differences, that the spikes hold
 _FLOOR = 1e-4  # of the rms: differences below it do not matter
 
 
-def lost(record: Record) -> Iterator[Finding]:
+@of_channels("uyr")
+def lost(c: Channel) -> Iterator[Finding]:
     """Samples that are missing or doubled somewhere in two periods or more."""
-    for c in record.channels():
-        if c.n_periods > 1 and (found := _shift(c)) is not None:
-            lag, at, effect = found
-            what = f"has lost {_samples(lag)}" if lag > 0 else f"holds {_samples(-lag)} too many"
-            leave = _leave_out(c, at, at + 1)
-            yield c.finding(
-                "lost",
-                Severity.WARNED,
-                effect,
-                f"{what} at about sample {at}: from there on it comes {abs(lag)} "
-                f"{'early' if lag > 0 else 'late'} against the periods before. The FRF may be off by "
-                f"{percent(effect)}. Keep the part before or after it ({leave}).",
-                effect=effect,
-                samples=(at, at + 1),
-            )
-
-
-def disturbed(record: Record) -> Iterator[Finding]:
-    """A short stretch that differs between periods by far more than anything else does: a spike, a blow, a gap."""
-    for c in record.channels():
-        if c.n_periods < 2:
-            continue
-        energy, width = _blocks(np.diff(c.steady, axis=0) ** 2, c.period)
-        flat = energy.ravel()
-        rms = c.steady.std()
-        usual = np.mean(np.sort(flat)[: max(len(flat) // 2, 1)]) + (_FLOOR * rms) ** 2 * width
-        if c.n_periods > 3:  # what every period does at this place (a motor that changes its direction) is usual
-            usual = np.maximum(usual, np.median(energy, axis=0)[None, :])
-        high = (energy > (_DISTURBED if c.n_periods > 3 else _DISTURBED_FEW) * usual).ravel()
-        if not high.any() or high.mean() > _DISTURBED_PART or flat[high].sum() < _DISTURBED_SHARE * flat.sum():
-            continue
-        a, b = _longest(high, flat)
-        # An event in period p shows in its differences from both neighbours; the later one names it in any but the
-        # first pair.
-        size = float(np.sqrt(flat[a:b].sum() / 2 / ((b - a) * width)) / rms)
-        first = c.first + a * width
-        more = f" (or {first + c.period})" if c.n_periods == 2 else ""
-        first = _place(c, a, b, width, flat)
-        effect = float(np.sqrt(flat[a:b].sum() / 2 / len(c.steady.ravel())) / rms)
+    if c.n_periods > 1 and (found := _shift(c)) is not None:
+        lag, at, effect = found
+        what = f"has lost {_samples(lag)}" if lag > 0 else f"holds {_samples(-lag)} too many"
+        leave = _leave_out(c, at, at + 1)
         yield c.finding(
-            "disturbed",
-            Severity.WARNED,
-            size,
-            f"differs at samples {first} to {first + (b - a) * width - 1}{more} by {number(size, 2)} of its rms from "
-            f"the same place of the other periods, {number(np.sqrt(flat[a:b].max() / np.median(usual)), 2)} times as "
-            f"much as elsewhere: a spike, a blow, or samples replaced? The FRF may be off by about {percent(effect)}. "
-            f"Leave that period out ({_leave_out(c, first, first + (b - a) * width)}), or weigh the periods "
-            "(--robust).",
-            effect=effect,
-            samples=(first, first + (b - a) * width),
-        )
-
-
-def spikes(record: Record) -> Iterator[Finding]:
-    """Single samples that stand out from the difference of successive periods, against their own neighbours."""
-    for c in record.channels():
-        if c.n_periods < 2:
-            continue
-        bend = np.abs(np.diff(np.diff(c.x[c.first + c.period :] - c.x[c.first : -c.period]), n=1))
-        usual = 1.4826 * np.median(bend) + _FLOOR * c.x.std()
-        at = np.flatnonzero(bend > _SPIKE * usual) + 1
-        if at.size > _MOST_SPIKES:
-            continue
-        if c.n_periods > 3:
-            at = at[~_again_and_again(at % c.period, c.period)]
-        count = int(np.count_nonzero(np.diff(at, prepend=-10) > 3))
-        power = np.sum(bend[at - 1] ** 2) / max(np.sum(bend**2), 1e-300)
-        if not count or count > max(_SPIKES * len(bend), 4) or power < _SPIKE_SHARE:
-            continue
-        where = c.first + int(at[0])
-        effect = float(np.sqrt(np.sum(bend[at - 1] ** 2) / 6 / np.sum(c.steady**2)))
-        if bend.max() / 2 < _SPIKE_LEAST * c.steady.std():
-            continue
-        yield c.finding(
-            "spikes",
+            "lost",
             Severity.WARNED,
             effect,
-            f"holds single samples that stand out in {count} places, the first at sample {where} or "
-            f"{where + c.period}: up to {number(bend.max() / usual, 2)} times the noise between neighbours. The FRF "
-            f"may be off by {percent(effect)}. Mend or leave out these periods, or weigh them (--robust).",
+            f"{what} at about sample {at}: from there on it comes {abs(lag)} "
+            f"{'early' if lag > 0 else 'late'} against the periods before. The FRF may be off by "
+            f"{percent(effect)}. Keep the part before or after it ({leave}).",
             effect=effect,
-            samples=(where, where + 1),
+            samples=(at, at + 1),
         )
+
+
+@of_channels("uyr")
+def disturbed(c: Channel) -> Iterator[Finding]:
+    """A short stretch that differs between periods by far more than anything else does: a spike, a blow, a gap."""
+    if c.n_periods < 2:
+        return
+    energy, width = _blocks(np.diff(c.steady, axis=0) ** 2, c.period)
+    flat = energy.ravel()
+    rms = c.steady.std()
+    usual = np.mean(np.sort(flat)[: max(len(flat) // 2, 1)]) + (_FLOOR * rms) ** 2 * width
+    if c.n_periods > 3:  # what every period does at this place (a motor that changes its direction) is usual
+        usual = np.maximum(usual, np.median(energy, axis=0)[None, :])
+    high = (energy > (_DISTURBED if c.n_periods > 3 else _DISTURBED_FEW) * usual).ravel()
+    if not high.any() or high.mean() > _DISTURBED_PART or flat[high].sum() < _DISTURBED_SHARE * flat.sum():
+        return
+    a, b = _longest(high, flat)
+    # An event in period p shows in its differences from both neighbours; the later one names it in any but the
+    # first pair.
+    size = float(np.sqrt(flat[a:b].sum() / 2 / ((b - a) * width)) / rms)
+    first = c.first + a * width
+    more = f" (or {first + c.period})" if c.n_periods == 2 else ""
+    first = _place(c, a, b, width, flat)
+    effect = float(np.sqrt(flat[a:b].sum() / 2 / len(c.steady.ravel())) / rms)
+    yield c.finding(
+        "disturbed",
+        Severity.WARNED,
+        size,
+        f"differs at samples {first} to {first + (b - a) * width - 1}{more} by {number(size, 2)} of its rms from "
+        f"the same place of the other periods, {number(np.sqrt(flat[a:b].max() / np.median(usual)), 2)} times as "
+        f"much as elsewhere: a spike, a blow, or samples replaced? The FRF may be off by about {percent(effect)}. "
+        f"Leave that period out ({_leave_out(c, first, first + (b - a) * width)}), or weigh the periods "
+        "(--robust).",
+        effect=effect,
+        samples=(first, first + (b - a) * width),
+    )
+
+
+@of_channels("uyr")
+def spikes(c: Channel) -> Iterator[Finding]:
+    """Single samples that stand out from the difference of successive periods, against their own neighbours."""
+    if c.n_periods < 2:
+        return
+    bend = np.abs(np.diff(np.diff(c.x[c.first + c.period :] - c.x[c.first : -c.period]), n=1))
+    usual = 1.4826 * np.median(bend) + _FLOOR * c.std
+    at = np.flatnonzero(bend > _SPIKE * usual) + 1
+    if at.size > _MOST_SPIKES:
+        return
+    if c.n_periods > 3:
+        at = at[~_again_and_again(at % c.period, c.period)]
+    count = int(np.count_nonzero(np.diff(at, prepend=-10) > 3))
+    power = np.sum(bend[at - 1] ** 2) / max(np.sum(bend**2), 1e-300)
+    if not count or count > max(_SPIKES * len(bend), 4) or power < _SPIKE_SHARE:
+        return
+    where = c.first + int(at[0])
+    effect = float(np.sqrt(np.sum(bend[at - 1] ** 2) / 6 / np.sum(c.steady**2)))
+    if bend.max() / 2 < _SPIKE_LEAST * c.steady.std():
+        return
+    yield c.finding(
+        "spikes",
+        Severity.WARNED,
+        effect,
+        f"holds single samples that stand out in {count} places, the first at sample {where} or "
+        f"{where + c.period}: up to {number(bend.max() / usual, 2)} times the noise between neighbours. The FRF "
+        f"may be off by {percent(effect)}. Mend or leave out these periods, or weigh them (--robust).",
+        effect=effect,
+        samples=(where, where + 1),
+    )
 
 
 def _again_and_again(phase: np.ndarray, period: int) -> np.ndarray:

@@ -12,7 +12,7 @@ from .gain import gain_drift
 from .glitch import glitch
 from .levels import clipped, coarse, dead, held, saturated, wrapped
 from .period import contradicted, quiet_lines
-from .record import Record
+from .record import OfChannels, Record
 from .samples import disturbed, lost, spikes
 from .steadiness import drift, noise, odd_period
 from .timing import jitter, noncausal
@@ -85,13 +85,31 @@ def examine(data: Experiment, checks: tuple[Check, ...] = CHECKS + ACROSS) -> tu
     **Raises:** `jaxfrf.InputError` if `data` is no experiment.
     """
     expect("data", data, Experiment)
-    record = Record(data)
+    return _examined(Record(data), checks)
+
+
+def _examined(record: Record, checks: Sequence[Check]) -> tuple[Finding, ...]:
+    of_channels = [check for check in checks if isinstance(check, OfChannels)]
+    at_once: dict[OfChannels, list[Finding]] = {}
     found: list[Finding] = []
     for check in checks:
-        found += check(record)
+        if isinstance(check, OfChannels):
+            at_once = at_once or _by_channel(record, of_channels)
+            found += at_once[check]
+        else:
+            found += check(record)
         if any(f.severity is Severity.REFUSED and f.kind == "period" for f in found):
             break  # what comes after would be about the wrong period
     return tuple(f for f in found if not any(_explained(f, by) for by in found))
+
+
+def _by_channel(record: Record, checks: Sequence[OfChannels]) -> dict[OfChannels, list[Finding]]:
+    found: dict[OfChannels, list[Finding]] = {check: [] for check in checks}
+    for channel in record.channels():
+        for check in checks:
+            if channel.signal in check.signals:
+                found[check] += check.look(channel)
+    return found
 
 
 def _explained(finding: Finding, by: Finding) -> bool:
@@ -119,11 +137,12 @@ def look(files: Sequence[tuple[Experiment, int]], whole: Experiment, first: int)
     **Arguments:** `files`: what each of the files holds of them, and the number of its first one there. `whole`: these
     joined, from position `first` of the data set on.
     """
-    found = []
+    found, joined = [], Record(whole)
     for data, start in files:
         checks = CHECKS if start == 0 else tuple(x for x in CHECKS if x not in _OF_ALL)
-        found.append(tuple(shifted(f, start) for f in examine(data, checks)))
-    across = tuple(shifted(f, first) for f in examine(whole, (halves, foreign)))
+        record = joined if data is whole else Record(data)
+        found.append(tuple(shifted(f, start) for f in _examined(record, checks)))
+    across = tuple(shifted(f, first) for f in _examined(joined, (halves, foreign)))
     return Looked(tuple(found), across, marks(whole))
 
 

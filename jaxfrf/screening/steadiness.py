@@ -6,7 +6,7 @@ import numpy as np
 
 from .._text import number
 from .finding import Finding, Severity
-from .record import Channel, Record
+from .record import Channel, Record, of_channels
 
 # A drift by d over one period leaks d/(2 pi k) into line k. Over the record, 5 % of the rms is where a
 # drifting offset (temperature, slipping) starts to be seen beside the excitation.
@@ -27,11 +27,11 @@ _LOW_SNR_DB = 10.0
 _NO_SNR = 0.1  # less cannot be told from nothing by the scatter of some periods
 
 
-def odd_period(record: Record) -> Iterator[Finding]:
+@of_channels("uyr")
+def odd_period(c: Channel) -> Iterator[Finding]:
     """Of three periods or more, one that differs from the others; the first one: not steady yet."""
-    for c in record.channels():
-        if c.n_periods > 2:
-            yield from _odd_period(c)
+    if c.n_periods > 2:
+        yield from _odd_period(c)
 
 
 def _odd_period(c: Channel) -> Iterator[Finding]:
@@ -81,11 +81,11 @@ def _called(period: int, n: int) -> str:
     return "its last period" if period == n - 1 else f"steady period {period} of 0 to {n - 1}"
 
 
-def drift(record: Record) -> Iterator[Finding]:
+@of_channels("uy")
+def drift(c: Channel) -> Iterator[Finding]:
     """Means that move from period to period, or within two of them."""
-    for c in record.channels():
-        if c.signal != "r" and c.n_periods > 1:
-            yield from _drift_over_periods(c) if c.n_periods > 3 else _drift_of_few(c)
+    if c.n_periods > 1:
+        yield from _drift_over_periods(c) if c.n_periods > 3 else _drift_of_few(c)
 
 
 def _drift_over_periods(c: Channel) -> Iterator[Finding]:

@@ -7,7 +7,7 @@ import scipy.ndimage
 
 from .._text import number
 from .finding import Finding, Severity
-from .record import Channel, Record
+from .record import Channel, Record, of_channels
 
 _BINS = 12  # of the slope
 _JITTER_SHARE = 0.6  # of the difference between periods, that slope and jitter explain
@@ -36,14 +36,14 @@ _HALF, _IN_HALF = 0.5 * np.pi + 0.25, 0.97  # rad; share of the band within it
 _BLOCKS = 10  # of the band, each left out once
 
 
-def jitter(record: Record) -> Iterator[Finding]:
+@of_channels("uy")
+def jitter(c: Channel) -> Iterator[Finding]:
     """Samples taken early and late: successive periods differ where the signal is steep, by its slope times the jitter.
 
     Var[x_p(t) - x_q(t)] = 2 s^2 x'(t)^2 + const.
     """
-    for c in record.channels():
-        if c.n_periods > 1 and c.signal != "r":
-            yield from _jitter(c)
+    if c.n_periods > 1:
+        yield from _jitter(c)
 
 
 def _jitter(c: Channel) -> Iterator[Finding]:

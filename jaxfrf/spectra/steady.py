@@ -32,15 +32,7 @@ def dft(data: Experiment, *, robust: bool = False, silent: bool = False) -> Spec
     fewer than three periods.
     """
     expect("data", data, Experiment)
-    if not data.period:
-        seen = seen_period(data.r, data.u, data.y)
-        raise input_error(
-            where(data, "period"),
-            "0: the record is not periodic" if seen is None else "0: the record does not say that it is periodic",
-            "whole steady periods, which this method needs (the DFT of anything else leaks)",
-            f"{period_advice(data)} Otherwise use a local method with a transient term (--method auto --option "
-            "transient=2), which takes the record whole, or --method welch.",
-        )
+    _check_periodic(data)
     if robust and data.n_periods < 3:
         raise input_error(
             where(data, "robust"),
@@ -53,6 +45,18 @@ def dft(data: Experiment, *, robust: bool = False, silent: bool = False) -> Spec
     if not silent:
         check_power(data, spectra, silent_lines(data, spectra))
     return spectra
+
+
+def _check_periodic(data: Experiment) -> None:
+    if not data.period:
+        seen = seen_period(data.r, data.u, data.y)
+        raise input_error(
+            where(data, "period"),
+            "0: the record is not periodic" if seen is None else "0: the record does not say that it is periodic",
+            "whole steady periods, which this method needs (the DFT of anything else leaks)",
+            f"{period_advice(data)} Otherwise use a local method with a transient term (--method auto --option "
+            "transient=2), which takes the record whole, or --method welch.",
+        )
 
 
 def period_advice(data: Experiment) -> str:
@@ -72,11 +76,12 @@ def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None)
     **Raises:** `jaxfrf.InputError` if `data` is no experiment or not periodic, or every line is excited.
     """
     expect("data", data, Experiment)
-    excited = dft(data)
-    low, high = (excited.frequency[0], excited.frequency[-1]) if band is None else band
+    _check_periodic(data)
+    excited = known_lines(data)
+    low, high = np.asarray(excited)[[0, -1]] * data.fs / data.period if band is None else band
     k = np.arange(1, (data.period - 1) // 2 + 1)
     f = k * data.fs / data.period
-    k = k[(f >= low) & (f <= high) & ~np.isin(k, excited.lines)]
+    k = k[(f >= low) & (f <= high) & ~np.isin(k, excited)]
     if k.size == 0:
         raise input_error(
             "detection lines",

@@ -14,7 +14,7 @@ from jaxfrf import InputError, excitation as ex
 from jaxfrf.io.designs import read_design
 from jaxfrf.io.references import read_reference, write_reference
 
-PAPER = pathlib.Path(__file__).parents[1] / "benchmarks" / "paper_design.toml"
+PAPER = pathlib.Path(__file__).parents[2] / "benchmarks" / "paper_design.toml"
 
 SMALL = """
 fs = 100.0

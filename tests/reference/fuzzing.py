@@ -1,6 +1,6 @@
 """Damaged files for every reader: whole ones, of which bytes, words and lengths are changed by a numbered draw.
 
-python tests/fuzzing.py SECONDS [READER] [NUMBER]     all of them in turn, or one reader, or one draw again
+python tests/reference/fuzzing.py SECONDS [READER] [NUMBER]     all of them in turn, or one reader, or one draw again
 """
 
 import contextlib

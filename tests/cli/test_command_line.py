@@ -298,7 +298,7 @@ def test_one_table_of_formats(capsys):
     assert main_exit(["identify", "--help"]) == 0
     told = " ".join(capsys.readouterr().out.split())
     assert " ".join(RECORDS) in told and " ".join(FRFS) in told
-    table = (pathlib.Path(__file__).parents[1] / "notebooks" / "files.md").read_text()
+    table = (pathlib.Path(__file__).parents[2] / "notebooks" / "files.md").read_text()
     for what, known in (("records", RECORDS), ("FRFs", FRFS)):
         row = next(line for line in table.splitlines() if line.startswith(f"| {what} |"))
         assert {".nc", ".mat"} < set(re.findall(r"\.\w+", row.split("|")[2])) <= set(known), what

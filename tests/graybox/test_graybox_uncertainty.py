@@ -13,7 +13,7 @@ import plants
 import pytest
 import scipy.signal
 import scipy.stats
-from test_graybox_fit import frf_of, noisy, random_covariance
+from graybox_records import frf_of, noisy, random_covariance
 
 import jaxfrf as jf
 from jaxfrf.graybox import Coordinates

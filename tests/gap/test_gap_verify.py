@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 import scipy.stats
-from test_gap import made_up, small_robot
+from small_arm import made_up, small_robot
 from two_axes import ROBOT
 
 import jaxfrf as jf

@@ -13,6 +13,7 @@ import numpy as np
 import plants
 import pytest
 import scipy.optimize
+from graybox_records import ARMS, FREQUENCY, frf_of, noisy, random_covariance
 from two_axes import ROBOT
 
 import jaxfrf as jf
@@ -20,9 +21,7 @@ from jaxfrf.graybox import Coordinates, focus_band, share
 from jaxfrf.graybox.cost import Cost
 from jaxfrf.graybox.target import roughness, select, shifted, target
 
-FREQUENCY = np.geomspace(0.5, 8.0, 24)
 TRUE = {"k": 120.0, "d": 0.4, "f": 0.6, "tau": 3e-3}
-ARMS = np.array([[0.0], [0.8]])  # the arm's inertia is 1.6 (1 + .3 q)
 
 
 def two_mass(omega, values, q):
@@ -51,35 +50,9 @@ def gram(model, coordinates, tg, x):
     return np.asarray(Cost(model, coordinates, tg).gram(jnp.asarray(x)))
 
 
-def frf_of(G, cov=None, frequency=FREQUENCY, q=ARMS, window=1.0):
-    G = np.asarray(G)
-    n_pos, n_freq, n_out, n_in = G.shape
-    vec = n_out * n_in
-    shape = (n_pos, n_freq)
-    cov = np.zeros((*shape, vec, vec), complex) if cov is None else cov
-    dof, status = np.full(shape, np.inf), np.zeros(shape, int)
-    return jf.FRF(G=G, frequency=frequency, cov=cov, dof=dof, status=status, window=np.full(shape, window), q=q)
-
-
 def true_response(values=TRUE, frequency=FREQUENCY, q=ARMS):
     omega = 2 * np.pi * np.asarray(frequency)
     return np.stack([reference.two_mass(omega, values, 1.6 * (1 + 0.3 * float(qi[0]))) for qi in q])
-
-
-def random_covariance(rng, G, size):
-    """A full covariance at every line, relative standard deviations about `size`."""
-    g = reference.vec(G)
-    n = g.shape[-1]
-    mix = np.eye(n) + 0.4 * (rng.standard_normal((*g.shape, n)) + 1j * rng.standard_normal((*g.shape, n)))
-    root = size * np.abs(g)[..., None] * mix
-    return root @ root.swapaxes(-1, -2).conj()
-
-
-def noisy(rng, G, cov):
-    root = np.linalg.cholesky(cov + 1e-30 * np.eye(cov.shape[-1]))
-    z = plants.circular(rng, (*G.shape[:2], cov.shape[-1]))
-    change = np.einsum("pfab,pfb->pfa", root, z)
-    return G + change.reshape(*G.shape[:2], G.shape[3], G.shape[2]).swapaxes(-1, -2)
 
 
 @pytest.fixture(scope="module")

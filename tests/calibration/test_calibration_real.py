@@ -5,7 +5,7 @@ With `pytest -s` the figures are printed.
 
 import numpy as np
 import pytest
-from test_gap_real import COULOMB, MASS, NEWTON_PER_VOLT, OFFSET, VISCOUS, emps_record
+from emps import COULOMB, MASS, NEWTON_PER_VOLT, OFFSET, VISCOUS, emps_record
 
 import jaxfrf as jf
 from jaxfrf.calibration import from_motion as fm

@@ -6,9 +6,9 @@ import equinox as eqx
 import jax.random as jr
 import numpy as np
 import pytest
+from _mujoco_records import R3X_RIPPLE, mujoco_experiment, r3x_ripple
 
 import jaxfrf as jf
-from benchmarks._mujoco_records import R3X_RIPPLE, mujoco_experiment, r3x_ripple
 from jaxfrf import effects
 
 KEY = jr.key(3)

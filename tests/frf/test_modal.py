@@ -5,6 +5,7 @@ import json
 import numpy as np
 import plants
 import pytest
+import scipy.signal
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
@@ -107,3 +108,28 @@ def test_the_command(noisy, tmp_path, capsys):
     (mode,) = json.loads(out.read_text())["modes"]
     assert abs(mode["frequency_hz"] - 12.0) < 3 * mode["frequency_std"] and picture.stat().st_size > 1000
     assert "12" in capsys.readouterr().out
+
+
+def held(f, rate):
+    """The same plant, position, its torque held between samples: exact, by SciPy's discretisation of every mode."""
+    z, T = np.exp(2j * np.pi * f / rate), 1.0 / rate
+    G = np.zeros((len(f), 2, 2), complex)
+    for i, w in enumerate(2 * np.pi * FREQUENCY):
+        numerator, denominator, _ = scipy.signal.cont2discrete(([1.0], [1.0, 2 * DAMPING[i] * w, w**2]), T)
+        mode = np.polyval(numerator[0], z) / np.polyval(denominator, z)
+        G += mode[:, None, None] * np.outer(SHAPES[:, i], SHAPES[:, i])
+    return G
+
+
+def test_a_held_input_is_a_delay_of_half_a_sample():
+    G = held(F, 500.0)
+    sigma = 0.001 * np.abs(G) + 0.0002 * np.sqrt(np.mean(np.abs(G) ** 2, axis=0))
+    rng = np.random.default_rng(1)
+    record = frf(G + sigma * plants.circular(rng, G.shape), F, sigma)
+    found = jf.modal(record)
+    assert abs(found.delay - 1e-3) < 3 * found.delay_std < 0.5e-3
+    assert found.misfit < jf.modal(record, delay=0.0).misfit - 0.1
+    for mode, frequency, damping in zip(found.modes, FREQUENCY, DAMPING, strict=True):
+        assert abs(mode.frequency - frequency) < 3 * mode.frequency_std
+        assert abs(mode.damping - damping) < 3 * mode.damping_std
+    assert jf.modal(frf(response(F), F, sigma)).delay == 0.0

@@ -4,22 +4,14 @@ import collections
 import dataclasses
 import json
 import math
-import pathlib
-import sys
 import types
 
+import _hidden_cases
+import bench_gap
 import jax.random as jr
 import numpy as np
 import pytest
 import scipy.integrate
-
-import jaxfrf as jf
-from jaxfrf import effects
-
-sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "benchmarks"))
-
-import _hidden_cases
-import bench_gap
 from _gap_picture import draw
 from _gap_score import Judged, found, load, rate, report, score, summary
 from _hidden_cases import CLASSES, cases, make, nominal_robot
@@ -27,6 +19,9 @@ from _hidden_effects import JOINTS, MAIN, Hidden, kind_of
 from _mujoco_loop import Bristles
 from _mujoco_records import mujoco_experiment
 from _outside_effects import OUTSIDE, Bumper, GainDrift, PreslidingFriction
+
+import jaxfrf as jf
+from jaxfrf import effects
 
 KEY = jr.key(3)
 

@@ -1,7 +1,6 @@
 """Whole robots from records: columns against simulations, the step against stacked least squares, and what is found."""
 
 import dataclasses
-import functools
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,10 +8,11 @@ import jax.random as jr
 import numpy as np
 import pytest
 import scipy.stats
-from test_gap import FS, PERIOD, Q, small_robot
+from _mujoco_records import mujoco_experiment
+from small_arm import Q, small_robot
+from uncertain_arm import WIDE, design, machine, model, played
 
 import jaxfrf as jf
-from benchmarks._mujoco_records import mujoco_experiment
 from jaxfrf import effects as fx
 from jaxfrf.calibration import rounds
 from jaxfrf.calibration.columns import number_columns
@@ -21,58 +21,13 @@ from jaxfrf.calibration.numbers import Number, numbers, with_numbers
 from jaxfrf.calibration.result import Round
 from jaxfrf.calibration.ripple import found_waves
 from jaxfrf.parts import Parts
-from jaxfrf.robot import operating_point, parameters, r3x, tolerances_from, with_parameters
+from jaxfrf.robot import operating_point, parameters, r3x, tolerances_from
 from jaxfrf.robot.regressor import link_parameters, link_regressor
 from jaxfrf.simulation import fine_steps, finest_smoothing
 from jaxfrf.trajectory.evidence import Evidence, Gram, Weighed, precise
 from jaxfrf.trajectory.joined import joined, places
 from jaxfrf.trajectory.measured import measured
 from jaxfrf.trajectory.ripple import Order
-
-WIDE = tolerances_from({"links": 0.05, "rotors": 0.05, "friction": 0.5, "smoothing": 0.7, "damping": 0.7}, ())
-
-
-@functools.cache
-def model():
-    """The small robot with a bent spring, of which nothing is known well."""
-    robot = with_parameters(small_robot(), {"elbow.stiffness_ratio": 0.7, "elbow.stiffness_knee": 1e-3})
-    return robot.with_tolerances(WIDE)
-
-
-@functools.cache
-def machine(seed: int = 0):
-    """As built: every number is off by what a data sheet is."""
-    rng, values = np.random.default_rng([seed, 12]), {}
-    off = {
-        "stiffness": 0.2,
-        "damping": 0.4,
-        "viscous_friction": 0.3,
-        "coulomb_friction": 0.3,
-        "motor_inertia": 0.03,
-        "mass": 0.05,
-        "com": 0.05,
-        "inertia": 0.05,
-        "stiffness_ratio": 0.2,
-        "stiffness_knee": 0.2,
-    }
-    for kind, part in off.items():
-        for name, value in parameters(model(), [kind]).items():
-            if kind.startswith("stiffness_") and name.startswith("shoulder"):
-                continue
-            values[name] = value * (1.0 + rng.uniform(-part, part))
-    return with_parameters(model(), values)
-
-
-def design(seed: int):
-    slow = jf.SlowSine([3, 5], [30.0, 30.0])
-    return jf.Multisine(FS, PERIOD, np.arange(17, 240, 2), rms=[2.0, 3.0], slow=slow, seed=seed)
-
-
-@functools.cache
-def played(seed: int = 0):
-    q = np.concatenate([Q, Q[:, ::-1] + 0.2])
-    return mujoco_experiment(machine(seed), design(seed), q, seed=seed, run_in=3.0, noise=2e-5, ripple=None)
-
 
 # --- numbers
 

@@ -8,11 +8,11 @@ import functools
 
 import numpy as np
 import pytest
-from test_calibration import design, machine as off, model
-from test_gap import small_robot
+from _mujoco_records import mujoco_experiment
+from small_arm import small_robot
+from uncertain_arm import design, machine as off, model
 
 import jaxfrf as jf
-from benchmarks._mujoco_records import mujoco_experiment
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
 from jaxfrf.gap.judge import over_floor

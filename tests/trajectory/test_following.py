@@ -6,8 +6,8 @@ import functools
 import jax.random as jr
 import numpy as np
 import pytest
-from test_calibration import design, machine, model, played
-from test_gap import Q, small_robot
+from small_arm import Q, small_robot
+from uncertain_arm import design, machine, model, played
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
