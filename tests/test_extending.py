@@ -138,8 +138,9 @@ def drag(new_file, monkeypatch):
 
 def test_an_effect(drag, tmp_path):
     """It is in the library, in files of robots, and a candidate of both comparisons on every joint that can have it."""
-    from jaxfrf.gap.candidates import candidates
     from jaxfrf.gap.torque_candidates import candidates as of_torques
+
+    from jaxfrf.gap.candidates import candidates
 
     path = tmp_path / "robot.toml"
     path.write_text(ROBOT + '[[effect]]\nname = "drag"\njoint = "elbow"\ncoefficient = 1e-4\n')
