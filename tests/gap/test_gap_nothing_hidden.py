@@ -15,7 +15,7 @@ from uncertain_arm import design, machine as off, model
 import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
-from jaxfrf.gap.verify import over_floor
+from jaxfrf.gap.judge import over_floor
 from jaxfrf.robot import Tolerances, parameters, with_parameters
 from jaxfrf.trajectory.evidence import Evidence
 from jaxfrf.trajectory.measured import measured
