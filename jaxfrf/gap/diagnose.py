@@ -55,17 +55,21 @@ def diagnose(
     signature act at once, and where an effect that the library does not hold looks like one that it does: then the
     remaining misfit tells, and nothing is named. Nothing is looked for where all that is left is within its floor, and
     no effect is named whose interval holds none of it, or whose robot, simulated as it would be written, does not make
-    the gap on the sealed positions smaller (`verify`). Robots with rigid transmissions whose records are not periodic
-    are diagnosed by inverse dynamics (`diagnose_torque`).
+    the gap on the sealed positions smaller (`verify`).
+
+    Data that need no simulation are compared as they are (`jaxfrf.gap.channels`): the torque that a rigid robot needs for
+    a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
 
     **Arguments:**
 
-    - `robot`: nominal. Where its controller or the references are not known, or where it runs at another rate than the
+    - `robot`: nominal; `None` for a single drive (a rigid one of unknown inertia then) and for deflections. Where its controller or the references are not known, or where it runs at another rate than the
       log, its motors are moved as they were measured, which compares torques only.
-    - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`.
+    - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`. Or records
+      of any motion of a rigid robot; records whose y are the positions of all motors, then of all links; FRFs or periodic
+      records of one drive.
     - `own`: effects of your own, classes like those of `jaxfrf.effects`.
     - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
-      Of records that are not periodic: so many of the last records, none by default.
+      Of FRFs and records that are not periodic: so many of the last, none by default.
     - `say`: called with a line of progress. `progress`: with the part that is done.
     - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`, begun); a run that finds some goes on behind them.
 

@@ -155,7 +155,7 @@ def _trials(
     whole = max(float(np.sum(r**2)), 1e-300)
     tried = _lines(channel, now, pool, project) if channel.linear else _fits(channel, now, pool, project)
     made = [x for x in tried if np.any(x[1])]
-    p = family_wise([summed(evidence, block) for *_, evidence in made], DRAWS, seed)
+    p = family_wise([summed(evidence, block) for *_, evidence in made], DRAWS, seed, not channel.linear)
     before = mean_squares(now.left, block)
     if floor is None:
         floor = channel.floor(r) if np.any(p <= LEVEL) else np.zeros_like(r)
