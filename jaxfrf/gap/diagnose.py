@@ -57,16 +57,17 @@ def diagnose(
     no effect is named whose interval holds none of it, or whose robot, simulated as it would be written, does not make
     the gap on the sealed positions smaller (`verify`).
 
-    Data that need no simulation are compared as they are (`jaxfrf.gap.channels`): the torque that a rigid robot needs for
-    a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
+    Data that need no simulation are compared as they are (`jaxfrf.gap.channels`): the torque that a rigid robot needs
+    for a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
 
     **Arguments:**
 
-    - `robot`: nominal; `None` for a single drive (a rigid one of unknown inertia then) and for deflections. Where its controller or the references are not known, or where it runs at another rate than the
-      log, its motors are moved as they were measured, which compares torques only.
-    - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`. Or records
-      of any motion of a rigid robot; records whose y are the positions of all motors, then of all links; FRFs or periodic
-      records of one drive.
+    - `robot`: nominal; `None` for a single drive (a rigid one of unknown inertia then) and for deflections. Where its
+      controller or the references are not known, or where it runs at another rate than the log, its motors are moved
+      as they were measured, which compares torques only.
+    - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`. Or
+      records of any motion of a rigid robot; records whose y are the positions of all motors, then of all links; FRFs
+      or periodic records of one drive.
     - `own`: effects of your own, classes like those of `jaxfrf.effects`.
     - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
       Of FRFs and records that are not periodic: so many of the last, none by default.

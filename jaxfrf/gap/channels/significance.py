@@ -73,13 +73,18 @@ def family_wise(
     signs = np.random.default_rng(seed).choice((-1.0, 1.0), (draws, len(evidence[0])))
     largest, own = np.full(draws, -np.inf), []
     for g in evidence:
-        inverse, k = np.linalg.pinv(g.T @ g, rcond=1e-10, hermitian=True), g.shape[1]
-        size = lambda x, inverse=inverse: np.einsum("...i,ij,...j->...", x, inverse, x)
-        sign = lambda x: np.where(x[..., 0] > 0.0, 1.0, 0.0) if one_sided else 1.0
-        strength = lambda x, size=size, k=k: -scipy.stats.chi2.logsf(sign(x) * size(x), k)
-        own.append(strength(g.sum(axis=0)))
-        largest = np.maximum(largest, strength(signs @ g))
+        own.append(_strength(g.sum(axis=0), g, one_sided))
+        largest = np.maximum(largest, _strength(signs @ g, g, one_sided))
     return (1 + np.sum(largest[:, None] >= np.array(own), axis=0)) / (draws + 1)
+
+
+def _strength(total: Float[np.ndarray, "*draw free"], g: Float[np.ndarray, "block free"], one_sided: bool):
+    """-log of the chance of a sum of evidence this large, were its blocks normal."""
+    inverse = np.linalg.pinv(g.T @ g, rcond=1e-10, hermitian=True)
+    size = np.einsum("...i,ij,...j->...", total, inverse, total)
+    if one_sided:
+        size = np.where(total[..., 0] > 0.0, size, 0.0)
+    return -scipy.stats.chi2.logsf(size, g.shape[1])
 
 
 def covariance(r: Rows, S: Float[np.ndarray, "row free"], block) -> Float[np.ndarray, "free free"]:
