@@ -137,6 +137,13 @@ class ArmViscousFriction(AbstractArmTorque):
         gear = robot.drives.gear_ratio[axis_of(robot, joint)]
         return cls(joint, 0.5 * own(robot, joint, robot.drives.friction.viscous, 1e-3) * gear**2)
 
+    @classmethod
+    def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple[Candidate, ...]:
+        """None behind a rigid transmission: there it is one with the motor's."""
+        if axis_of(robot, joint) not in robot.flexible_axes:
+            return ()
+        return super().over_band(robot, joint, low, high)
+
     def torque(self, angle, rate):
         return self.coefficient * rate
 

@@ -59,9 +59,9 @@ class AbstractChannel(eqx.Module):
 
     **Class attributes:** `compared`: what is, in a sentence. `quantity`: what a residual is called; `unit`: of the gap.
     `tolerance`: residual, in the gap's unit, below which nothing is asked for. `linear`: whether rows are linear in the
-    coefficients of a candidate, near enough to choose among them; otherwise each is fitted in full. `least_drop`: of the power
-    that is left where an effect acts, that it takes away on held-out rows, whatever the floor. `n_parts`: that share
-    nothing, each of which may miss as many effects as a whole may.
+    coefficients of a candidate, near enough to choose among them; otherwise each is fitted in full. `least_drop`: of
+    the power that is left where an effect acts, that it takes away on held-out rows, whatever the floor. `n_parts`:
+    that share nothing, each of which may miss as many effects as a whole may.
     """
 
     compared: ClassVar[str]
@@ -163,7 +163,8 @@ class AbstractChannel(eqx.Module):
 
 
 class Look(eqx.Module):
-    """What a channel may see of a finished search: the state before and after, what is left of the rows, the ranking, and a test of columns: (share, coefficient, p-value) of each, family-wise."""
+    """What a channel may see of a finished search: the state before and after, what is left of the rows, the ranking,
+    and a test of columns: (share, coefficient, p-value) of each, family-wise."""
 
     base: State
     state: State

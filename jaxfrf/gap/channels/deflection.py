@@ -20,7 +20,7 @@ from ...effects import (
     AbstractGearError,
     AbstractGearTorque,
     AbstractLinkSensor,
-    AbstractMotorTorque,
+    AbstractStructure,
     Reach,
 )
 from ...effects._place import axis_of
@@ -32,6 +32,8 @@ from .records import AbstractRecords, every_record, rows_of
 from .settings import DEFLECTION, DEFLECTION_CUTOFF, DEFLECTION_DROP
 
 _TURN = 0.02  # of the largest speed, over which friction of a robot that is not known changes its sign
+
+_SEEN = (AbstractFriction, AbstractStructure, AbstractGearTorque, AbstractGearError, AbstractLinkSensor)
 
 
 class DeflectionChannel(AbstractRecords):
@@ -75,6 +77,11 @@ class DeflectionChannel(AbstractRecords):
 
     def of(self, data):
         return self._compared(self.robot, data)
+
+    def tried(self, kind, joint):
+        if not issubclass(kind, _SEEN):
+            raise input_error(kind.name, "deflections", "other records: it does not show in these", "Compare torques.")
+        return super().tried(kind, joint)
 
     @property
     def n_parts(self) -> int:
@@ -182,11 +189,9 @@ def _loss(robot: Robot, m: Motion):
     """What the motors need of their torque themselves, N m."""
     loss = np.asarray(robot.drives.friction.torque(m.speed)) + np.asarray(robot.drives.motor_inertia) * m.acceleration
     for e in robot.effects:
-        axis = axis_of(robot, e.joint)
         if isinstance(e, AbstractFriction):
+            axis = axis_of(robot, e.joint)
             loss[:, axis] += np.asarray(e.torque(jnp.asarray(m.speed[:, axis]), jnp.asarray(m.torque[:, axis])))
-        elif isinstance(e, AbstractMotorTorque):
-            loss[:, axis] -= np.asarray(e.torque(jnp.asarray(m.angle[:, axis])))
     return loss
 
 

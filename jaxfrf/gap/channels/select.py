@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 import scipy.optimize
 import scipy.stats
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..._errors import InputError
 from ...effects import AbstractEffect, Candidate
@@ -155,7 +155,7 @@ def _trials(
     whole = max(float(np.sum(r**2)), 1e-300)
     tried = _lines(channel, now, pool, project) if channel.linear else _fits(channel, now, pool, project)
     made = [x for x in tried if np.any(x[1])]
-    p = family_wise([summed(evidence, block) for *_, evidence in made], DRAWS, seed)
+    p = family_wise([summed(evidence, block) for *_, evidence in made], DRAWS, seed, not channel.linear)
     before = mean_squares(now.left, block)
     if floor is None:
         floor = channel.floor(r) if np.any(p <= LEVEL) else np.zeros_like(r)
@@ -166,9 +166,8 @@ def _trials(
         if candidate.key in trials:
             continue
         here = acting(columns, channel.group)
-        power, drop = np.mean(now.left[here] ** 2), np.mean(now.left[here] ** 2 - left[here] ** 2)
-        reducible = power - np.mean(floor[here] ** 2)
-        share = float(drop / reducible) if reducible > 0.0 else 0.0
+        reducible = np.mean(now.left[here] ** 2) - np.mean(floor[here] ** 2)
+        share = float(np.mean(now.left[here] ** 2 - left[here] ** 2) / reducible) if reducible > 0.0 else 0.0
         squares = mean_squares(left, block)
         trials[candidate.key] = Trial(
             candidate,
@@ -180,7 +179,8 @@ def _trials(
             float(p[i]),
             share,
             channel.sensible(candidate, values),
-            bool(drop >= channel.least_drop * power) and surely_positive(before - squares),
+            _relative(channel, left, here) <= (1.0 - channel.least_drop) * _relative(channel, now.left, here)
+            and surely_positive(before - squares),
         )
     return tuple(trials.values())
 
@@ -217,6 +217,12 @@ def _fits(channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], proj
         fit = refitted(channel, now.state.having(candidate, start))
         values, taken = np.array(fit.state.chosen[-1][1]), now.left**2 - fit.left**2
         yield candidate, P, values, now.residual - fit.residual, fit.left, taken[:, None]
+
+
+def _relative(channel: AbstractChannel, left: Rows, here: Bool[np.ndarray, "row"]) -> float:
+    """Power left over what was measured, each fold alike."""
+    parts = [here & (channel.fold == k) for k in np.unique(channel.fold)]
+    return float(np.mean([np.mean(left[x] ** 2) / np.mean(channel.measured[x] ** 2) for x in parts]))
 
 
 def _best(trials: Sequence[Trial]) -> list[Trial]:

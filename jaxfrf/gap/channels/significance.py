@@ -2,8 +2,9 @@
 
 The evidence of a candidate is a number (or several) for every block of rows, long against the residual's memory, which
 is as likely negative as positive where the candidate adds nothing: g_b = p^T r over block b, p its column beside the
-free ones; or, of one that is fitted in full, what it takes off the squared error of held-out rows (which is more likely
-negative then). Flipping the sign of whole blocks gives the null of the largest statistic of all candidates,
+free ones; or, of one that is fitted in full, what it takes off the squared error of held-out rows (more likely negative
+then, and no evidence where its sum is: one-sided). Flipping the sign of whole blocks gives the null of the largest
+statistic of all candidates,
 
     statistic = (sum_b g_b)^T (sum_b g_b g_b^T)^+ (sum_b g_b).
 """
@@ -61,21 +62,29 @@ def surely_positive(drop: Float[np.ndarray, "block"], level: float = 0.95) -> bo
 
 
 def family_wise(
-    evidence: Sequence[Float[np.ndarray, "block free"]], draws: int, seed: int
+    evidence: Sequence[Float[np.ndarray, "block free"]], draws: int, seed: int, one_sided: bool = False
 ) -> Float[np.ndarray, "candidate"]:
-    """p-value of every candidate against the largest of all under the null; no less than 1/(draws + 1)."""
+    """p-value of every candidate against the largest of all under the null; no less than 1/(draws + 1).
+
+    **Arguments:** `one_sided`: a sum below zero is none, of evidence with one number.
+    """
     if not evidence:
         return np.ones(0)
     signs = np.random.default_rng(seed).choice((-1.0, 1.0), (draws, len(evidence[0])))
     largest, own = np.full(draws, -np.inf), []
     for g in evidence:
-        inverse, k = np.linalg.pinv(g.T @ g, rcond=1e-10, hermitian=True), g.shape[1]
-        strength = lambda x, inverse=inverse, k=k: (
-            -scipy.stats.chi2.logsf(np.einsum("...i,ij,...j->...", x, inverse, x), k)
-        )
-        own.append(strength(g.sum(axis=0)))
-        largest = np.maximum(largest, strength(signs @ g))
+        own.append(_strength(g.sum(axis=0), g, one_sided))
+        largest = np.maximum(largest, _strength(signs @ g, g, one_sided))
     return (1 + np.sum(largest[:, None] >= np.array(own), axis=0)) / (draws + 1)
+
+
+def _strength(total: Float[np.ndarray, "*draw free"], g: Float[np.ndarray, "block free"], one_sided: bool):
+    """-log of the chance of a sum of evidence this large, were its blocks normal."""
+    inverse = np.linalg.pinv(g.T @ g, rcond=1e-10, hermitian=True)
+    size = np.einsum("...i,ij,...j->...", total, inverse, total)
+    if one_sided:
+        size = np.where(total[..., 0] > 0.0, size, 0.0)
+    return -scipy.stats.chi2.logsf(size, g.shape[1])
 
 
 def covariance(r: Rows, S: Float[np.ndarray, "row free"], block) -> Float[np.ndarray, "free free"]:
