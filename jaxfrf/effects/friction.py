@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from .._types import Array
 from ._place import axis_of, changed, coulomb, own
-from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint, OwnNumber
+from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint, OwnNumber, Reach
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -16,6 +16,24 @@ if TYPE_CHECKING:
 Number = Float[Array, ""] | float
 
 _WIDTHS = (2.0, 5.0)  # rad/s, of Stribeck's hump, that are tried
+_PARTS = (0.02, 0.05, 0.1, 0.2)  # of the largest speed of a measured motion: widths that are tried along it
+_TURN = 0.02  # of that speed: within it friction has changed its sign, whatever the units
+
+
+def _smoothing(robot: "Robot", reach: Reach) -> float:
+    """Over which friction changes its sign along a measured motion, rad/s."""
+    return min(float(getattr(robot.drives.friction, "smoothing", jnp.inf)), _TURN * reach.speed)
+
+
+class _Sliding(AbstractFriction):
+    """Friction with a smoothing of its own, which follows the speed of a measured motion."""
+
+    smoothing: eqx.AbstractVar[Number]
+
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        typical = eqx.tree_at(lambda e: e.smoothing, cls.typical(robot, joint), _smoothing(robot, reach))
+        return (typical.candidate(*cls.plausible(robot, joint)),)
 
 
 class CoulombFriction(AbstractStructure):
@@ -119,11 +137,18 @@ class ArmViscousFriction(AbstractArmTorque):
         gear = robot.drives.gear_ratio[axis_of(robot, joint)]
         return cls(joint, 0.5 * own(robot, joint, robot.drives.friction.viscous, 1e-3) * gear**2)
 
+    @classmethod
+    def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple[Candidate, ...]:
+        """None behind a rigid transmission: there it is one with the motor's."""
+        if axis_of(robot, joint) not in robot.flexible_axes:
+            return ()
+        return super().over_band(robot, joint, low, high)
+
     def torque(self, angle, rate):
         return self.coefficient * rate
 
 
-class StribeckFriction(AbstractFriction):
+class StribeckFriction(_Sliding):
     """Friction that rises at low speed, tau = level exp(-(v/width)^2) tanh(v/smoothing); level = Fs - Fc.
 
     **Arguments:** `level`: N m, motor side, 0 or more; 0.3 Fc is visible. `width`: v_s, 1-10 rad/s. `smoothing`:
@@ -154,11 +179,21 @@ class StribeckFriction(AbstractFriction):
         these = [eqx.tree_at(lambda e: e.width, typical, width) for width in _WIDTHS]
         return tuple(e.candidate(*bounds, f"width {e.width:g} rad/s") for e in these)
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        level, smoothing, bounds = (
+            cls.typical(robot, joint).level,
+            _smoothing(robot, reach),
+            cls.plausible(robot, joint),
+        )
+        these = [cls(joint, level, part * reach.speed, smoothing) for part in _PARTS]
+        return tuple(e.candidate(*bounds, f"width {e.width:.3g} rad/s") for e in these)
+
     def torque(self, speed, load):
         return self.level * jnp.exp(-jnp.square(speed / self.width)) * jnp.tanh(speed / self.smoothing)
 
 
-class FrictionAsymmetry(AbstractFriction):
+class FrictionAsymmetry(_Sliding):
     """Friction that differs by direction, tau = offset + level tanh(v/smoothing).
 
     Forward it is level + offset, backward level - offset.
@@ -189,7 +224,7 @@ class FrictionAsymmetry(AbstractFriction):
         return self.offset + self.level * jnp.tanh(speed / self.smoothing)
 
 
-class LoadDependentFriction(AbstractFriction):
+class LoadDependentFriction(_Sliding):
     """Friction that grows with the gear's load, tau = coefficient |tau_g|/n tanh(v/smoothing).
 
     **Arguments:** `coefficient`: mu, 0-0.15; 0.02 is visible. `smoothing`: rad/s.

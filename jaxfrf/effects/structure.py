@@ -14,7 +14,7 @@ from jaxtyping import Float
 from .._errors import input_error
 from .._types import Array
 from ._place import axis_of, changed, spring_of
-from .effect import AbstractArmTorque, AbstractStructure, Candidate, Joint, OwnNumber
+from .effect import AbstractArmTorque, AbstractStructure, Candidate, Joint, OwnNumber, Reach
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -287,6 +287,10 @@ class ExtraFlexibility(AbstractStructure):
                 found.append(Candidate(cls.name, str(joint), (basis,), make, (0.3,), (2.0,), 0.3, label))
         return tuple(found)
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        raise input_error(cls.name, "a measured motion", "a simulated one: links are rigid here", "Use other records.")
+
     def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
         name = f"{robot.joint_names[robot.driven_joints[axis_of(robot, self.joint)]]}_flexibility"
         return OwnNumber(f"{name}.stiffness", "stiffness"), OwnNumber(f"{name}.damping", "damping")
@@ -368,6 +372,11 @@ class Counterbalance(AbstractArmTorque):
         """Where gravity acts: on the other axes the same law is that of hoses."""
         return _springs(cls, joint, 20.0) if _carries_weight(robot, joint) else ()
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        """On every joint, at rest somewhere."""
+        return _springs(cls, joint, 20.0)[1:]
+
     def torque(self, angle, rate):
         return self.stiffness * (angle - self.rest)
 
@@ -400,6 +409,11 @@ class DressPack(AbstractArmTorque):
     def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """Where gravity does not act: on the other axes the same law is that of a counterbalance."""
         return () if _carries_weight(robot, joint) else _springs(cls, joint, 50.0)
+
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        """On every joint, at rest somewhere."""
+        return _springs(cls, joint, 50.0)[1:]
 
     def torque(self, angle, rate):
         return self.stiffness * (angle - self.rest) + self.damping * rate

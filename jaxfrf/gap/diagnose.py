@@ -1,31 +1,33 @@
 """Find where a model and its measurement disagree, name what is missing, add it, and see the gap shrink."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from .._arguments import expect
 from .._errors import input_error
 from .._types import require_x64
-from ..effects import AbstractEffect
+from ..effects import AbstractEffect, library
 from ..experiment import Experiment
+from ..frf import FRF
 from ..parts import Parts
 from ..robot import Robot
 from ..trajectory.following import compared
 from ..trajectory.joined import joined, places
 from ..trajectory.measured import Measured, fewer, measured
+from .channels import AbstractChannel, channel_of
+from .channels.conclude import concluded
 from .contest import Records, contest
 from .fitted import Say
 from .present import present
 from .result import Diagnosis
 from .settings import EXPERIMENTS, FEW, JUDGING, SELECT
-from .torque import diagnose_torque
-from .torque_as_diagnosis import as_diagnosis
 
 
 def diagnose(
-    robot: Robot,
-    data: Experiment | Sequence[Experiment],
+    robot: Robot | None,
+    data: Experiment | FRF | Sequence[Experiment | FRF],
     *,
     own: Sequence[type[AbstractEffect]] = (),
     sealed: int | None = None,
@@ -35,41 +37,58 @@ def diagnose(
 ) -> Diagnosis:
     """Which effect a robot's model lacks, from periodic records at several positions.
 
-    A contest of robots. First all numbers of the robot that are not exactly known are fitted, as `jaxfrf.calibrate`
-    does, each within what is known of it: where they explain the record, nothing is missing, and those that are off
-    are told. Otherwise every effect of the library on every joint is scored beside these numbers by what its law,
-    evaluated along the simulated motion, takes off the residual (torque, at every line from 0 to the highest excited
-    one, unexcited ones and the slow motion included); those that promise most become robots in which the effect's
-    parameters are numbers of which nothing is known, and all numbers are fitted again. The one that costs least is
-    taken if it is better, simulated as it would be written, on positions that chose nothing, and this repeats with the
-    effect in the robot. The sealed positions are opened once, at the end: an effect with which their gap does not
-    shrink is taken back.
+        A contest of robots. First all numbers of the robot that are not exactly known are fitted, as `jaxfrf.calibrate`
+        does, each within what is known of it: where they explain the record, nothing is missing, and those that are off
+        are told. Otherwise every effect of the library on every joint is scored beside these numbers by what its law,
+        evaluated along the simulated motion, takes off the residual (torque, at every line from 0 to the highest excited
+        one, unexcited ones and the slow motion included); those that promise most become robots in which the effect's
+        parameters are numbers of which nothing is known, and all numbers are fitted again. The one that costs least is
+        taken if it is better, simulated as it would be written, on positions that chose nothing, and this repeats with the
+        effect in the robot. The sealed positions are opened once, at the end: an effect with which their gap does not
+        shrink is taken back.
 
-    A number that the robot has, with a tolerance, may be what is wrong: it is set free like an effect, and told to be a
-    number. Thresholds stand in `settings`. Wrong where several effects of a similar signature act at once, and where an
-    effect that the library does not hold looks like one that it does: then the remaining misfit tells, and nothing is
-    named. Robots with rigid transmissions whose records are not periodic are diagnosed by inverse dynamics
-    (`diagnose_torque`).
+    <<<<<<< HEAD
+        A number that the robot has, with a tolerance, may be what is wrong: it is set free like an effect, and told to be a
+        number. Thresholds stand in `settings`. Wrong where several effects of a similar signature act at once, and where an
+        effect that the library does not hold looks like one that it does: then the remaining misfit tells, and nothing is
+        named. Robots with rigid transmissions whose records are not periodic are diagnosed by inverse dynamics
+        (`diagnose_torque`).
+    =======
+        Thresholds are those of `search`; they were set on simulated records. Wrong where several effects of a similar
+        signature act at once, and where an effect that the library does not hold looks like one that it does: then the
+        remaining misfit tells, and nothing is named. Nothing is looked for where all that is left is within its floor, and
+        no effect is named whose interval holds none of it, or whose robot, simulated as it would be written, does not make
+        the gap on the sealed positions smaller (`verify`).
 
-    **Arguments:**
+        Data that need no simulation are compared as they are (`jaxfrf.gap.channels`): the torque that a rigid robot needs
+        for a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
+    >>>>>>> channels
 
-    - `robot`: nominal. Where its controller or the references are not known, or where it runs at another rate than the
-      log, its motors are moved as they were measured, which compares torques only.
-    - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`.
-    - `own`: effects of your own, classes like those of `jaxfrf.effects`.
-    - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
-      Of records that are not periodic: so many of the last records, none by default.
-    - `say`: called with a line of progress. `progress`: with the part that is done.
-    - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`, begun); a run that finds some goes on behind them.
+        **Arguments:**
 
-    **Raises:** `jaxfrf.InputError` for records without period or arm configurations, and for a robot that does not fit.
+        - `robot`: nominal; `None` for a single drive (a rigid one of unknown inertia then) and for deflections. Where its
+          controller or the references are not known, or where it runs at another rate than the log, its motors are moved
+          as they were measured, which compares torques only.
+        - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`. Or
+          records of any motion of a rigid robot; records whose y are the positions of all motors, then of all links; FRFs
+          or periodic records of one drive.
+        - `own`: effects of your own, classes like those of `jaxfrf.effects`.
+        - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
+          Of FRFs and records that are not periodic: so many of the last, none by default.
+        - `say`: called with a line of progress. `progress`: with the part that is done.
+        - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`, begun); a run that finds some goes on behind them.
 
-    Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
+        **Raises:** `jaxfrf.InputError` for records without period or arm configurations, and for a robot that does not fit.
+
+        Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
     """
+    records = list(data) if isinstance(data, Sequence) else [data]
+    channel = channel_of(robot, records)
+    if channel is not None:
+        return _by_channel(channel, robot, records, own, sealed or 0, say or (lambda text: None))
+    if robot is None:
+        raise input_error("robot", "no robot", "one, for these records", "Name it (--robot robot.toml).")
     expect("robot", robot, Robot)
-    records = [data] if isinstance(data, Experiment) else list(data)
-    if not robot.n_motors and not robot.n_elastic and any(not record.period for record in records):
-        return _by_inverse_dynamics(robot, records, own, sealed, say or (lambda text: None))
     require_x64("A diagnosis")
     record, say = joined(records), say or (lambda text: None)
     parts_of = split(measured(fewer(record, EXPERIMENTS)), measured(fewer(record, JUDGING)), sealed)
@@ -77,23 +96,22 @@ def diagnose(
     return present(found, parts_of, robot, compared(robot, record))
 
 
-def _by_inverse_dynamics(robot: Robot, records, own, sealed: int | None, say: Say) -> Diagnosis:
-    """Records of any motion: the last so many are sealed."""
-    if own:
-        raise input_error(
-            "own effects",
-            ", ".join(kind.name for kind in own),
-            "effects of the library, where a record is not periodic",
-            "Leave out --effects, or measure a periodic motion.",
-        )
-    sealed = sealed or 0
-    if not 0 <= sealed < len(records):
-        raise input_error(
-            "sealed records", f"{sealed}", f"0 to {len(records) - 1} of {len(records)} records", "Leave some to fit."
-        )
-    fitted, judge = records[: len(records) - sealed], records[len(records) - sealed :]
-    say("the torque that the motion needs is compared: the records are not periodic")
-    return as_diagnosis(diagnose_torque(robot, fitted, judge or None), fitted)
+def _by_channel(
+    kind: type[AbstractChannel],
+    robot: Robot | None,
+    data: Sequence[Any],
+    own: Sequence[type[AbstractEffect]],
+    sealed: int,
+    say: Say,
+) -> Diagnosis:
+    """One comparison without a simulation: the last so many of the data are sealed."""
+    if not 0 <= sealed < len(data):
+        raise input_error("sealed records", f"{sealed}", f"0 to {len(data) - 1} of {len(data)}", "Leave some to fit.")
+    fitted, judge = data[: len(data) - sealed], data[len(data) - sealed :]
+    say(f"compared: {kind.compared}")
+    channel = kind.opened(robot, fitted)
+    sources = tuple(source for x in fitted for source in x.sources)
+    return concluded(channel, channel.of(judge) if judge else None, (*library().values(), *own), sources)
 
 
 def split(record: Measured, every: Measured, sealed: int | None) -> Records:

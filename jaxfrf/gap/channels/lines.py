@@ -1,0 +1,77 @@
+"""Channels whose rows are lines of a single drive's spectra: real and imaginary part of each."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ..._types import arrays
+from ...effects import AbstractActuator, AbstractArmTorque
+from ...experiment import Experiment
+from ...robot import Robot, arm_inertia, robot_from_table
+from .channel import AbstractChannel, Rows
+from .settings import FOLDS, LINE_BLOCKS
+
+
+class AbstractLines(AbstractChannel):
+    """Rows are (line, part). **Fields:** `frequency`: Hz, (line,)."""
+
+    @property
+    def n_lines(self) -> int:
+        return len(self.measured) // 2
+
+    def blocks(self, residual):
+        return np.repeat(np.arange(self.n_lines) * LINE_BLOCKS // self.n_lines, 2)
+
+
+def one_drive(x) -> bool:
+    """Whether these are periodic records of one motor at one position."""
+    return isinstance(x, Experiment) and (x.n_in, x.n_out, x.n_pos) == (1, 1, 1) and bool(x.period)
+
+
+def parts(values: Complex[np.ndarray, "line"]) -> Rows:
+    return np.stack([values.real, values.imag], axis=1).ravel()
+
+
+def folds(n: int) -> np.ndarray:
+    """Of rows: lines in turn."""
+    return np.repeat(np.arange(n) % FOLDS, 2)
+
+
+def drive_response(
+    robot: Robot, frequency: Float[np.ndarray, "line"], order: int, more: float = 0.0
+) -> Complex[np.ndarray, "line"]:
+    """G of a robot of one axis with a rigid transmission, continuous in time; `order`: 0 position, 1 speed, 2
+    acceleration of the motor. Of friction its viscous part; of torques on the arm their slopes at zero. `more`: inertia
+    of the motor beyond the robot's, kg m^2."""
+    s = 2j * np.pi * np.asarray(frequency)
+    square = float(robot.drives.gear_ratio[0]) ** 2
+    inertia = float(arm_inertia(dataclasses.replace(robot, effects=()), np.zeros(1))[0, 0]) / square + more
+    friction, stiffness, column = float(robot.drives.friction.viscous[0]), 0.0, np.ones_like(s)
+    for effect in robot.effects:
+        if isinstance(effect, AbstractArmTorque):
+            still, step = jnp.zeros(()), jnp.asarray(1e-6)
+            slope = lambda a, b, e=effect, z=still: float(e.torque(a, b) - e.torque(z, z)) / 1e-6 / square
+            friction, stiffness = friction + slope(still, step), stiffness + slope(step, still)
+        elif isinstance(effect, AbstractActuator):
+            column = column * on_the_way(effect, s)
+    return column * s**order / (inertia * s**2 + friction * s + stiffness)
+
+
+def on_the_way(effect: AbstractActuator, s: Complex[np.ndarray, "line"]) -> Complex[np.ndarray, "line"]:
+    """What becomes of a torque between command and motor, its delay included."""
+    return np.asarray(_on_the_way(arrays(effect), s))
+
+
+@eqx.filter_jit
+def _on_the_way(effect: AbstractActuator, s):
+    return effect.response(s) * jnp.exp(-s * effect.dead_time())
+
+
+def rigid_drive(inertia: float) -> Robot:
+    """One motor of which nothing is known but its inertia, in units of u: the torque constant is one with it."""
+    joint = {"name": "drive", "type": "driven", "axis": [0.0, 0.0, 1.0], "offset": [0.0] * 3, "com": [0.0] * 3}
+    joint |= {"mass": 0.0, "inertia": [0.0] * 6, "gear_ratio": 1.0, "motor_inertia": inertia, "damping": 0.0}
+    return robot_from_table({"name": "drive", "gravity": [0.0] * 3, "joint": [joint | {"stiffness": float("inf")}]})
