@@ -4,10 +4,12 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Float
 
 from .. import effects as fx
+from ..calibration.least_squares import Posterior, solve
 from ..effects import AbstractEffect, library
-from ..trajectory.evidence import placed, precise, weigh
+from ..trajectory.evidence import Evidence, Gram, placed, precise, refloored, weigh
 from ..trajectory.joined import places
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import remainder
@@ -44,26 +46,30 @@ def ranked(
     The cost is |residual/floor|^2/effect + the squares of the tolerances that numbers are off by; a column takes off it
     what is its own beside the numbers, and what it saves them. A number whose tolerance cannot be believed is set
     free."""
-    cost = squares(view) / view.look.posterior.effect + view.priced
+    cost = squares(view.look.weighed.gram, view.look.posterior) + view.priced
     numbers = _set_free(view, cost)
-    terms = _columns(view, record, own, cost) if misses or not numbers else []
+    terms = _columns(view, record, own) if misses or not numbers else []
     return sorted([*terms, *numbers], key=lambda s: -s.part)
 
 
-def squares(view: Fitted) -> float:
-    """Of what is left, over the floor that follows it."""
-    gram, change = view.look.weighed.gram, view.look.posterior.change
+def squares(gram: Gram, posterior: Posterior) -> float:
+    """Of what is left, over the floor, so many counting as one."""
+    change = posterior.change
     A, b = gram.A.sum(axis=0), gram.b.sum(axis=0)
-    return float(gram.rr.sum() - 2 * b @ change + change @ A @ change)
+    return float(gram.rr.sum() - 2 * b @ change + change @ A @ change) / posterior.effect
 
 
-def _columns(view: Fitted, record: Measured, own, cost: float) -> list[Scored]:
-    look, posterior = view.look, view.look.posterior
+def _columns(view: Fitted, record: Measured, own) -> list[Scored]:
+    look = view.look
     pool = _pool(view, record, own)
     count = look.weighed.gram.b.shape[1]
-    columns = [lambda s, e=e: signature(e, s) for c in pool for e in c.basis]
-    base = placed(precise(look.weighed), places(record.data))
-    gram = placed(precise(weigh(look.evidence, columns, base)), places(record.data)).gram
+    weighed = weigh(look.evidence, [lambda s, e=e: signature(e, s) for c in pool for e in c.basis], look.weighed)
+    weighed = refloored(weighed, look.evidence.floor, _steady_seen(look.evidence))
+    gram = placed(precise(weighed), places(record.data)).gram
+    base = Gram(gram.A[:, :count, :count], gram.b[:, :count], gram.rr, gram.position, gram.count)
+    posterior = solve(base, view.these, look.x)
+    x = look.x + posterior.change[: len(view.these)]
+    cost = squares(base, posterior) + float(np.sum(posterior.prior[: len(x)] * x**2))
     left = gram.b - np.einsum("rij,j->ri", gram.A[:, :, :count], posterior.change)
     whole = gram.A.sum(axis=0)
     share = np.linalg.solve(posterior.normal, whole[:count, count:] / posterior.effect)
@@ -77,16 +83,24 @@ def _columns(view: Fitted, record: Measured, own, cost: float) -> list[Scored]:
         if np.any(size <= 0) or np.any(np.diag(a) < OWN * size):
             continue
         p = left[:, rows].sum(axis=0)
-        x = np.clip(np.linalg.solve(a + _RIDGE * np.diag(size), p), candidate.low, candidate.high)
-        drop = float(2 * x @ p - x @ a @ x) / posterior.effect
-        if not np.any(x) or drop <= 0:
+        c = np.clip(np.linalg.solve(a + _RIDGE * np.diag(size), p), candidate.low, candidate.high)
+        drop = float(2 * c @ p - c @ a @ c) / posterior.effect
+        if not np.any(c) or drop <= 0:
             continue
-        each = (left[:, rows] - left[:, :count] @ s) @ x
-        made = candidate.make(x)
+        each = (left[:, rows] - left[:, :count] @ s) @ c
+        made = candidate.make(c)
         found.append(
-            Scored(made, candidate.joint, float(drop / cost), _t(each, gram.position), _size(candidate, made, x))
+            Scored(made, candidate.joint, float(drop / cost), _t(each, gram.position), _size(candidate, made, c))
         )
     return found
+
+
+def _steady_seen(evidence: Evidence) -> Float[np.ndarray, "line axis"]:
+    """The floor with the steady torque's as that of the lines beside it: its own follows what is left of it, and a
+    torque that is missing at all times would not be seen."""
+    floor = evidence.floor.copy()
+    floor[0] = np.minimum(floor[0], np.maximum(evidence.plain[0], floor[1]))
+    return floor
 
 
 def _pool(view: Fitted, record: Measured, own) -> list[Candidate]:
