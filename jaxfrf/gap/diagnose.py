@@ -47,22 +47,13 @@ def diagnose(
         effect in the robot. The sealed positions are opened once, at the end: an effect with which their gap does not
         shrink is taken back.
 
-    <<<<<<< HEAD
-        A number that the robot has, with a tolerance, may be what is wrong: it is set free like an effect, and told to be a
-        number. Thresholds stand in `settings`. Wrong where several effects of a similar signature act at once, and where an
-        effect that the library does not hold looks like one that it does: then the remaining misfit tells, and nothing is
-        named. Robots with rigid transmissions whose records are not periodic are diagnosed by inverse dynamics
-        (`diagnose_torque`).
-    =======
-        Thresholds are those of `search`; they were set on simulated records. Wrong where several effects of a similar
-        signature act at once, and where an effect that the library does not hold looks like one that it does: then the
-        remaining misfit tells, and nothing is named. Nothing is looked for where all that is left is within its floor, and
-        no effect is named whose interval holds none of it, or whose robot, simulated as it would be written, does not make
-        the gap on the sealed positions smaller (`verify`).
+    A number that the robot has, with a tolerance, may be what is wrong: it is set free like an effect, and told to be a
+    number. Thresholds stand in `settings`. Wrong where several effects of a similar signature act at once, and where an
+    effect that the library does not hold looks like one that it does: then the remaining misfit tells, and nothing is
+    named.
 
-        Data that need no simulation are compared as they are (`jaxfrf.gap.channels`): the torque that a rigid robot needs
-        for a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
-    >>>>>>> channels
+    Data that need no simulation are compared as they are (`jaxfrf.gap.channels`): the torque that a rigid robot needs
+    for a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
 
         **Arguments:**
 

@@ -19,7 +19,7 @@ LINE_BLOCKS = 24
 
 LEAST_SHARE = 0.2
 """Of the reducible gap, that an effect takes away where nothing was fitted: the fifth of the method (reference on the
-gap, step 6). `tests/test_gap_real.py`: what is named in real data takes .6 or more of it or is named with others."""
+gap, step 6). `tests/gap/test_gap_real.py`: what is named in real data takes .6 or more of it or is named with others."""
 
 TIE = 0.05
 """Of what the best effect takes away, within which fewer parameters win: more of them always gain a little."""
@@ -58,11 +58,11 @@ DEFLECTION = 0.05
 
 DEFLECTION_DROP = 0.2
 """Of the power that is left, that an effect takes away on runs that were not used: a floor learned from a few runs is
-none. `tests/test_gap_real.py`: delays take 97 % of it."""
+none. `tests/gap/test_gap_real.py`: delays take 97 % of it."""
 
 RESPONSE = 0.03
 """Relative error of an FRF that no model is asked to beat; the floor of a response. The bench's delay and lag stand out
-of it (`tests/test_gap_real.py`); its repeatability from record to record is 2 %."""
+of it (`tests/gap/test_gap_real.py`); its repeatability from record to record is 2 %."""
 
 ALIKE_RESPONSES = 0.09
 """|log(measured/model)|, rms: .5 dB and 4 degrees together, the method's tolerance of *sufficient*."""
