@@ -37,50 +37,41 @@ def diagnose(
 ) -> Diagnosis:
     """Which effect a robot's model lacks, from periodic records at several positions.
 
-        A contest of robots. First all numbers of the robot that are not exactly known are fitted, as `jaxfrf.calibrate`
-        does, each within what is known of it: where they explain the record, nothing is missing, and those that are off
-        are told. Otherwise every effect of the library on every joint is scored beside these numbers by what its law,
-        evaluated along the simulated motion, takes off the residual (torque, at every line from 0 to the highest excited
-        one, unexcited ones and the slow motion included); those that promise most become robots in which the effect's
-        parameters are numbers of which nothing is known, and all numbers are fitted again. The one that costs least is
-        taken if it is better, simulated as it would be written, on positions that chose nothing, and this repeats with the
-        effect in the robot. The sealed positions are opened once, at the end: an effect with which their gap does not
-        shrink is taken back.
+    A contest of robots. First all numbers of the robot that are not exactly known are fitted, as `jaxfrf.calibrate`
+    does, each within what is known of it: where they explain the record, nothing is missing, and those that are off
+    are told. Otherwise every effect of the library on every joint is scored beside these numbers by what its law,
+    evaluated along the simulated motion, takes off the residual (torque, at every line from 0 to the highest excited
+    one, unexcited ones and the slow motion included); those that promise most become robots in which the effect's
+    parameters are numbers of which nothing is known, and all numbers are fitted again. The one that costs least is
+    taken if it is better, simulated as it would be written, on positions that chose nothing, and this repeats with the
+    effect in the robot. The sealed positions are opened once, at the end: an effect with which their gap does not
+    shrink is taken back.
 
-    <<<<<<< HEAD
-        A number that the robot has, with a tolerance, may be what is wrong: it is set free like an effect, and told to be a
-        number. Thresholds stand in `settings`. Wrong where several effects of a similar signature act at once, and where an
-        effect that the library does not hold looks like one that it does: then the remaining misfit tells, and nothing is
-        named. Robots with rigid transmissions whose records are not periodic are diagnosed by inverse dynamics
-        (`diagnose_torque`).
-    =======
-        Thresholds are those of `search`; they were set on simulated records. Wrong where several effects of a similar
-        signature act at once, and where an effect that the library does not hold looks like one that it does: then the
-        remaining misfit tells, and nothing is named. Nothing is looked for where all that is left is within its floor, and
-        no effect is named whose interval holds none of it, or whose robot, simulated as it would be written, does not make
-        the gap on the sealed positions smaller (`verify`).
+    A number that the robot has, with a tolerance, may be what is wrong: it is set free like an effect, and told to be a
+    number. Thresholds stand in `settings`. Wrong where several effects of a similar signature act at once, and where an
+    effect that the library does not hold looks like one that it does: then the remaining misfit tells, and nothing is
+    named.
 
-        Data that need no simulation are compared as they are (`jaxfrf.gap.channels`): the torque that a rigid robot needs
-        for a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
-    >>>>>>> channels
+    Data that need no simulation are compared as they are (`jaxfrf.gap.channels`): the torque that a rigid robot needs
+    for a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
 
-        **Arguments:**
+    **Arguments:**
 
-        - `robot`: nominal; `None` for a single drive (a rigid one of unknown inertia then) and for deflections. Where its
-          controller or the references are not known, or where it runs at another rate than the log, its motors are moved
-          as they were measured, which compares torques only.
-        - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`. Or
-          records of any motion of a rigid robot; records whose y are the positions of all motors, then of all links; FRFs
-          or periodic records of one drive.
-        - `own`: effects of your own, classes like those of `jaxfrf.effects`.
-        - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
-          Of FRFs and records that are not periodic: so many of the last, none by default.
-        - `say`: called with a line of progress. `progress`: with the part that is done.
-        - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`, begun); a run that finds some goes on behind them.
+    - `robot`: nominal; `None` for a single drive (a rigid one of unknown inertia then) and for deflections. Where its
+      controller or the references are not known, or where it runs at another rate than the log, its motors are moved
+      as they were measured, which compares torques only.
+    - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`. Or
+      records of any motion of a rigid robot; records whose y are the positions of all motors, then of all links; FRFs
+      or periodic records of one drive.
+    - `own`: effects of your own, classes like those of `jaxfrf.effects`.
+    - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
+      Of FRFs and records that are not periodic: so many of the last, none by default.
+    - `say`: called with a line of progress. `progress`: with the part that is done.
+    - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`, begun); a run that finds some goes on behind them.
 
-        **Raises:** `jaxfrf.InputError` for records without period or arm configurations, and for a robot that does not fit.
+    **Raises:** `jaxfrf.InputError` for records without period or arm configurations, and for a robot that does not fit.
 
-        Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
+    Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
     """
     records = list(data) if isinstance(data, Sequence) else [data]
     channel = channel_of(robot, records)

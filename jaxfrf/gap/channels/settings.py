@@ -18,8 +18,8 @@ LINE_BLOCKS = 24
 """Blocks of neighbouring lines of an FRF or spectrum: as for records."""
 
 LEAST_SHARE = 0.2
-"""Of the reducible gap, that an effect takes away where nothing was fitted: the fifth of the method (reference on the
-gap, step 6). `tests/test_gap_real.py`: what is named in real data takes .6 or more of it or is named with others."""
+"""Of the reducible gap, that an effect takes away where nothing was fitted: a fifth, as the method has it.
+`tests/gap/test_gap_real.py`: what is named in real data takes .6 or more of it or is named with others."""
 
 TIE = 0.05
 """Of what the best effect takes away, within which fewer parameters win: more of them always gain a little."""
@@ -31,10 +31,10 @@ THE_SAME = 1e-6
 """Of a column's power beside the free numbers, and 1 - cosine of two columns, below which they are one: rounding."""
 
 BEST = 5
-"""Candidates that are tried beside each other in a step (the method's step 5)."""
+"""Candidates that are tried beside each other in a step."""
 
 MOST = 4
-"""Effects in a diagnosis (the method's step 7)."""
+"""Effects in a diagnosis."""
 
 STRETCHES = 8
 """Of records, that are held out in turn, at least: a t-test of the drop needs some degrees of freedom."""
@@ -43,7 +43,7 @@ FOLDS = 5
 """Of interleaved lines: a mode must not be held out as a whole."""
 
 EXPLAINED = 0.5
-"""Of what is systematic, that the named effects must explain together: less is *unexplained* (the method's verdict)."""
+"""Of what is systematic, that the named effects must explain together: less is *unexplained*."""
 
 SYSTEMATIC = 0.1
 """Of the residual's power, that goes with the motion, from which a significant candidate that is not enough makes a gap
@@ -58,11 +58,11 @@ DEFLECTION = 0.05
 
 DEFLECTION_DROP = 0.2
 """Of the power that is left, that an effect takes away on runs that were not used: a floor learned from a few runs is
-none. `tests/test_gap_real.py`: delays take 97 % of it."""
+none. `tests/gap/test_gap_real.py`: delays take 97 % of it."""
 
 RESPONSE = 0.03
 """Relative error of an FRF that no model is asked to beat; the floor of a response. The bench's delay and lag stand out
-of it (`tests/test_gap_real.py`); its repeatability from record to record is 2 %."""
+of it (`tests/gap/test_gap_real.py`); its repeatability from record to record is 2 %."""
 
 ALIKE_RESPONSES = 0.09
 """|log(measured/model)|, rms: .5 dB and 4 degrees together, the method's tolerance of *sufficient*."""
