@@ -15,6 +15,7 @@ from .settings import BEST, DRAWS, LEAST_SHARE, LEVEL, MOST, RIVALS, THE_SAME, T
 from .significance import covariance, family_wise, held_out, mean_squares, projector, summed, surely_positive
 
 _SEED = 0
+_STEPS = 20  # of the fit of a candidate that is tried
 
 
 class Fitted(eqx.Module):
@@ -86,19 +87,21 @@ class Search(eqx.Module):
     left_out: dict[str, str]
 
 
-def refitted(channel: AbstractChannel, state: State) -> Fitted:
-    """All free values by least squares."""
+def refitted(channel: AbstractChannel, state: State, steps: int = 60) -> Fitted:
+    """All free values by least squares, in so many steps at most."""
     if state.values.size:
         worst = 1e3 * channel.measured
 
         def left(x):
             try:
-                return channel.residual(state.at(x))
+                with np.errstate(all="ignore"):
+                    r = channel.residual(state.at(x))
             except InputError:  # no such effect
                 return worst
+            return r if np.all(np.isfinite(r)) else worst
 
         found = scipy.optimize.least_squares(
-            left, state.values, lambda x: -channel.slopes(state.at(x)), x_scale="jac", xtol=1e-10, max_nfev=60
+            left, state.values, lambda x: -channel.slopes(state.at(x)), x_scale="jac", xtol=1e-10, max_nfev=steps
         )
         state = state.at(found.x)
     r, S = channel.residual(state), channel.slopes(state)
@@ -214,7 +217,7 @@ def _fits(channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], proj
         if np.sum(project(P) ** 2) <= THE_SAME * np.sum(P**2):
             yield candidate, P, np.array(start), np.zeros_like(now.residual), now.left, np.zeros_like(P)
             continue
-        fit = refitted(channel, now.state.having(candidate, start))
+        fit = refitted(channel, now.state.having(candidate, start), _STEPS)
         values, taken = np.array(fit.state.chosen[-1][1]), now.left**2 - fit.left**2
         yield candidate, P, values, now.residual - fit.residual, fit.left, taken[:, None]
 
