@@ -265,6 +265,10 @@ class ExtraFlexibility(AbstractStructure):
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
         raise input_error(cls.name, "a measured motion", "a simulated one: links are rigid here", "Use other records.")
 
+    @classmethod
+    def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple[Candidate, ...]:
+        raise input_error(cls.name, "a single drive", "a robot: it bends across the axis", "See `ElasticLoad`.")
+
     def apply(self, robot: "Robot"):
         at = robot.driven_joints[axis_of(robot, self.joint)]
         name = f"{robot.joint_names[at]}_flexibility"

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from ..._types import arrays
 from ...effects import AbstractActuator, AbstractArmTorque, AbstractEffect
 from ...experiment import Experiment
 from ...robot import Robot, arm_inertia, robot_from_table
@@ -77,12 +76,7 @@ def drive_response(
 
 def on_the_way(effect: AbstractActuator, s: Complex[np.ndarray, "line"]) -> Complex[np.ndarray, "line"]:
     """What becomes of a torque between command and motor, its delay included."""
-    return np.asarray(_on_the_way(arrays(effect), s))
-
-
-@eqx.filter_jit
-def _on_the_way(effect: AbstractActuator, s):
-    return effect.response(s) * jnp.exp(-s * effect.dead_time())
+    return np.asarray(effect.response(s)) * np.exp(-s * float(effect.dead_time()))  # of NumPy: nothing is compiled
 
 
 def rigid_drive(inertia: float) -> Robot:

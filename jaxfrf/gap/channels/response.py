@@ -42,6 +42,7 @@ class ResponseChannel(AbstractLines):
     unit: ClassVar = "1"
     tolerance: ClassVar = ALIKE_RESPONSES
     linear: ClassVar = False
+    tie: ClassVar = 0.0
 
     robot: Robot
     numbers: DriveNumbers

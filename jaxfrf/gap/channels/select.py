@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from ..._errors import InputError
 from ...effects import AbstractEffect, Candidate
 from .channel import AbstractChannel, Rows, State, acting
-from .settings import BEST, DRAWS, LEAST_SHARE, LEVEL, MOST, RIVALS, THE_SAME, TIE
+from .settings import BEST, DRAWS, LEAST_SHARE, LEVEL, MOST, RIVALS, THE_SAME
 from .significance import covariance, family_wise, held_out, mean_squares, projector, summed, surely_positive
 
 _SEED = 0
@@ -124,7 +124,7 @@ def search(channel: AbstractChannel, kinds: Sequence[type[AbstractEffect]]) -> S
         good = [t for t in _best(trials) if t.accepted]
         if not good or step == MOST * channel.n_parts:
             break
-        best = _simplest(good, float(np.mean(now.left**2)))
+        best = _simplest(good, float(np.mean(now.left**2)), channel.tie)
         found.append(best)
         now = refitted(channel, now.state.having(best.trial.candidate, best.trial.values))
         pool = [c for c in pool if c.key != best.trial.candidate.key]
@@ -163,29 +163,28 @@ def _trials(
     if floor is None:
         floor = channel.floor(r) if np.any(p <= LEVEL) else np.zeros_like(r)
     trials: dict[tuple[str, str], Trial] = {}
-    explains = [float(1.0 - np.sum((r - part) ** 2) / whole) for *_, part, _, _ in made]
-    for i in sorted(range(len(made)), key=lambda i: -explains[i]):
-        candidate, columns, values, part, left, _ = made[i]
-        if candidate.key in trials:
-            continue
-        here = acting(columns, channel.group)
+    for candidate, columns, values, part, left, p_value in (
+        (*one[:-1], float(q)) for one, q in zip(made, p, strict=True)
+    ):
+        here, squares = acting(columns, channel.group), mean_squares(left, block)
         reducible = np.mean(now.left[here] ** 2) - np.mean(floor[here] ** 2)
-        share = float(np.mean(now.left[here] ** 2 - left[here] ** 2) / reducible) if reducible > 0.0 else 0.0
-        squares = mean_squares(left, block)
-        trials[candidate.key] = Trial(
+        trial = Trial(
             candidate,
             tuple(float(v) for v in values),
             part,
-            explains[i],
+            float(1.0 - np.sum((r - part) ** 2) / whole),
             left,
             squares,
-            float(p[i]),
-            share,
+            p_value,
+            float(np.mean(now.left[here] ** 2 - left[here] ** 2) / reducible) if reducible > 0.0 else 0.0,
             channel.sensible(candidate, values),
             _relative(channel, left, here) <= (1.0 - channel.least_drop) * _relative(channel, now.left, here)
             and surely_positive(before - squares),
         )
-    return tuple(trials.values())
+        other = trials.get(candidate.key)
+        if other is None or (trial.sensible, trial.explained) > (other.sensible, other.explained):
+            trials[candidate.key] = trial
+    return tuple(sorted(trials.values(), key=lambda t: -t.explained))
 
 
 Made = tuple[
@@ -232,13 +231,13 @@ def _best(trials: Sequence[Trial]) -> list[Trial]:
     return [t for t in trials if t.p_value <= LEVEL][:BEST]
 
 
-def _simplest(good: list[Trial], before: float) -> Found:
+def _simplest(good: list[Trial], before: float, tie: float) -> Found:
     """The best trial, or one with fewer parameters that is as good; and what cannot be told from it.
 
-    As good: within a standard error, or within `TIE` of what the best takes away. What explains exactly the same is the
+    As good: within a standard error, or within `tie` of what the best takes away. What explains exactly the same is the
     same law under another name, and makes nothing ambiguous."""
     best = min(good, key=lambda t: np.mean(t.squares))
-    least = before - (1.0 - TIE) * (before - np.mean(best.squares))
+    least = before - (1.0 - tie) * (before - np.mean(best.squares))
     as_good = lambda t: np.mean(t.squares) < least or not surely_positive(t.squares - best.squares, level=0.84)
     level = [t for t in good if as_good(t) and _cosine(t.part, best.part) > RIVALS]
     chosen = min(level, key=lambda t: (len(t.values), np.mean(t.squares)))
