@@ -62,7 +62,8 @@ class AbstractChannel(eqx.Module):
     `tolerance`: residual, in the gap's unit, below which nothing is asked for. `linear`: whether rows are linear in the
     coefficients of a candidate, near enough to choose among them; otherwise each is fitted in full. `least_drop`: of
     the power that is left where an effect acts, that it takes away on held-out rows, whatever the floor. `tie`: of
-    what the best takes away, within which another is as good whatever its standard error says. `n_parts`: that share nothing, each of which may miss as many effects as a whole may.
+    what the best takes away, within which another is as good whatever its standard error says. `n_parts`: that share
+    nothing, each of which may miss as many effects as a whole may.
     """
 
     compared: ClassVar[str]

@@ -208,17 +208,20 @@ def _lines(channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], pro
         yield candidate, P, values, own @ values, left, own / size * r[:, None]
 
 
-def _fits(channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], project) -> Iterator[Made]:
-    """Every candidate by a fit of all that is free."""
+def _fits(channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], project) -> list[Made]:
+    """Every candidate by a fit of all that is free; variants are its starts, of which the best counts."""
+    best: dict[tuple[str, str], tuple[tuple[bool, float], Made]] = {}
     for candidate in pool:
         start = candidate.start or tuple(1.0 for _ in candidate.basis)
         P = (channel.predicted(now.state.having(candidate, start)) - channel.predicted(now.state))[:, None]
-        if np.sum(project(P) ** 2) <= THE_SAME * np.sum(P**2):
-            yield candidate, P, np.array(start), np.zeros_like(now.residual), now.left, np.zeros_like(P)
-            continue
-        fit = refitted(channel, now.state.having(candidate, start), _STEPS)
-        values, taken = np.array(fit.state.chosen[-1][1]), now.left**2 - fit.left**2
-        yield candidate, P, values, now.residual - fit.residual, fit.left, taken[:, None]
+        values, part, left = np.array(start), np.zeros_like(now.residual), now.left
+        if np.sum(project(P) ** 2) > THE_SAME * np.sum(P**2):
+            fit = refitted(channel, now.state.having(candidate, start), _STEPS)
+            values, part, left = np.array(fit.state.chosen[-1][1]), now.residual - fit.residual, fit.left
+        rank = channel.sensible(candidate, values), -float(np.sum((now.residual - part) ** 2))
+        if candidate.key not in best or rank > best[candidate.key][0]:
+            best[candidate.key] = rank, (candidate, P, values, part, left, (now.left**2 - left**2)[:, None])
+    return [made for _, made in best.values()]
 
 
 def _relative(channel: AbstractChannel, left: Rows, here: Bool[np.ndarray, "row"]) -> float:
