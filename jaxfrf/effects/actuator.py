@@ -331,7 +331,7 @@ class ElasticLoad(AbstractActuator):
         return out, state
 
     def response(self, s):
-        pair = lambda f, z: 1.0 + 2.0 * z * s / (2.0 * jnp.pi * f) + jnp.square(s / (2.0 * jnp.pi * f))
+        pair = lambda f, z: 1.0 + (2.0 * z + s / (2.0 * math.pi * f)) * s / (2.0 * math.pi * f)
         above = pair(self.antiresonance, self.antiresonance_damping)
         return above / pair(self.resonance, self.resonance_damping)
 

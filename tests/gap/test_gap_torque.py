@@ -253,12 +253,6 @@ def test_what_the_library_lacks_is_not_named():
     assert found.gap.after > 0.05
 
 
-def test_what_makes_the_held_out_record_worse_is_not_named():
-    """Friction in the fitted record that the held-out one does not have."""
-    found = diagnose(arm(), [record(3, HIDDEN["coulomb_friction"][0]), record(4)], sealed=1)
-    assert found.verdict == "unexplained" and not found.effects
-
-
 def test_values_must_make_sense():
     """Levels only have to keep their sign and the size of the torque; times keep their bounds."""
     robot, reach = arm(), Reach(30.0, 40.0, 9.0)
@@ -278,7 +272,7 @@ def test_values_must_make_sense():
 
 def test_shapes_follow_the_motion():
     """Widths of friction in parts of the speed, whole orders that the travel holds, springs at rest anywhere."""
-    robot, slow, far = arm(), Reach(0.5, 1.0, 9.0), Reach(50.0, 2 * np.pi * 3, 9.0)
+    robot, slow, far = arm(), Reach(0.5, 0.2, 9.0), Reach(50.0, 2 * np.pi * 3, 9.0)
     widths = lambda reach: [c.basis[0].width for c in StribeckFriction.along_motion(robot, "elbow", reach)]
     np.testing.assert_allclose(widths(slow), [0.01, 0.025, 0.05, 0.1])
     np.testing.assert_allclose(widths(far), [1.0, 2.5, 5.0, 10.0])
@@ -367,7 +361,10 @@ def alone(found, axis, name):
 
 
 def test_friction_before_the_gear_is_named():
-    found = diagnose(None, deflection_runs(lambda u, v: -256 * 2 * np.tanh(v / 0.02) / 5e6))
+    """Readings as of 16-bit encoders."""
+    rng = np.random.default_rng(0)
+    noise = lambda u: 1e-5 * rng.standard_normal(u.shape)
+    found = diagnose(None, deflection_runs(lambda u, v: -256 * 2 * np.tanh(v / 0.02) / 5e6 + noise(u)))
     assert found.verdict == "named" and [e.name for e in found.effects] == ["coulomb_friction"]
     assert abs(found.effects[0].parameters["level"].value / 2 - 1) < 0.05  # N m of the motor
     assert abs(found.parameters["axis1.stiffness"].value / (5e6 / 256) - 1) < 0.05

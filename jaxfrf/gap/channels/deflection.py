@@ -139,7 +139,7 @@ class DeflectionChannel(AbstractRecords):
             _thinned(m, x) * np.asarray(self.robot.drives.gear_ratio) for m, x in zip(self.motions, self.u, strict=True)
         ]
         torque, x = np.concatenate(torque), self.measured.reshape(-1, self.n_axes) * self.size
-        k = np.sum(torque**2, axis=0) / np.maximum(np.sum(torque * x, axis=0), 1e-300)
+        k = np.sum(torque**2, axis=0) / np.sum(torque * x, axis=0)
         return dict(zip(parameters(self.robot, ("stiffness",)), map(float, k), strict=False))
 
     def predicted(self, state):

@@ -22,7 +22,7 @@ from ...trajectory.rigid_motion import Motion
 from ..result import Cell, Diagnosis
 from .channel import Rows, makes_sense
 from .conclude import concluded
-from .lines import AbstractLines, drive_response, folds, on_the_way, one_drive, parts
+from .lines import AbstractLines, DriveNumbers, drive_response, folds, on_the_way, one_drive, parts
 from .response import ResponseChannel
 from .settings import BANDS, CLEAR, CLEARLY, DISTORTION
 
@@ -79,7 +79,7 @@ class DistortionChannel(AbstractLines):
     def _compared(cls, drive: Diagnosis, record: Experiment, order: int) -> "DistortionChannel":
         rest = unexcited_spectra(record)
         f, U, Y = rest.frequency, np.mean(rest.U[0], axis=0)[:, 0], np.mean(rest.Y[0], axis=0)[:, 0]
-        D = Y - drive_response(drive.extended, f, order) * U
+        D = Y - _response(drive.extended, f, order) * U
         noise = np.zeros(len(f)) if rest.noise is None else np.mean(rest.noise[0, :, :, 0, 0].real, axis=0)
         bands = _bands(f, rest.lines, D, Y, noise)
         clear = np.concatenate([np.flatnonzero(b.here) for b in bands if b.clear] or [np.arange(len(f))])
@@ -123,7 +123,7 @@ class DistortionChannel(AbstractLines):
         seen = spectrum[self.lines[self.clear]]
         if np.linalg.norm(seen) < _LINEAR * np.linalg.norm(spectrum):
             return np.zeros_like(self.measured)
-        return -parts(drive_response(self.robot, self.frequency, self.order) * seen) / self.size * np.sqrt(2.0)
+        return -parts(_response(self.robot, self.frequency, self.order) * seen) / self.size * np.sqrt(2.0)
 
     def floor(self, residual):
         return np.repeat(np.sqrt(self.noise[self.clear]) / self.size, 2)
@@ -203,6 +203,10 @@ def _detects(record: Experiment) -> bool:
         return len(unexcited_spectra(record).lines) >= 2 * BANDS
     except InputError:
         return False
+
+
+def _response(robot: Robot, f, order: int):
+    return drive_response(DriveNumbers.of(robot), robot.effects, f, order)
 
 
 def _mechanics(robot: Robot) -> Robot:
