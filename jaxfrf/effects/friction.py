@@ -1,5 +1,6 @@
 """Friction of motors and joints."""
 
+import operator
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
@@ -28,11 +29,10 @@ def _smoothing(robot: "Robot", reach: Reach) -> float:
 class _Sliding(AbstractFriction):
     """Friction with a smoothing of its own, which follows the speed of a measured motion."""
 
-    smoothing: eqx.AbstractVar[Number]
-
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
-        typical = eqx.tree_at(lambda e: e.smoothing, cls.typical(robot, joint), _smoothing(robot, reach))
+        smoothing = operator.attrgetter("smoothing")
+        typical = eqx.tree_at(smoothing, cls.typical(robot, joint), _smoothing(robot, reach))
         return (typical.candidate(*cls.plausible(robot, joint)),)
 
 

@@ -81,7 +81,9 @@ def diagnose(
         raise input_error("robot", "no robot", "one, for these records", "Name it (--robot robot.toml).")
     expect("robot", robot, Robot)
     require_x64("A diagnosis")
-    record, say = joined(records), say or (lambda text: None)
+    for one in records:
+        expect("data", one, Experiment)
+    record, say = joined([x for x in records if isinstance(x, Experiment)]), say or (lambda text: None)
     parts_of = split(measured(fewer(record, EXPERIMENTS)), measured(fewer(record, JUDGING)), sealed)
     found = contest(robot, parts_of, tuple(own), say, progress or (lambda part: None), parts)
     return present(found, parts_of, robot, compared(robot, record))

@@ -5,6 +5,7 @@ D = Y - G U at detection lines,   D = -G DFT{what the effect asks of the motor a
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -87,20 +88,20 @@ class DistortionChannel(AbstractLines):
         size = max(rms(np.abs(D[clear]) ** 2), 10 ** (CLEAR / 20) * rms(noise[clear]), 1e-300)
         n = len(clear)
         return cls(
-            drive.extended,
-            drive,
-            _motion(record, drive.extended, order),
-            rest.lines,
-            f[clear],
-            D,
-            Y,
-            noise,
-            clear,
-            size,
-            parts(D[clear]) / size * np.sqrt(2.0),
-            np.zeros(2 * n, int),
-            folds(n),
-            order,
+            robot=drive.extended,
+            drive=drive,
+            motion=_motion(record, drive.extended, order),
+            lines=np.asarray(rest.lines),
+            frequency=np.asarray(f)[clear],
+            D=D,
+            Y=Y,
+            noise=noise,
+            clear=clear,
+            size=size,
+            measured=parts(D[clear]) / size * np.sqrt(2.0),
+            group=np.zeros(2 * n, int),
+            fold=folds(n),
+            order=order,
         )
 
     def own(self):
@@ -188,7 +189,7 @@ class _Band(eqx.Module):
 
 def _bands(f, lines, D, Y, noise) -> list[_Band]:
     edges = np.geomspace(f[0], f[-1] * (1 + 1e-9), BANDS + 1)
-    db = lambda power: float(10 * np.log10(max(np.mean(power), 1e-300))) if len(power) else float("nan")
+    db = lambda power: 10 * math.log10(max(float(np.mean(power)), 1e-300)) if len(power) else math.nan
     found = []
     for low, high in itertools.pairwise(edges):
         here = (f >= low) & (f < high)
