@@ -19,6 +19,7 @@ from ..robot import Robot, parameters
 from ..trajectory.following import compared
 from ..trajectory.joined import joined, places
 from ..trajectory.measured import fewer, measured
+from ..trajectory.rigid_motion import check_rigid
 from .channels import AbstractChannel, channel_of
 from .channels.conclude import concluded
 from .own_numbers import OwnNumbers, own_numbers
@@ -85,6 +86,8 @@ def diagnose(
     if robot is None:
         raise input_error("robot", "no robot", "one, for these records", "Name it (--robot robot.toml).")
     expect("robot", robot, Robot)
+    if any(not record.period for record in records):
+        check_rigid(robot)
     require_x64("A diagnosis")
     record, say = joined(records), say or (lambda text: None)
     explained = _by_own_numbers(robot, record, sealed, say)
