@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxfrf as jf
+from jaxfrf.__main__ import main
 from jaxfrf.effects import (
     CoulombFriction,
     Counterbalance,
@@ -435,3 +436,31 @@ def test_drives(truth, names):
     if "mode" in truth:
         assert abs(values["antiresonance"] - 50) < 0.5 and abs(values["resonance"] - 75) < 0.5
     np.testing.assert_allclose(found.gap.after, found.gap.floor, rtol=0.1)
+
+
+@pytest.mark.slow
+def test_a_drive_by_the_command(tmp_path):
+    """Its FRF, another held out: result, page and the drive with what was missing, which is sufficient then."""
+    files = [str(tmp_path / name) for name in ("a.nc", "b.nc")]
+    for seed, path in enumerate(files):
+        jf.io.write_frf(path, drive_frf({"lag": 2e-3}, seed))
+    out = [str(tmp_path / name) for name in ("gap.json", "gap.html", "drive.toml")]
+    arguments = ["diagnose", *files, "--heldout-count", "1", "-o", out[0], "--report", out[1], "--robot-out", out[2]]
+    assert main(arguments) == 0
+    (effect,) = jf.io.read_gap(out[0])["effects"]
+    assert (
+        effect["name"] == "current_loop_lag" and abs(effect["parameters"]["time_constant"]["value"] / 2e-3 - 1) < 0.05
+    )
+    page = (tmp_path / "gap.html").read_text()
+    assert "log FRF residual" in page and "orque residual" not in page
+    drive = jf.io.read_robot(out[2])
+    assert [e.name for e in drive.effects] == ["current_loop_lag"]
+    assert main(["diagnose", files[1], "--robot", out[2], "-o", out[0]]) == 0
+    assert jf.io.read_gap(out[0])["verdict"] == "sufficient"
+
+
+def test_one_kind_of_data_at_a_time(tmp_path, capsys):
+    jf.io.write_frf(tmp_path / "frf.nc", drive_frf({}))
+    jf.io.write(tmp_path / "run.nc", deflection_runs(lambda u, v: 0.0, n=1)[0])
+    assert main(["diagnose", str(tmp_path / "frf.nc"), str(tmp_path / "run.nc"), "-o", str(tmp_path / "gap.json")]) == 2
+    assert "FRFs and records; expected either" in capsys.readouterr().err
