@@ -52,7 +52,10 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     louder = _loud_ripple(last, extended, records, told)
     effects = (*(_named(step, last, given) for step in steps), *louder, *_counting(records.whole, given))
     base = _without(found, steps, last, louder, extended, told)
-    verdict, says = _verdict(base, found.refused, steps, effects, last, extended, told, bool(len(records.sealed)))
+    worst = _worst(last, extended, records)
+    verdict, says = _verdict(
+        base, found.refused, steps, effects, last, extended, told, worst, bool(len(records.sealed))
+    )
     if verdict == "unexplained":
         last, effects, steps = found.base, (), ()
         base = extended = written(found.base.written(), told) or base
@@ -62,6 +65,15 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     if verdict != "unexplained":  # else numbers imitate what is missing
         says += _wrong_numbers(last)
     return Conclusion(verdict, says, effects, base, extended, last, steps)
+
+
+def _worst(last: Fitted, extended: Written, records: Records) -> float:
+    """Mean square over the floor that is left of one axis: where it was fitted, or at one position that chose
+    nothing, where what is missing may show alone."""
+    deciding = written(last.written(), records.deciding) if len(records.sealed) else extended
+    sides = [x for x in (deciding, extended) if x is not None]
+    each = [0.5 * np.mean(np.abs(x.residual / x.evidence.plain) ** 2, axis=(1, 2)) for x in sides]
+    return max(float(np.max(last.of_axes)), *(float(np.max(x)) for x in each))
 
 
 def _without(found: Contest, steps, last: Fitted, louder, extended: Written, told: Measured) -> Written:
@@ -110,14 +122,22 @@ def against_it(told: Measured, before: Written, after: Written, joint: str) -> s
 
 
 def _verdict(
-    base: Written, refused: str, steps, effects, last: Fitted, extended: Written, told: Measured, sealed: bool
+    base: Written,
+    refused: str,
+    steps,
+    effects,
+    last: Fitted,
+    extended: Written,
+    told: Measured,
+    worst: float,
+    sealed: bool,
 ) -> tuple[str, str]:
     result = compared(base.residual, extended.residual, base.evidence.plain, told.frequency)
-    worst = float(np.max(last.of_axes))
     if worst > UNEXPLAINED and (not effects or result.after > (1 - EXPLAINED) * result.before):
         return "unexplained", (
-            f"In one axis the misfit is {worst:.3g} times the floor's, whatever the robot's numbers are, and no effect "
-            "of the library mends that: something is missing that it does not hold. The maps show where."
+            f"In one axis the misfit is {worst:.3g} times the floor's, everywhere or at one position, whatever the robot's "
+            "numbers are, and no effect of the library mends that: something is missing that it does not hold. The maps "
+            "show where."
         )
     if effects:
         on = "the held-out positions" if sealed else "the fitted positions, none being held out"
