@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from .._text import number
 from .._types import Array
 from ._place import axis_of, changed, coulomb, own
 from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint, OwnNumber, Reach
@@ -187,7 +188,7 @@ class StribeckFriction(_Sliding):
             cls.plausible(robot, joint),
         )
         these = [cls(joint, level, part * reach.speed, smoothing) for part in _PARTS]
-        return tuple(e.candidate(*bounds, f"width {e.width:.3g} rad/s") for e in these)
+        return tuple(e.candidate(*bounds, f"width {number(e.width)} rad/s") for e in these)
 
     def torque(self, speed, load):
         return self.level * jnp.exp(-jnp.square(speed / self.width)) * jnp.tanh(speed / self.smoothing)
