@@ -78,7 +78,7 @@ class DistortionChannel(AbstractLines):
     @classmethod
     def _compared(cls, drive: Diagnosis, record: Experiment, order: int) -> "DistortionChannel":
         rest = unexcited_spectra(record)
-        f, U, Y = rest.frequency, np.mean(rest.U[0], axis=0)[:, 0], np.mean(rest.Y[0], axis=0)[:, 0]
+        f, U, Y = np.asarray(rest.frequency), np.mean(rest.U[0], axis=0)[:, 0], np.mean(rest.Y[0], axis=0)[:, 0]
         D = Y - _response(drive.extended, f, order) * U
         noise = np.zeros(len(f)) if rest.noise is None else np.mean(rest.noise[0, :, :, 0, 0].real, axis=0)
         bands = _bands(f, rest.lines, D, Y, noise)
@@ -87,20 +87,20 @@ class DistortionChannel(AbstractLines):
         size = max(rms(np.abs(D[clear]) ** 2), 10 ** (CLEAR / 20) * rms(noise[clear]), 1e-300)
         n = len(clear)
         return cls(
-            drive.extended,
-            drive,
-            _motion(record, drive.extended, order),
-            rest.lines,
-            f[clear],
-            D,
-            Y,
-            noise,
-            clear,
-            size,
-            parts(D[clear]) / size * np.sqrt(2.0),
-            np.zeros(2 * n, int),
-            folds(n),
-            order,
+            robot=drive.extended,
+            drive=drive,
+            motion=_motion(record, drive.extended, order),
+            lines=np.asarray(rest.lines),
+            frequency=f[clear],
+            D=D,
+            Y=Y,
+            noise=noise,
+            clear=clear,
+            size=size,
+            measured=parts(D[clear]) / size * np.sqrt(2.0),
+            group=np.zeros(2 * n, int),
+            fold=folds(n),
+            order=order,
         )
 
     def own(self):
@@ -188,7 +188,7 @@ class _Band(eqx.Module):
 
 def _bands(f, lines, D, Y, noise) -> list[_Band]:
     edges = np.geomspace(f[0], f[-1] * (1 + 1e-9), BANDS + 1)
-    db = lambda power: float(10 * np.log10(max(np.mean(power), 1e-300))) if len(power) else float("nan")
+    db = lambda power: float(10 * np.log10(max(float(np.mean(power)), 1e-300))) if len(power) else float("nan")
     found = []
     for low, high in itertools.pairwise(edges):
         here = (f >= low) & (f < high)
