@@ -1,7 +1,6 @@
 """Friction of motors and joints."""
 
-import operator
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,14 +26,10 @@ def _smoothing(robot: "Robot", reach: Reach) -> float:
     return min(float(getattr(robot.drives.friction, "smoothing", jnp.inf)), _TURN * reach.speed)
 
 
-class _Sliding(AbstractFriction):
+def _turning(typical: Any, robot: "Robot", reach: Reach) -> tuple[Candidate, ...]:
     """Friction with a smoothing of its own, which follows the speed of a measured motion."""
-
-    @classmethod
-    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
-        smoothing = operator.attrgetter("smoothing")
-        typical = eqx.tree_at(smoothing, cls.typical(robot, joint), _smoothing(robot, reach))
-        return (typical.candidate(*cls.plausible(robot, joint)),)
+    effect = eqx.tree_at(lambda e: e.smoothing, typical, _smoothing(robot, reach))
+    return (effect.candidate(*effect.plausible(robot, effect.joint)),)
 
 
 class CoulombFriction(AbstractStructure):
@@ -149,7 +144,7 @@ class ArmViscousFriction(AbstractArmTorque):
         return self.coefficient * rate
 
 
-class StribeckFriction(_Sliding):
+class StribeckFriction(AbstractFriction):
     """Friction that rises at low speed, tau = level exp(-(v/width)^2) tanh(v/smoothing); level = Fs - Fc.
 
     **Arguments:** `level`: N m, motor side, 0 or more; 0.3 Fc is visible. `width`: v_s, 1-10 rad/s. `smoothing`:
@@ -194,7 +189,7 @@ class StribeckFriction(_Sliding):
         return self.level * jnp.exp(-jnp.square(speed / self.width)) * jnp.tanh(speed / self.smoothing)
 
 
-class FrictionAsymmetry(_Sliding):
+class FrictionAsymmetry(AbstractFriction):
     """Friction that differs by direction, tau = offset + level tanh(v/smoothing).
 
     Forward it is level + offset, backward level - offset.
@@ -221,11 +216,15 @@ class FrictionAsymmetry(_Sliding):
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.1 * own(robot, joint, coulomb(robot), 0.1))
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        return _turning(cls.typical(robot, joint), robot, reach)
+
     def torque(self, speed, load):
         return self.offset + self.level * jnp.tanh(speed / self.smoothing)
 
 
-class LoadDependentFriction(_Sliding):
+class LoadDependentFriction(AbstractFriction):
     """Friction that grows with the gear's load, tau = coefficient |tau_g|/n tanh(v/smoothing).
 
     **Arguments:** `coefficient`: mu, 0-0.15; 0.02 is visible. `smoothing`: rad/s.
@@ -247,6 +246,10 @@ class LoadDependentFriction(_Sliding):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.02)
+
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        return _turning(cls.typical(robot, joint), robot, reach)
 
     def torque(self, speed, load):
         return self.coefficient * jnp.abs(load) * jnp.tanh(speed / self.smoothing)

@@ -74,7 +74,7 @@ def diagnose(
 
     Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
     """
-    records = list(data) if isinstance(data, Sequence) else [data]
+    records: list[Any] = list(data) if isinstance(data, Sequence) else [data]
     channel = channel_of(robot, records)
     if channel is not None:
         return _by_channel(channel, robot, records, own, sealed or 0, say or (lambda text: None))

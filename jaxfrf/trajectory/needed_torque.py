@@ -50,8 +50,8 @@ def needed_torque(robot: Robot, motion: Motion) -> Torque:
         motion = _true_motion(robot, sensor, motion)
     torque = np.asarray(_inertial(plain, motion.angle, motion.speed, motion.acceleration))
     for kind in (AbstractArmTorque, AbstractFriction, AbstractMotorTorque, AbstractActuator):
-        for effect in (x for x in robot.effects if isinstance(x, kind)):
-            torque = torque + _contribution(robot, effect, motion, torque)
+        for acting in (x for x in robot.effects if isinstance(x, kind)):
+            torque = torque + _contribution(robot, acting, motion, torque)
     return torque
 
 

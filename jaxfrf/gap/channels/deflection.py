@@ -100,7 +100,7 @@ class DeflectionChannel(AbstractRecords):
                 f"{n}, as in the records",
                 "Say them.",
             )
-        u, motor, link = zip(*(_run(record, pos, exp, n) for record, pos, exp in every_record(data)), strict=True)
+        u, motor, link = zip(*(_run(x, pos, exp, n) for x, pos, exp in every_record(data)), strict=True)
         motions = tuple(_filtered(a, b, data[0].fs) for a, b in zip(u, motor, strict=True))
         speed, travel, most = (
             np.max([f(m) for m in motions], axis=0)
@@ -205,8 +205,8 @@ def _bend(robot: Robot, x, m: Motion, k):
         if isinstance(e, AbstractGearTorque | AbstractGearError):
             axis = axis_of(robot, e.joint)
             angle = jnp.asarray(m.angle[:, axis] / float(robot.drives.gear_ratio[axis]))
-            effect, known = arrays((e, robot))
-            more[:, axis] += np.asarray(_along(effect, known, x[:, axis], still[:, axis], angle, 1.0 / m.fs))
+            effect, with_it = arrays((e, robot))
+            more[:, axis] += np.asarray(_along(effect, with_it, x[:, axis], still[:, axis], angle, 1.0 / m.fs))
     return -more / k
 
 

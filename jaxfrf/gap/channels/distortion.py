@@ -5,7 +5,6 @@ D = Y - G U at detection lines,   D = -G DFT{what the effect asks of the motor a
 
 import dataclasses
 import itertools
-import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -79,7 +78,7 @@ class DistortionChannel(AbstractLines):
     @classmethod
     def _compared(cls, drive: Diagnosis, record: Experiment, order: int) -> "DistortionChannel":
         rest = unexcited_spectra(record)
-        f, U, Y = rest.frequency, np.mean(rest.U[0], axis=0)[:, 0], np.mean(rest.Y[0], axis=0)[:, 0]
+        f, U, Y = np.asarray(rest.frequency), np.mean(rest.U[0], axis=0)[:, 0], np.mean(rest.Y[0], axis=0)[:, 0]
         D = Y - _response(drive.extended, f, order) * U
         noise = np.zeros(len(f)) if rest.noise is None else np.mean(rest.noise[0, :, :, 0, 0].real, axis=0)
         bands = _bands(f, rest.lines, D, Y, noise)
@@ -92,7 +91,7 @@ class DistortionChannel(AbstractLines):
             drive=drive,
             motion=_motion(record, drive.extended, order),
             lines=np.asarray(rest.lines),
-            frequency=np.asarray(f)[clear],
+            frequency=f[clear],
             D=D,
             Y=Y,
             noise=noise,
@@ -189,7 +188,7 @@ class _Band(eqx.Module):
 
 def _bands(f, lines, D, Y, noise) -> list[_Band]:
     edges = np.geomspace(f[0], f[-1] * (1 + 1e-9), BANDS + 1)
-    db = lambda power: 10 * math.log10(max(float(np.mean(power)), 1e-300)) if len(power) else math.nan
+    db = lambda power: float(10 * np.log10(max(float(np.mean(power)), 1e-300))) if len(power) else float("nan")
     found = []
     for low, high in itertools.pairwise(edges):
         here = (f >= low) & (f < high)

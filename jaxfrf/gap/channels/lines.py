@@ -81,7 +81,12 @@ def on_the_way(effect: AbstractActuator, s: Complex[np.ndarray, "line"]) -> Comp
 
 def rigid_drive(inertia: float) -> Robot:
     """One motor of which nothing is known but its inertia, in units of u: the torque constant is one with it."""
-    still = {"axis": [0.0, 0.0, 1.0], "offset": [0.0] * 3, "com": [0.0] * 3, "mass": 0.0, "inertia": [0.0] * 6}
-    motor = {"gear_ratio": 1.0, "motor_inertia": inertia, "damping": 0.0, "stiffness": float("inf")}
-    joint = {"name": "drive", "type": "driven", **still, **motor}
-    return robot_from_table({"name": "drive", "gravity": [0.0] * 3, "joint": [joint]})
+    joint: dict[str, object] = {
+        "name": "drive",
+        "type": "driven",
+        "axis": [0.0, 0.0, 1.0],
+        "offset": [0.0] * 3,
+        "com": [0.0] * 3,
+    }
+    joint |= {"mass": 0.0, "inertia": [0.0] * 6, "gear_ratio": 1.0, "motor_inertia": inertia, "damping": 0.0}
+    return robot_from_table({"name": "drive", "gravity": [0.0] * 3, "joint": [joint | {"stiffness": float("inf")}]})

@@ -80,17 +80,8 @@ class ResponseChannel(AbstractLines):
         weight = 1.0 / np.sqrt(RESPONSE**2 + variance)
         numbers, n = DriveNumbers.of(robot), len(f)
         start = np.log(G / drive_response(numbers, robot.effects, f, order)) * weight
-        return cls(
-            robot=robot,
-            numbers=numbers,
-            G=G,
-            variance=variance,
-            frequency=f,
-            measured=parts(start),
-            group=np.zeros(2 * n, int),
-            fold=folds(n),
-            order=order,
-        )
+        rows = {"measured": parts(start), "group": np.zeros(2 * n, int), "fold": folds(n)}
+        return cls(robot=robot, numbers=numbers, G=G, variance=variance, frequency=f, order=order, **rows)
 
     def of(self, data):
         return ResponseChannel.opened(self.robot, data)

@@ -12,6 +12,7 @@ statistic of all candidates,
 from collections.abc import Sequence
 
 import numpy as np
+import scipy.special
 import scipy.stats
 from jaxtyping import Float, Int
 
@@ -81,10 +82,10 @@ def family_wise(
 def _strength(total: Float[np.ndarray, "*draw free"], g: Float[np.ndarray, "block free"], one_sided: bool):
     """-log of the chance of a sum of evidence this large, were its blocks normal."""
     inverse = np.linalg.pinv(g.T @ g, rcond=1e-10, hermitian=True)
-    size = np.einsum("...i,ij,...j->...", total, inverse, total)
+    size = np.sum((total @ inverse) * total, axis=-1)
     if one_sided:
         size = np.where(total[..., 0] > 0.0, size, 0.0)
-    return -scipy.stats.chi2.logsf(size, g.shape[1])
+    return -np.log(scipy.special.chdtrc(g.shape[1], size))  # a sum of n blocks is n at most: no underflow
 
 
 def covariance(r: Rows, S: Float[np.ndarray, "row free"], block) -> Float[np.ndarray, "free free"]:
