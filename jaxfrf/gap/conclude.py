@@ -135,9 +135,9 @@ def _verdict(
     result = compared(base.residual, extended.residual, base.evidence.plain, told.frequency)
     if worst > UNEXPLAINED and (not effects or result.after > (1 - EXPLAINED) * result.before):
         return "unexplained", (
-            f"In one axis the misfit is {worst:.3g} times the floor's, everywhere or at one position, whatever the robot's "
-            "numbers are, and no effect of the library mends that: something is missing that it does not hold. The maps "
-            "show where."
+            f"In one axis the misfit is {worst:.3g} times the floor's, everywhere or at one position, whatever the "
+            "robot's numbers are, and no effect of the library mends that: something is missing that it does not hold. "
+            "The maps show where."
         )
     if effects:
         on = "the held-out positions" if sealed else "the fitted positions, none being held out"
