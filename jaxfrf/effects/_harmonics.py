@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import input_error
+from .._text import number
 from .effect import Candidate, Joint, Reach
 
 _ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 18, 20, 24, 30, 36, 48)  # of the motor's angle, that are tried
@@ -20,7 +21,7 @@ def by_order(kind, joint: Joint, reach: Reach, amplitude: float) -> tuple[Candid
     if not orders:
         raise input_error(
             f"{kind.name} of {joint}",
-            f"{reach.travel / (2 * np.pi):.2g} turns of the motor",
+            f"{number(reach.travel / (2 * np.pi), 2)} turns of the motor",
             "some turns: the record tells no orders of its angle",
             "Move further.",
         )

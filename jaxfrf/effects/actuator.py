@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import input_error
+from .._text import number
 from .._types import Array
 from ._harmonics import by_order, checked, harmonics
 from ._place import axis_of
@@ -302,7 +303,7 @@ class ElasticLoad(AbstractActuator):
             start = tuple(np.log([f, _APART * f, _DAMPED, _DAMPED]))
             make, free = functools.partial(_of_logarithms, joint), (np.inf,) * 4
             least = tuple(-x for x in free)
-            found.append(Candidate(cls.name, str(joint), (), make, least, free, 1.0, f"from {f:.3g} Hz", start))
+            found.append(Candidate(cls.name, str(joint), (), make, least, free, 1.0, f"from {number(f)} Hz", start))
         return tuple(found)
 
     def start(self, torque, step):
@@ -331,7 +332,7 @@ class ElasticLoad(AbstractActuator):
         return out, state
 
     def response(self, s):
-        pair = lambda f, z: 1.0 + 2.0 * z * s / (2.0 * jnp.pi * f) + jnp.square(s / (2.0 * jnp.pi * f))
+        pair = lambda f, z: 1.0 + (2.0 * z + s / (2.0 * math.pi * f)) * s / (2.0 * math.pi * f)
         above = pair(self.antiresonance, self.antiresonance_damping)
         return above / pair(self.resonance, self.resonance_damping)
 

@@ -1,11 +1,13 @@
 """Friction of motors and joints."""
 
+import operator
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from .._text import number
 from .._types import Array
 from ._place import axis_of, changed, coulomb, own
 from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint, OwnNumber, Reach
@@ -28,11 +30,10 @@ def _smoothing(robot: "Robot", reach: Reach) -> float:
 class _Sliding(AbstractFriction):
     """Friction with a smoothing of its own, which follows the speed of a measured motion."""
 
-    smoothing: eqx.AbstractVar[Number]
-
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
-        typical = eqx.tree_at(lambda e: e.smoothing, cls.typical(robot, joint), _smoothing(robot, reach))
+        smoothing = operator.attrgetter("smoothing")
+        typical = eqx.tree_at(smoothing, cls.typical(robot, joint), _smoothing(robot, reach))
         return (typical.candidate(*cls.plausible(robot, joint)),)
 
 
@@ -187,7 +188,7 @@ class StribeckFriction(_Sliding):
             cls.plausible(robot, joint),
         )
         these = [cls(joint, level, part * reach.speed, smoothing) for part in _PARTS]
-        return tuple(e.candidate(*bounds, f"width {e.width:.3g} rad/s") for e in these)
+        return tuple(e.candidate(*bounds, f"width {number(e.width)} rad/s") for e in these)
 
     def torque(self, speed, load):
         return self.level * jnp.exp(-jnp.square(speed / self.width)) * jnp.tanh(speed / self.smoothing)

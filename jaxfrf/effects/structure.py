@@ -291,6 +291,10 @@ class ExtraFlexibility(AbstractStructure):
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
         raise input_error(cls.name, "a measured motion", "a simulated one: links are rigid here", "Use other records.")
 
+    @classmethod
+    def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple[Candidate, ...]:
+        raise input_error(cls.name, "a single drive", "a robot: it bends across the axis", "See `ElasticLoad`.")
+
     def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
         name = f"{robot.joint_names[robot.driven_joints[axis_of(robot, self.joint)]]}_flexibility"
         return OwnNumber(f"{name}.stiffness", "stiffness"), OwnNumber(f"{name}.damping", "damping")

@@ -12,7 +12,7 @@ from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order, ripple_effects
 from .contest import Contest, Records, Step, said, shows_nothing
 from .fitted import Fitted, is_loud
-from .judge import Comparison, Written, compared, over_floor, relative_torque, written
+from .judge import Comparison, Written, compared, over_floor, relative_torque, simulated, written
 from .quantised import resolution
 from .result import Estimate, Named
 from .settings import (
@@ -48,7 +48,7 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     told = records.every.at(records.judged)
     steps, refused = _standing(found, told)
     last = found.last if len(steps) == len(found.steps) else steps[-1].found if steps else found.base
-    extended = written(last.written(), told) or written(given, told)
+    extended = written(last.written(), told) or simulated(given, told)
     louder = _loud_ripple(last, extended, records, told)
     effects = (*(_named(step, last, given) for step in steps), *louder, *_counting(records.whole, given))
     base = _without(found, steps, last, louder, extended, told)
@@ -189,9 +189,8 @@ def _one_class(effect: AbstractEffect, own, other) -> bool:
 def _named(step: Step, last: Fitted, given: Robot) -> Named:
     effect, joint = step.hypothesis.effect_in(last), step.hypothesis.joint
     told = step.hypothesis.told(last)
-    equivalent = list(effect.same_law)
-    equivalent += [r.key[0] for r in step.rivals if r.near and r.key[0] != effect.name]
-    equivalent = tuple(dict.fromkeys(equivalent))
+    near = (r.key[0] for r in step.rivals if r.near and r.key[0] != effect.name)
+    equivalent = tuple(dict.fromkeys([*effect.same_law, *near]))
     return Named(
         effect=effect,
         joint=joint,
@@ -221,7 +220,7 @@ def _visible(effect, robot: Robot, joint: str) -> float:
 def _ripple_of(robot: Robot, order: Order) -> tuple[type[AbstractEffect], str]:
     """Class and joint of the effect that an order of ripple is part of."""
     (effect,) = ripple_effects(robot.axis_names, [order], np.ones((1, 2)))
-    return type(effect), effect.joint
+    return type(effect), str(effect.joint)
 
 
 def _loud_ripple(last: Fitted, extended: Written, records: Records, told: Measured) -> tuple[Named, ...]:
@@ -233,17 +232,25 @@ def _loud_ripple(last: Fitted, extended: Written, records: Records, told: Measur
     effects = [effect for effect in effects if _loudness(effect, robot) >= LEAST_SIZE]
     if not effects:
         return ()
-    after = [(written(last.written(), records.deciding), records.deciding), (extended, told)]
+    deciding = written(last.written(), records.deciding)
+    if deciding is None:
+        return ()
     found = []
     for effect in effects:
-        own = type(effect), effect.joint
-        quiet = last.written(lambda o, w, own=own: _ripple_of(robot, o) == own and is_loud(robot, o, w))
-        sides = [(written(quiet, record), its, record) for its, record in after]
-        if all(x and its and not against_it(record, x, its, effect.joint) for x, its, record in sides):
-            before, its, record = sides[0]
-            gain = compared(before.residual, its.residual, before.evidence.plain, record.frequency)
-            found.append(_ripple(effect, last, gain))
+        quiet = _quiet(last, (type(effect), str(effect.joint)))
+        before, sealed = written(quiet, records.deciding), written(quiet, told)
+        if before is None or sealed is None:
+            continue
+        against = against_it(records.deciding, before, deciding, str(effect.joint))
+        if not against and not against_it(told, sealed, extended, str(effect.joint)):
+            floor, frequency = before.evidence.plain, records.deciding.frequency
+            found.append(_ripple(effect, last, compared(before.residual, deciding.residual, floor, frequency)))
     return tuple(found)
+
+
+def _quiet(last: Fitted, own: tuple[type[AbstractEffect], str]) -> Robot:
+    """The robot as it would be written without the loud ripple of one motor."""
+    return last.written(lambda o, w: _ripple_of(last.robot, o) == own and is_loud(last.robot, o, w))
 
 
 def _waves(effect) -> dict[str, Estimate]:

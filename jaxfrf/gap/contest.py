@@ -125,7 +125,9 @@ def contest(
     fit = records.fitted
     base, given = _base(robot, fit, say, parts)
     done(0.3)
-    now, steps, first, refused = base, [], (), ""
+    now, refused = base, ""
+    steps: list[Step] = []
+    first: tuple[Scored, ...] = ()
     while len(steps) < MOST:
         misses, strained = _misses(now, records, say), _strained(now)
         if strained:
@@ -208,11 +210,13 @@ def _round(step: Step | None, refused: str) -> Round:
 
 def _remembered(kept: Round, now: Fitted, records: Records, misses: bool, say: Say) -> Step | None:
     """The step of a round that an earlier run had finished."""
-    begun = hypothesis(now, kept.effect, kept.joint)
+    begun = None if kept.effect is None else hypothesis(now, kept.effect, kept.joint)
+    if begun is None:
+        return None
     found = _again(kept, begun.robot, begun.unknown, records.fitted, say)
     told = kept.told
     rivals = tuple(Rival((name, joint), cost, near) for name, joint, cost, near in told["rivals"])
-    scored = Scored(kept.effect, kept.joint, *told["scored"])
+    scored = Scored(begun.effect, begun.joint, *told["scored"])
     without = to_beat(now, begun, found, misses)[-1]
     return Step(begun, scored, found, without, Comparison(*told["on_select"]), told["cost"], rivals)
 
@@ -352,7 +356,7 @@ def _chosen(scored: Sequence[Scored], had) -> list[Scored]:
 def _imitated(view: Fitted, scored: Sequence[Scored], had) -> list[Scored]:
     """Effects of the axis with most left that its numbers imitate to first order."""
     joint = view.robot.axis_names[int(np.argmax(view.of_axes))]
-    best = {}
+    best: dict[tuple[str, str], Scored] = {}
     for this in scored:
         if this.effect.imitated and this.joint == joint and this.key not in had:
             best.setdefault(this.key, this)

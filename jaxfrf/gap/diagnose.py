@@ -16,6 +16,7 @@ from ..robot import Robot
 from ..trajectory.following import compared
 from ..trajectory.joined import joined, places
 from ..trajectory.measured import Measured, fewer, measured
+from ..trajectory.rigid_motion import check_rigid
 from .channels import AbstractChannel, channel_of
 from .channels.conclude import concluded
 from .contest import Records, contest
@@ -80,8 +81,12 @@ def diagnose(
     if robot is None:
         raise input_error("robot", "no robot", "one, for these records", "Name it (--robot robot.toml).")
     expect("robot", robot, Robot)
+    for one in records:
+        expect("data", one, Experiment)
+        if not one.period:
+            check_rigid(robot)
     require_x64("A diagnosis")
-    record, say = joined(records), say or (lambda text: None)
+    record, say = joined([x for x in records if isinstance(x, Experiment)]), say or (lambda text: None)
     parts_of = split(measured(fewer(record, EXPERIMENTS)), measured(fewer(record, JUDGING)), sealed)
     found = contest(robot, parts_of, tuple(own), say, progress or (lambda part: None), parts)
     return present(found, parts_of, robot, compared(robot, record))

@@ -128,7 +128,7 @@ class Fitted(eqx.Module):
 
 def is_loud(robot: Robot, order: Order, wave: Sequence[float]) -> bool:
     """Whether ripple is more than motors usually have."""
-    return float(np.hypot(*wave)) > order.loud(robot)
+    return float(np.hypot(wave[0], wave[1])) > order.loud(robot)
 
 
 def fitted(robot: Robot, record: Measured, say: Say, rounds: int = ROUNDS) -> tuple[Fitted, Fitted]:

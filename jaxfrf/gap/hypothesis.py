@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import operator
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -49,7 +50,7 @@ class Hypothesis(eqx.Module):
         """The effect with the parameters of a robot that was fitted."""
         effect = self.effect
         for name, (value, _) in self.told(found).items():
-            effect = eqx.tree_at(lambda e, name=name: getattr(e, name), effect, value)
+            effect = eqx.tree_at(operator.attrgetter(name), effect, value)
         if isinstance(effect, fx.Payload):
             effect = dataclasses.replace(effect, place=_place(self.robot, effect, found, self.own[0].minus))
         return effect

@@ -31,9 +31,14 @@ class Written(eqx.Module):
 def written(robot: Robot, record: Measured) -> Written | None:
     """`None` where the robot cannot be simulated."""
     try:
-        return Written(robot, Evidence(alike_as_written(robot), record))
+        return simulated(robot, record)
     except InputError:
         return None
+
+
+def simulated(robot: Robot, record: Measured) -> Written:
+    """**Raises:** `jaxfrf.InputError` where it cannot be."""
+    return Written(robot, Evidence(alike_as_written(robot), record))
 
 
 class Comparison(eqx.Module):

@@ -29,7 +29,7 @@ def _courses(base: Written, extended: Written):
     scenes = base.evidence.scenes
     some = np.round(np.arange(_SAMPLES) * scenes[0].period / _SAMPLES).astype(int)
     back = lambda X: scipy.fft.irfft(np.swapaxes(X, 1, 2), n=_SAMPLES, axis=2) * _SAMPLES
-    signals = {"speed": [], "angle": [], "load": []}
+    signals: dict[str, list[np.ndarray]] = {"speed": [], "angle": [], "load": []}
     for scene in scenes:
         signals["speed"].append(scene.speed[:, some])
         signals["load"].append(scene.load[:, some])

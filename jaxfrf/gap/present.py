@@ -63,8 +63,8 @@ def gap_between(records: Records, base: Written, extended: Written) -> Gap:
     low = min(np.sqrt(FLOOR), _AT_MOST * b)
     shrink = float(np.clip(1.0 - (a - low) / max(b - low, _NOTHING), -9.0, 1.0))
     on = "held-out positions" if len(records.sealed) else "the fitted positions (none were held out)"
-    torque = (relative_torque(told, x.residual) for x in (base, extended))
-    return Gap(b, a, float(low), shrink, "1", on, *torque)
+    before, after = (relative_torque(told, x.residual) for x in (base, extended))
+    return Gap(b, a, float(low), shrink, "1", on, before, after)
 
 
 def _parameters(last: Fitted, given: Robot):

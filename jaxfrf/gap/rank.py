@@ -1,6 +1,8 @@
 """What every candidate promises to take off the cost of a robot whose numbers are fitted, to first order."""
 
+import functools
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -63,7 +65,7 @@ def _columns(view: Fitted, record: Measured, own) -> list[Scored]:
     look = view.look
     pool = _pool(view, record, own)
     count = look.weighed.gram.b.shape[1]
-    weighed = weigh(look.evidence, [lambda s, e=e: signature(e, s) for c in pool for e in c.basis], look.weighed)
+    weighed = weigh(look.evidence, [functools.partial(signature, e) for c in pool for e in c.basis], look.weighed)
     weighed = refloored(weighed, look.evidence.floor, _steady_seen(look.evidence))
     gram = placed(precise(weighed), places(record.data)).gram
     base = Gram(gram.A[:, :count, :count], gram.b[:, :count], gram.rr, gram.position, gram.count)
@@ -122,7 +124,8 @@ def _is_had(robot, effect: AbstractEffect, had: set[str]) -> bool:
 
 def _gear_errors(view: Fitted) -> list[Candidate]:
     """Errors of the teeth of every gear, at the orders that most of the residual goes by."""
-    look, robot, found = view.look, view.look.evidence.robot, []
+    look, robot = view.look, view.look.evidence.robot
+    found: list[Candidate] = []
     change = look.posterior.change
     first = len(change) - 2 * len(look.orders)
     for axis in robot.flexible_axes:
@@ -135,9 +138,10 @@ def _gear_errors(view: Fitted) -> list[Candidate]:
 
 
 def _size(candidate: Candidate, effect, x) -> float:
-    amplitude = getattr(effect, "amplitude", None)
-    one = 1.0 if amplitude is None else float(np.max(np.asarray(candidate.basis[0].amplitude)))
-    return float(abs(x[0]) if amplitude is None else np.max(np.asarray(amplitude)) / one) / candidate.visible
+    amplitude, one = (getattr(e, "amplitude", None) for e in (effect, candidate.basis[0]))
+    if amplitude is None or one is None:
+        return float(abs(x[0])) / candidate.visible
+    return float(np.max(np.asarray(amplitude)) / np.max(np.asarray(one))) / candidate.visible
 
 
 def _t(each, positions) -> float:
@@ -153,7 +157,7 @@ def _set_free(view: Fitted, cost: float) -> list[Scored]:
     kinds, strain, found = library(), view.strain, []
     for i in view.strained:
         number = view.these[i]
-        kind = kinds.get(number.kind)
+        kind: Any = kinds.get(number.kind)
         if kind is None or not kind.is_error:
             continue
         effect = kind(number.joint, number.value(float(view.x[i])) - number.given)

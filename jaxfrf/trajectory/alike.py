@@ -20,7 +20,7 @@ _ROOM = {TorqueRipple: 8, ResolverRipple: 4}  # orders of a motor, or a multiple
 class _AnyTorqueRipple(TorqueRipple):
     """Ripple whose orders are no part of a program."""
 
-    order: Float[np.ndarray, "order"]
+    order: Float[np.ndarray, "order"]  # type: ignore[assignment]
 
     def __init__(self, joint, amplitude, order, phase):
         self.joint, self.amplitude, self.order, self.phase = joint, amplitude, order, phase
@@ -29,7 +29,7 @@ class _AnyTorqueRipple(TorqueRipple):
 class _AnyResolverRipple(ResolverRipple):
     """The same of a resolver."""
 
-    order: Float[np.ndarray, "order"]
+    order: Float[np.ndarray, "order"]  # type: ignore[assignment]
 
     def __init__(self, joint, amplitude, order, phase):
         self.joint, self.amplitude, self.order, self.phase = joint, amplitude, order, phase
@@ -50,7 +50,8 @@ def alike(robot: Robot, waves: Sequence[Wave] = ()) -> Robot:
 
 def _any_ripple(names: Sequence[str], waves: Sequence[Wave]):
     """As `with_ripple`, the orders of every motor in as many places."""
-    found = {(type(e), e.joint): e for e in ripple_effects(names, *_apart(waves))}
+    made = [e for e in ripple_effects(names, *_apart(waves)) if isinstance(e, TorqueRipple | ResolverRipple)]
+    found: dict[tuple[type, str], TorqueRipple | ResolverRipple] = {(type(e), str(e.joint)): e for e in made}
     more = []
     for kind, room in _ROOM.items():
         most = max((len(e.order) for (k, _), e in found.items() if k is kind), default=1)
@@ -72,7 +73,7 @@ def _apart(waves: Sequence[Wave]):
 def alike_as_written(robot: Robot) -> Robot:
     """The same, of a robot whose ripple stands in it already, where every motor's stands once."""
     kinds = {TorqueRipple: "torque", ResolverRipple: "resolver"}
-    own = [e for e in robot.effects if isinstance(e, tuple(kinds))]
+    own = [e for e in robot.effects if isinstance(e, TorqueRipple | ResolverRipple)]
     if len({(type(e), axis_of(robot, e.joint)) for e in own}) < len(own):
         return alike(robot)
     waves = [

@@ -132,7 +132,8 @@ def _numbers_of(candidate: Candidate, values, V) -> dict[str, Estimate]:
     """The effect's parameters, with standard deviations by their slopes in the coefficients."""
     units = candidate.make(np.array(values)).units
     read = lambda e: {k: float(np.ravel(getattr(e, k))[0]) for k in units if getattr(e, k) is not None}
-    now, slopes = read(candidate.make(np.array(values))), {}
+    now = read(candidate.make(np.array(values)))
+    slopes: dict[str, list[float]] = {}
     for i, value in enumerate(values):
         step = 1e-6 * abs(value) or 1e-9
         moved = np.array(values)

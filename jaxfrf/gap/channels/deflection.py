@@ -100,7 +100,7 @@ class DeflectionChannel(AbstractRecords):
                 f"{n}, as in the records",
                 "Say them.",
             )
-        u, motor, link = zip(*(_run(*one, n) for one in every_record(data)), strict=True)
+        u, motor, link = zip(*(_run(record, pos, exp, n) for record, pos, exp in every_record(data)), strict=True)
         motions = tuple(_filtered(a, b, data[0].fs) for a, b in zip(u, motor, strict=True))
         speed, travel, most = (
             np.max([f(m) for m in motions], axis=0)
@@ -119,18 +119,18 @@ class DeflectionChannel(AbstractRecords):
         ]
         lengths = tuple(len(x) for x in deflection)
         return cls(
-            robot,
-            motions,
-            u,
-            link,
-            size,
-            rows_of(deflection, size),
-            np.tile(np.arange(n), sum(lengths)),
-            np.repeat(np.arange(len(lengths)), np.array(lengths) * n),
-            lengths,
-            motions[0].fs / _step(motions[0].fs),
-            np.concatenate([_thinned(m, x) for m, x in zip(motions, seen, strict=True)]),
-            tuple(Reach(*map(float, x)) for x in zip(speed, travel, most, strict=True)),
+            robot=robot,
+            motions=motions,
+            u=u,
+            link=link,
+            size=size,
+            measured=rows_of(deflection, size),
+            group=np.tile(np.arange(n), sum(lengths)),
+            fold=np.repeat(np.arange(len(lengths)), np.array(lengths) * n),
+            lengths=lengths,
+            rate=motions[0].fs / _step(motions[0].fs),
+            feature=np.concatenate([_thinned(m, x) for m, x in zip(motions, seen, strict=True)]),
+            reach=tuple(Reach(*map(float, x)) for x in zip(speed, travel, most, strict=True)),
         )
 
     def own(self):
@@ -139,7 +139,7 @@ class DeflectionChannel(AbstractRecords):
             _thinned(m, x) * np.asarray(self.robot.drives.gear_ratio) for m, x in zip(self.motions, self.u, strict=True)
         ]
         torque, x = np.concatenate(torque), self.measured.reshape(-1, self.n_axes) * self.size
-        k = np.sum(torque**2, axis=0) / np.maximum(np.sum(torque * x, axis=0), 1e-300)
+        k = np.sum(torque**2, axis=0) / np.sum(torque * x, axis=0)
         return dict(zip(parameters(self.robot, ("stiffness",)), map(float, k), strict=False))
 
     def predicted(self, state):
@@ -205,7 +205,8 @@ def _bend(robot: Robot, x, m: Motion, k):
         if isinstance(e, AbstractGearTorque | AbstractGearError):
             axis = axis_of(robot, e.joint)
             angle = jnp.asarray(m.angle[:, axis] / float(robot.drives.gear_ratio[axis]))
-            more[:, axis] += np.asarray(_along(*arrays((e, robot)), x[:, axis], still[:, axis], angle, 1.0 / m.fs))
+            effect, known = arrays((e, robot))
+            more[:, axis] += np.asarray(_along(effect, known, x[:, axis], still[:, axis], angle, 1.0 / m.fs))
     return -more / k
 
 

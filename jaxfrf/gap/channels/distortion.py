@@ -5,6 +5,7 @@ D = Y - G U at detection lines,   D = -G DFT{what the effect asks of the motor a
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -22,7 +23,7 @@ from ...trajectory.rigid_motion import Motion
 from ..result import Cell, Diagnosis
 from .channel import Rows, makes_sense
 from .conclude import concluded
-from .lines import AbstractLines, drive_response, folds, on_the_way, one_drive, parts
+from .lines import AbstractLines, DriveNumbers, drive_response, folds, on_the_way, one_drive, parts
 from .response import ResponseChannel
 from .settings import BANDS, CLEAR, CLEARLY, DISTORTION
 
@@ -79,7 +80,7 @@ class DistortionChannel(AbstractLines):
     def _compared(cls, drive: Diagnosis, record: Experiment, order: int) -> "DistortionChannel":
         rest = unexcited_spectra(record)
         f, U, Y = rest.frequency, np.mean(rest.U[0], axis=0)[:, 0], np.mean(rest.Y[0], axis=0)[:, 0]
-        D = Y - drive_response(drive.extended, f, order) * U
+        D = Y - _response(drive.extended, f, order) * U
         noise = np.zeros(len(f)) if rest.noise is None else np.mean(rest.noise[0, :, :, 0, 0].real, axis=0)
         bands = _bands(f, rest.lines, D, Y, noise)
         clear = np.concatenate([np.flatnonzero(b.here) for b in bands if b.clear] or [np.arange(len(f))])
@@ -87,20 +88,20 @@ class DistortionChannel(AbstractLines):
         size = max(rms(np.abs(D[clear]) ** 2), 10 ** (CLEAR / 20) * rms(noise[clear]), 1e-300)
         n = len(clear)
         return cls(
-            drive.extended,
-            drive,
-            _motion(record, drive.extended, order),
-            rest.lines,
-            f[clear],
-            D,
-            Y,
-            noise,
-            clear,
-            size,
-            parts(D[clear]) / size * np.sqrt(2.0),
-            np.zeros(2 * n, int),
-            folds(n),
-            order,
+            robot=drive.extended,
+            drive=drive,
+            motion=_motion(record, drive.extended, order),
+            lines=np.asarray(rest.lines),
+            frequency=np.asarray(f)[clear],
+            D=D,
+            Y=Y,
+            noise=noise,
+            clear=clear,
+            size=size,
+            measured=parts(D[clear]) / size * np.sqrt(2.0),
+            group=np.zeros(2 * n, int),
+            fold=folds(n),
+            order=order,
         )
 
     def own(self):
@@ -123,7 +124,7 @@ class DistortionChannel(AbstractLines):
         seen = spectrum[self.lines[self.clear]]
         if np.linalg.norm(seen) < _LINEAR * np.linalg.norm(spectrum):
             return np.zeros_like(self.measured)
-        return -parts(drive_response(self.robot, self.frequency, self.order) * seen) / self.size * np.sqrt(2.0)
+        return -parts(_response(self.robot, self.frequency, self.order) * seen) / self.size * np.sqrt(2.0)
 
     def floor(self, residual):
         return np.repeat(np.sqrt(self.noise[self.clear]) / self.size, 2)
@@ -188,7 +189,7 @@ class _Band(eqx.Module):
 
 def _bands(f, lines, D, Y, noise) -> list[_Band]:
     edges = np.geomspace(f[0], f[-1] * (1 + 1e-9), BANDS + 1)
-    db = lambda power: float(10 * np.log10(max(np.mean(power), 1e-300))) if len(power) else float("nan")
+    db = lambda power: 10 * math.log10(max(float(np.mean(power)), 1e-300)) if len(power) else math.nan
     found = []
     for low, high in itertools.pairwise(edges):
         here = (f >= low) & (f < high)
@@ -203,6 +204,10 @@ def _detects(record: Experiment) -> bool:
         return len(unexcited_spectra(record).lines) >= 2 * BANDS
     except InputError:
         return False
+
+
+def _response(robot: Robot, f, order: int):
+    return drive_response(DriveNumbers.of(robot), robot.effects, f, order)
 
 
 def _mechanics(robot: Robot) -> Robot:

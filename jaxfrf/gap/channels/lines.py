@@ -1,14 +1,14 @@
 """Channels whose rows are lines of a single drive's spectra: real and imaginary part of each."""
 
 import dataclasses
+from collections.abc import Iterable
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from ..._types import arrays
-from ...effects import AbstractActuator, AbstractArmTorque
+from ...effects import AbstractActuator, AbstractArmTorque, AbstractEffect
 from ...experiment import Experiment
 from ...robot import Robot, arm_inertia, robot_from_table
 from .channel import AbstractChannel, Rows
@@ -40,38 +40,48 @@ def folds(n: int) -> np.ndarray:
     return np.repeat(np.arange(n) % FOLDS, 2)
 
 
+class DriveNumbers(eqx.Module):
+    """What a robot of one axis with a rigid transmission is to its motor, in small motion: `inertia`, kg m^2, its
+    viscous `friction`, N m s/rad, and the `stiffness` of torques on the arm, N m/rad."""
+
+    inertia: float
+    friction: float
+    stiffness: float
+
+    @classmethod
+    def of(cls, robot: Robot) -> "DriveNumbers":
+        square = float(robot.drives.gear_ratio[0]) ** 2
+        inertia = float(arm_inertia(dataclasses.replace(robot, effects=()), np.zeros(1))[0, 0])
+        friction, stiffness, still, step = 0.0, 0.0, jnp.zeros(()), jnp.asarray(1e-6)
+        for effect in robot.effects:
+            if isinstance(effect, AbstractArmTorque):
+                rest = float(effect.torque(still, still))
+                friction += (float(effect.torque(still, step)) - rest) / 1e-6
+                stiffness += (float(effect.torque(step, still)) - rest) / 1e-6
+        return cls(inertia / square, float(robot.drives.friction.viscous[0]) + friction / square, stiffness / square)
+
+
 def drive_response(
-    robot: Robot, frequency: Float[np.ndarray, "line"], order: int, more: float = 0.0
+    numbers: DriveNumbers, effects: Iterable[AbstractEffect], frequency: Float[np.ndarray, "line"], order: int
 ) -> Complex[np.ndarray, "line"]:
-    """G of a robot of one axis with a rigid transmission, continuous in time; `order`: 0 position, 1 speed, 2
-    acceleration of the motor. Of friction its viscous part; of torques on the arm their slopes at zero. `more`: inertia
-    of the motor beyond the robot's, kg m^2."""
+    """G of a drive and what the `effects` make of its command, continuous in time; `order`: 0 position, 1 speed, 2
+    acceleration of the motor."""
     s = 2j * np.pi * np.asarray(frequency)
-    square = float(robot.drives.gear_ratio[0]) ** 2
-    inertia = float(arm_inertia(dataclasses.replace(robot, effects=()), np.zeros(1))[0, 0]) / square + more
-    friction, stiffness, column = float(robot.drives.friction.viscous[0]), 0.0, np.ones_like(s)
-    for effect in robot.effects:
-        if isinstance(effect, AbstractArmTorque):
-            still, step = jnp.zeros(()), jnp.asarray(1e-6)
-            slope = lambda a, b, e=effect, z=still: float(e.torque(a, b) - e.torque(z, z)) / 1e-6 / square
-            friction, stiffness = friction + slope(still, step), stiffness + slope(step, still)
-        elif isinstance(effect, AbstractActuator):
-            column = column * on_the_way(effect, s)
-    return column * s**order / (inertia * s**2 + friction * s + stiffness)
+    G = s**order / (numbers.inertia * s**2 + numbers.friction * s + numbers.stiffness)
+    for effect in effects:
+        if isinstance(effect, AbstractActuator):
+            G = G * on_the_way(effect, s)
+    return G
 
 
 def on_the_way(effect: AbstractActuator, s: Complex[np.ndarray, "line"]) -> Complex[np.ndarray, "line"]:
     """What becomes of a torque between command and motor, its delay included."""
-    return np.asarray(_on_the_way(arrays(effect), s))
-
-
-@eqx.filter_jit
-def _on_the_way(effect: AbstractActuator, s):
-    return effect.response(s) * jnp.exp(-s * effect.dead_time())
+    return np.asarray(effect.response(s)) * np.exp(-s * float(effect.dead_time()))  # of NumPy: nothing is compiled
 
 
 def rigid_drive(inertia: float) -> Robot:
     """One motor of which nothing is known but its inertia, in units of u: the torque constant is one with it."""
-    joint = {"name": "drive", "type": "driven", "axis": [0.0, 0.0, 1.0], "offset": [0.0] * 3, "com": [0.0] * 3}
-    joint |= {"mass": 0.0, "inertia": [0.0] * 6, "gear_ratio": 1.0, "motor_inertia": inertia, "damping": 0.0}
-    return robot_from_table({"name": "drive", "gravity": [0.0] * 3, "joint": [joint | {"stiffness": float("inf")}]})
+    still = {"axis": [0.0, 0.0, 1.0], "offset": [0.0] * 3, "com": [0.0] * 3, "mass": 0.0, "inertia": [0.0] * 6}
+    motor = {"gear_ratio": 1.0, "motor_inertia": inertia, "damping": 0.0, "stiffness": float("inf")}
+    joint = {"name": "drive", "type": "driven", **still, **motor}
+    return robot_from_table({"name": "drive", "gravity": [0.0] * 3, "joint": [joint]})

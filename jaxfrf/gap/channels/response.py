@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from ..._errors import input_error
+from ...effects import AbstractArmTorque, AbstractStructure
 from ...experiment import QUANTITIES
 from ...frf import FRF, LRM, estimate
 from ...robot import Robot
@@ -20,7 +21,7 @@ from ...spectra import dft
 from ...trajectory.rigid_motion import check_rigid
 from ..result import Cell
 from .channel import Look, Rows, makes_sense
-from .lines import AbstractLines, drive_response, folds, one_drive, parts, rigid_drive
+from .lines import AbstractLines, DriveNumbers, drive_response, folds, one_drive, parts, rigid_drive
 from .settings import ALIKE_RESPONSES, RESPONSE
 
 _BANDS = 10  # that are told
@@ -32,7 +33,8 @@ class ResponseChannel(AbstractLines):
 
     It fails where nonlinear distortion is as large as the effect: FRFs of other realisations, held out, show it.
 
-    **Fields:** `G`: (line,); `variance`: of log G. `order`: 0 position, 1 speed, 2 acceleration.
+    **Fields:** `numbers`: of the robot; `G`: (line,); `variance`: of log G. `order`: 0 position, 1 speed, 2
+    acceleration.
     """
 
     compared: ClassVar = "the FRF of a single drive against the model's, log(measured/model)"
@@ -40,8 +42,10 @@ class ResponseChannel(AbstractLines):
     unit: ClassVar = "1"
     tolerance: ClassVar = ALIKE_RESPONSES
     linear: ClassVar = False
+    tie: ClassVar = 0.0
 
     robot: Robot
+    numbers: DriveNumbers
     G: Complex[np.ndarray, "line"]
     variance: Float[np.ndarray, "line"]
     frequency: Float[np.ndarray, "line"]
@@ -74,9 +78,19 @@ class ResponseChannel(AbstractLines):
             rigid_drive(1.0 / float(np.median(np.abs(G * (2j * np.pi * f) ** (2 - order))))) if robot is None else robot
         )
         weight = 1.0 / np.sqrt(RESPONSE**2 + variance)
-        start = np.log(G / drive_response(robot, f, order)) * weight
-        n = len(f)
-        return cls(robot, G, variance, f, parts(start), np.zeros(2 * n, int), folds(n), order)
+        numbers, n = DriveNumbers.of(robot), len(f)
+        start = np.log(G / drive_response(numbers, robot.effects, f, order)) * weight
+        return cls(
+            robot=robot,
+            numbers=numbers,
+            G=G,
+            variance=variance,
+            frequency=f,
+            measured=parts(start),
+            group=np.zeros(2 * n, int),
+            fold=folds(n),
+            order=order,
+        )
 
     def of(self, data):
         return ResponseChannel.opened(self.robot, data)
@@ -99,8 +113,12 @@ class ResponseChannel(AbstractLines):
 
     def residual(self, state):
         effects = [candidate.make(np.array(values)) for candidate, values in state.chosen]
+        numbers, acting = self.numbers, (*state.given.effects, *effects)
+        if state.given is not self.robot or any(isinstance(e, AbstractStructure | AbstractArmTorque) for e in effects):
+            numbers = DriveNumbers.of(state.given.with_effects(*effects))
         more = sum(state.own.values()) - sum(self.own().values())
-        G = drive_response(state.given.with_effects(*effects), self.frequency, self.order, more)
+        numbers = DriveNumbers(numbers.inertia + more, numbers.friction, numbers.stiffness)
+        G = drive_response(numbers, acting, self.frequency, self.order)
         return parts(np.log(self.G / G) * self.weight)
 
     def predicted(self, state):

@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float, Int
 from ..._errors import InputError
 from ...effects import AbstractEffect, Candidate
 from .channel import AbstractChannel, Rows, State, acting
-from .settings import BEST, DRAWS, LEAST_SHARE, LEVEL, MOST, RIVALS, THE_SAME, TIE
+from .settings import BEST, DRAWS, LEAST_SHARE, LEVEL, MOST, RIVALS, THE_SAME
 from .significance import covariance, family_wise, held_out, mean_squares, projector, summed, surely_positive
 
 _SEED = 0
+_STEPS = 20  # of the fit of a candidate that is tried
 
 
 class Fitted(eqx.Module):
@@ -86,19 +87,21 @@ class Search(eqx.Module):
     left_out: dict[str, str]
 
 
-def refitted(channel: AbstractChannel, state: State) -> Fitted:
-    """All free values by least squares."""
+def refitted(channel: AbstractChannel, state: State, steps: int = 60) -> Fitted:
+    """All free values by least squares, in so many steps at most."""
     if state.values.size:
         worst = 1e3 * channel.measured
 
         def left(x):
             try:
-                return channel.residual(state.at(x))
+                with np.errstate(all="ignore"):
+                    r = channel.residual(state.at(x))
             except InputError:  # no such effect
                 return worst
+            return r if np.all(np.isfinite(r)) else worst
 
         found = scipy.optimize.least_squares(
-            left, state.values, lambda x: -channel.slopes(state.at(x)), x_scale="jac", xtol=1e-10, max_nfev=60
+            left, state.values, lambda x: -channel.slopes(state.at(x)), x_scale="jac", xtol=1e-10, max_nfev=steps
         )
         state = state.at(found.x)
     r, S = channel.residual(state), channel.slopes(state)
@@ -121,7 +124,7 @@ def search(channel: AbstractChannel, kinds: Sequence[type[AbstractEffect]]) -> S
         good = [t for t in _best(trials) if t.accepted]
         if not good or step == MOST * channel.n_parts:
             break
-        best = _simplest(good, float(np.mean(now.left**2)))
+        best = _simplest(good, float(np.mean(now.left**2)), channel.tie)
         found.append(best)
         now = refitted(channel, now.state.having(best.trial.candidate, best.trial.values))
         pool = [c for c in pool if c.key != best.trial.candidate.key]
@@ -160,29 +163,28 @@ def _trials(
     if floor is None:
         floor = channel.floor(r) if np.any(p <= LEVEL) else np.zeros_like(r)
     trials: dict[tuple[str, str], Trial] = {}
-    explains = [float(1.0 - np.sum((r - part) ** 2) / whole) for *_, part, _, _ in made]
-    for i in sorted(range(len(made)), key=lambda i: -explains[i]):
-        candidate, columns, values, part, left, _ = made[i]
-        if candidate.key in trials:
-            continue
-        here = acting(columns, channel.group)
+    for candidate, columns, values, part, left, p_value in (
+        (*one[:-1], float(q)) for one, q in zip(made, p, strict=True)
+    ):
+        here, squares = acting(columns, channel.group), mean_squares(left, block)
         reducible = np.mean(now.left[here] ** 2) - np.mean(floor[here] ** 2)
-        share = float(np.mean(now.left[here] ** 2 - left[here] ** 2) / reducible) if reducible > 0.0 else 0.0
-        squares = mean_squares(left, block)
-        trials[candidate.key] = Trial(
+        trial = Trial(
             candidate,
             tuple(float(v) for v in values),
             part,
-            explains[i],
+            float(1.0 - np.sum((r - part) ** 2) / whole),
             left,
             squares,
-            float(p[i]),
-            share,
+            p_value,
+            float(np.mean(now.left[here] ** 2 - left[here] ** 2) / reducible) if reducible > 0.0 else 0.0,
             channel.sensible(candidate, values),
             _relative(channel, left, here) <= (1.0 - channel.least_drop) * _relative(channel, now.left, here)
             and surely_positive(before - squares),
         )
-    return tuple(trials.values())
+        other = trials.get(candidate.key)
+        if other is None or (trial.sensible, trial.explained) > (other.sensible, other.explained):
+            trials[candidate.key] = trial
+    return tuple(sorted(trials.values(), key=lambda t: -t.explained))
 
 
 Made = tuple[
@@ -206,17 +208,20 @@ def _lines(channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], pro
         yield candidate, P, values, own @ values, left, own / size * r[:, None]
 
 
-def _fits(channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], project) -> Iterator[Made]:
-    """Every candidate by a fit of all that is free."""
+def _fits(channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], project) -> list[Made]:
+    """Every candidate by a fit of all that is free; variants are its starts, of which the best counts."""
+    best: dict[tuple[str, str], tuple[tuple[bool, float], Made]] = {}
     for candidate in pool:
         start = candidate.start or tuple(1.0 for _ in candidate.basis)
         P = (channel.predicted(now.state.having(candidate, start)) - channel.predicted(now.state))[:, None]
-        if np.sum(project(P) ** 2) <= THE_SAME * np.sum(P**2):
-            yield candidate, P, np.array(start), np.zeros_like(now.residual), now.left, np.zeros_like(P)
-            continue
-        fit = refitted(channel, now.state.having(candidate, start))
-        values, taken = np.array(fit.state.chosen[-1][1]), now.left**2 - fit.left**2
-        yield candidate, P, values, now.residual - fit.residual, fit.left, taken[:, None]
+        values, part, left = np.array(start), np.zeros_like(now.residual), now.left
+        if np.sum(project(P) ** 2) > THE_SAME * np.sum(P**2):
+            fit = refitted(channel, now.state.having(candidate, start), _STEPS)
+            values, part, left = np.array(fit.state.chosen[-1][1]), now.residual - fit.residual, fit.left
+        rank = channel.sensible(candidate, values), -float(np.sum((now.residual - part) ** 2))
+        if candidate.key not in best or rank > best[candidate.key][0]:
+            best[candidate.key] = rank, (candidate, P, values, part, left, (now.left**2 - left**2)[:, None])
+    return [made for _, made in best.values()]
 
 
 def _relative(channel: AbstractChannel, left: Rows, here: Bool[np.ndarray, "row"]) -> float:
@@ -229,13 +234,13 @@ def _best(trials: Sequence[Trial]) -> list[Trial]:
     return [t for t in trials if t.p_value <= LEVEL][:BEST]
 
 
-def _simplest(good: list[Trial], before: float) -> Found:
+def _simplest(good: list[Trial], before: float, tie: float) -> Found:
     """The best trial, or one with fewer parameters that is as good; and what cannot be told from it.
 
-    As good: within a standard error, or within `TIE` of what the best takes away. What explains exactly the same is the
+    As good: within a standard error, or within `tie` of what the best takes away. What explains exactly the same is the
     same law under another name, and makes nothing ambiguous."""
     best = min(good, key=lambda t: np.mean(t.squares))
-    least = before - (1.0 - TIE) * (before - np.mean(best.squares))
+    least = before - (1.0 - tie) * (before - np.mean(best.squares))
     as_good = lambda t: np.mean(t.squares) < least or not surely_positive(t.squares - best.squares, level=0.84)
     level = [t for t in good if as_good(t) and _cosine(t.part, best.part) > RIVALS]
     chosen = min(level, key=lambda t: (len(t.values), np.mean(t.squares)))

@@ -3,8 +3,8 @@
 LEVEL = 0.05
 """Family-wise level of every test; a convention. `test_family_wise_level_in_coloured_noise` holds it."""
 
-DRAWS = 999
-"""Sign flips: no p-value is below 1/1000, which LEVEL needs fifty times over."""
+DRAWS = 9999
+"""Sign flips: no p-value is below 1/10000, and one of .01 is known to a tenth of it."""
 
 MEMORY = 0.2
 """Autocorrelation of the residual below which blocks may be cut; `test_covariance_in_coloured_noise`: standard

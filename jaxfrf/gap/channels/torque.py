@@ -88,16 +88,16 @@ class TorqueChannel(AbstractRecords):
         fold = stretches(lengths, max(-(-STRETCHES // len(motions)), 1))
         n = robot.n_axes
         return cls(
-            robot,
-            motions,
-            size,
-            rows_of(torque, size),
-            np.tile(np.arange(n), sum(lengths)),
-            np.repeat(fold, n),
-            lengths,
-            thinned_rate(motions[0]),
-            np.concatenate([thinned(m, turned(m)) for m in motions]),
-            tuple(Reach(*map(float, x)) for x in zip(speed, travel, most, strict=True)),
+            robot=robot,
+            motions=motions,
+            size=size,
+            measured=rows_of(torque, size),
+            group=np.tile(np.arange(n), sum(lengths)),
+            fold=np.repeat(fold, n),
+            lengths=lengths,
+            rate=thinned_rate(motions[0]),
+            feature=np.concatenate([thinned(m, turned(m)) for m in motions]),
+            reach=tuple(Reach(*map(float, x)) for x in zip(speed, travel, most, strict=True)),
         )
 
     def own(self):
