@@ -200,8 +200,8 @@ def gap_dumbbells(
         text = "not known" if not np.isfinite(before[k]) else _change(before[k], after[k])
         axis.text(1.03, k, text, transform=axis.get_yaxis_transform(), fontsize=_style.SMALL, va="center")
     axis.set_yticks(y, axis_names)
-    for label in axis.get_yticklabels():
-        label.set_fontweight("bold" if label.get_text() in marked else "normal")
+    for tick in axis.get_yticklabels():
+        tick.set_fontweight("bold" if tick.get_text() in marked else "normal")
     axis.set(xlim=(0, top), ylim=(len(y) - 0.5, -0.5))
     axis.set_xlabel(label, fontsize=_style.SMALL)
     _style.dress(axis)
