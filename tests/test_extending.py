@@ -1,4 +1,4 @@
-"""One new file and one line: an estimator, an effect and a record format of one's own, up to the command line.
+"""One new file and one line: an estimator, an effect, a diagnosis channel and a record format, up to the command line.
 
 The file is what a person would write into the package; the line is the entry of the table that lists its kind.
 """
@@ -94,6 +94,77 @@ def load(path):
 '''
 
 
+CHANNEL = '''
+"""What motors hold at rest, position by position."""
+
+import equinox as eqx
+import numpy as np
+
+from ...effects import Reach
+from ...experiment import Experiment
+from ...robot import Robot
+from ...trajectory.needed_torque import needed_torque
+from ...trajectory.rigid_motion import Motion
+from .channel import AbstractChannel, makes_sense
+
+
+class HoldingChannel(AbstractChannel):
+    """Mean torques over their rms, (position, axis); positions are held out in turn."""
+
+    compared = "torque that holds the arm"
+    quantity = "holding torque residual"
+    unit = "of the torque"
+    tolerance = 0.02
+
+    robot: Robot
+    motion: Motion
+    scatter: np.ndarray
+    size: float
+    measured: np.ndarray
+    group: np.ndarray
+    fold: np.ndarray
+
+    @classmethod
+    def takes(cls, robot, data):
+        return robot is not None and all(isinstance(x, Experiment) and not np.any(x.y) for x in data)
+
+    @classmethod
+    def opened(cls, robot, data):
+        u = np.concatenate([np.asarray(x.u)[:, 0] for x in data])
+        angle = np.concatenate([np.asarray(x.q) for x in data]) * np.asarray(robot.drives.gear_ratio)
+        mean, n = u.mean(axis=1), robot.n_axes
+        size, scatter = np.sqrt(np.mean(mean**2)), u.std(axis=1) / np.sqrt(u.shape[1])
+        motion = Motion(angle, 0 * angle, 0 * angle, torque=mean, fs=data[0].fs, cutoff=1.0)
+        group, place = np.tile(np.arange(n), len(u)), np.repeat(np.arange(len(u)), n)
+        return cls(robot, motion, scatter, size, (mean / size).ravel(), group, place % 5)
+
+    def of(self, data):
+        return HoldingChannel.opened(self.robot, data)
+
+    def own(self):
+        return {}
+
+    def tried(self, kind, joint):
+        return kind.along_motion(self.robot, joint, Reach(1.0, 1.0, float(self.size)))
+
+    def predicted(self, state):
+        return (needed_torque(state.robot(), self.motion) / self.size).ravel()
+
+    def floor(self, residual):
+        return (self.scatter / self.size).ravel()
+
+    def blocks(self, residual):
+        return np.repeat(np.arange(len(self.scatter)), self.robot.n_axes)
+
+    def sensible(self, candidate, values):
+        return makes_sense(self.robot, candidate, values, np.inf)
+
+    def spectra(self, rows):
+        power = np.mean(rows.reshape(-1, self.robot.n_axes) ** 2, axis=0)
+        return [(np.array([0.0, 1.0]), np.stack([power, 0 * power]))]
+'''
+
+
 @pytest.fixture
 def new_file(tmp_path, monkeypatch):
     """Stands for a file of the package: gives its module."""
@@ -138,8 +209,8 @@ def drag(new_file, monkeypatch):
 
 def test_an_effect(drag, tmp_path):
     """It is in the library, in files of robots, and a candidate of both comparisons on every joint that can have it."""
+
     from jaxfrf.gap.candidates import candidates
-    from jaxfrf.gap.torque_candidates import candidates as of_torques
 
     path = tmp_path / "robot.toml"
     path.write_text(ROBOT + '[[effect]]\nname = "drag"\njoint = "elbow"\ncoefficient = 1e-4\n')
@@ -150,8 +221,8 @@ def test_an_effect(drag, tmp_path):
     for c in found:
         assert (c.low, *c.high) == ((0.0,), pytest.approx(500.0))
         assert c.make(np.array([3.0])).coefficient == pytest.approx(6e-5)
-    found, _ = of_torques(robot, jf.effects.library(), np.ones(2), np.ones(2))
-    assert [c.joint for c in found if c.name == drag.name] == ["shoulder", "elbow"]
+    along = [drag.along_motion(robot, joint, jf.effects.Reach(1.0, 1.0, 1.0)) for joint in robot.axis_names]
+    assert [c.joint for found in along for c in found] == ["shoulder", "elbow"]
 
 
 @pytest.mark.slow
@@ -186,3 +257,30 @@ def test_a_record_format(new_file, tmp_path, monkeypatch, capsys):
     arguments = ["estimate", str(path), "-o", str(tmp_path / "frf.npz"), "--map", "u=torqe,y=speed", "--set", "fs=500"]
     assert main(arguments) == 2
     assert "The file has torque (1000,), speed (1000,)" in capsys.readouterr().err
+
+
+def test_a_channel(new_file, tmp_path, monkeypatch, capsys):
+    """The diagnosis compares what only it sees, searches and reports it as all others, by the command, too."""
+    from jaxfrf.gap.channels import CHANNELS
+
+    kind = new_file("jaxfrf.gap.channels.holding", CHANNEL).HoldingChannel
+    monkeypatch.setattr(sys.modules["jaxfrf.gap.channels"], "CHANNELS", [kind, *CHANNELS])  # the line
+    path = tmp_path / "robot.toml"
+    path.write_text(ROBOT)
+    robot, rng = jf.io.read_robot(path), np.random.default_rng(0)
+    q = rng.uniform([-1.0, -2.0], [1.0, 2.0], (20, 2))
+    # Gravity of two links and a mass at the second one's centre, by hand.
+    first, second = np.cos(q[:, 0]), np.cos(q.sum(axis=1))
+    arm = np.stack(
+        [-9.81 * (8 * 0.25 * first + 4.8 * (0.5 * first + 0.2 * second)), -9.81 * 4.8 * 0.2 * second], axis=1
+    )
+    u = (arm / [100.0, 80.0])[:, None, None] + 1e-4 * rng.standard_normal((20, 1, 100, 2))
+    record = jf.Experiment(u, np.zeros_like(u), 100.0, q=q)
+    found = jf.gap.diagnose(robot, record)
+    assert found.verdict == "named" and [x.name for x in found.effects] == ["payload"], found.says
+    assert found.effects[0].parameters["mass"].value == pytest.approx(0.8, rel=0.01)
+    assert found.compared == kind.compared and "holding torque residual" in found.says
+    run, gap = str(tmp_path / "run.npz"), str(tmp_path / "gap.json")
+    jf.io.write(run, record)
+    assert main(["diagnose", run, "--robot", str(path), "-o", gap, "--anyway"]) == 0
+    assert jf.io.read_gap(gap)["effects"][0]["name"] == "payload" and "holding torque" in capsys.readouterr().out

@@ -27,6 +27,8 @@ from .progress import Progress
 _PROGRAM, _COPIES = 1.2e9, 23.0  # bytes beside the records, and how often these are held: R3X, friction missing, 193 MB
 
 EXAMPLES = (
+    "jaxfrf diagnose frf_a.nc frf_b.nc --heldout-count 1 -o gap.json --robot-out drive.toml",
+    'jaxfrf diagnose a.csv b.csv --map "u=torque,y=[motor;link]" --set fs=250,y_quantity=position -o gap.json',
     "jaxfrf diagnose run1.nc run2.nc --robot robot.toml -o gap.json --report gap.html --robot-out extended.toml",
     "jaxfrf diagnose run.nc --robot robot.toml --effects my_effects.py -o gap.json",
 )
@@ -34,12 +36,14 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "diagnose", run, "Find the effect that a robot's model lacks, from records.")
-    parser.add_argument("data", nargs="+", metavar="DATA", help=f"records: {' '.join(RECORDS)}")
+    parser.add_argument(
+        "data", nargs="+", metavar="DATA", help=f"records: {' '.join(RECORDS)}; or FRFs of a single drive"
+    )
     parser.add_argument(
         "--robot",
-        required=True,
         metavar="ROBOT",
-        help="the robot as it is modelled so far, .toml or .urdf (drives beside it)",
+        help="the robot as it is modelled so far, .toml or .urdf (drives beside it); for a single drive, and for "
+        "deflections (y: all motors, then all links), it may be left out",
     )
     parser.add_argument("-o", "--output", required=True, help="diagnosis to write: .json")
     parser.add_argument("--report", metavar="FILE", help="page about the diagnosis to write: .html")
@@ -50,7 +54,7 @@ def add(commands) -> None:
         "--heldout-count",
         type=int,
         metavar="N",
-        help="positions that are kept to judge the result on (of records without a period: the last N files)",
+        help="positions that are kept to judge the result on (of FRFs and of records without a period: the last N)",
     )
     parser.add_argument("--map", help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]")
     parser.add_argument("--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1")
@@ -69,9 +73,9 @@ def run(given) -> dict:
     _check_outputs(given)
     check_whole(given, _PROGRAM, _COPIES)
     own = own_effects.own_effects(given.effects) if given.effects else ()
-    robot = with_tolerances(read_robot(given.robot, own), given.tolerance)
+    robot = with_tolerances(read_robot(given.robot, own), given.tolerance) if given.robot else None
     with kept_parts(given, own_effects.about(given)) as parts:
-        data = read_each(given)
+        data = _read(given)
         for text in dict.fromkeys(w for x in data for w in x.warnings):
             print(f"warning: {text}", file=sys.stderr)
         found = _diagnosed(given, robot, data, own, parts)
@@ -81,6 +85,17 @@ def run(given) -> dict:
     page = f"next: look at {given.report}" if given.report else "next: --report gap.html shows where"
     text = [*_lines(found), f"wrote {', '.join(written)}", page]
     return {"text": text, "json": contents | {"output": written}}
+
+
+def _read(given) -> list:
+    """FRFs, or records."""
+    from ..io.frf_or_record import holds_frf
+    from ..io.responses import read_frf
+
+    held = [holds_frf(path) for path in given.data]
+    if any(held) and not all(held):
+        raise input_error("DATA", "FRFs and records", "either", "Diagnose them one after the other.")
+    return [read_frf(path) for path in given.data] if any(held) else read_each(given)
 
 
 def _diagnosed(given, robot, data, own, parts):
@@ -106,7 +121,7 @@ def _about(given, data) -> dict:
     from ..parts import files_text
 
     return {
-        "--robot": files_text([source(given.robot)]),
+        "--robot": files_text([source(given.robot)] if given.robot else []),
         "data": files_text(s for x in data for s in x.sources),
         "--map": given.map,
         "--set": given.set,
@@ -128,8 +143,10 @@ def _check_outputs(given) -> None:
         from ..io._optional import require
 
         require("matplotlib.figure", "plot")
-    if given.robot_out:
+    if given.robot_out and given.robot:
         check_result(given.robot_out, [given.robot], "robot")
+    if given.tolerance and not given.robot:
+        raise input_error("--tolerance", "no robot", "--robot, whose numbers it is about", "Name the robot.")
     if given.heldout_count is not None and given.heldout_count < 0:
         raise input_error("--heldout-count", f"{given.heldout_count}", "0 or more", "Say how many, e.g. 2.")
 

@@ -7,6 +7,7 @@
 
 from .actuator import (
     CurrentLoopLag as CurrentLoopLag,
+    ElasticLoad as ElasticLoad,
     TorqueConstant as TorqueConstant,
     TorqueDelay as TorqueDelay,
     TorqueRipple as TorqueRipple,
@@ -26,11 +27,13 @@ from .effect import (
     AbstractGearCoupling as AbstractGearCoupling,
     AbstractGearError as AbstractGearError,
     AbstractGearTorque as AbstractGearTorque,
+    AbstractLinkSensor as AbstractLinkSensor,
     AbstractMotorTorque as AbstractMotorTorque,
     AbstractSensor as AbstractSensor,
     AbstractStatelessActuator as AbstractStatelessActuator,
     AbstractStructure as AbstractStructure,
     Candidate as Candidate,
+    Reach as Reach,
 )
 from .friction import (
     ArmViscousFriction as ArmViscousFriction,
@@ -43,6 +46,7 @@ from .friction import (
 from .sensor import (
     EncoderQuantisation as EncoderQuantisation,
     ResolverRipple as ResolverRipple,
+    SensorDelay as SensorDelay,
 )
 from .structure import (
     Backlash as Backlash,

@@ -1,9 +1,38 @@
 """Sums of sines at whole orders of an angle."""
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 
 from .._errors import input_error
+from .._text import number
+from .effect import Candidate, Joint, Reach
+
+_ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 18, 20, 24, 30, 36, 48)  # of the motor's angle, that are tried
+_TURNS = 2.0  # of the motor's angle times the order, that a record must hold to show it
+
+
+def by_order(kind, joint: Joint, reach: Reach, amplitude: float) -> tuple[Candidate, ...]:
+    """Ripple of one order each, linear in its sine and cosine, which count in `amplitude`.
+
+    **Raises:** `jaxfrf.InputError` where the motor turns too little to tell any order."""
+    orders = [h for h in _ORDERS if h * reach.travel > 2 * np.pi * _TURNS]
+    if not orders:
+        raise input_error(
+            f"{kind.name} of {joint}",
+            f"{number(reach.travel / (2 * np.pi), 2)} turns of the motor",
+            "some turns: the record tells no orders of its angle",
+            "Move further.",
+        )
+    waves = lambda h: (kind(joint, [amplitude], (h,)), kind(joint, [amplitude], (h,), [0.5 * np.pi]))
+    free = ((-np.inf, -np.inf), (np.inf, np.inf))
+    make = lambda h: functools.partial(_wave, kind, joint, h, amplitude)
+    return tuple(Candidate(kind.name, str(joint), waves(h), make(h), *free, 1.0, f"order {h}") for h in orders)
+
+
+def _wave(kind, joint: Joint, order: int, amplitude: float, c):
+    return kind(joint, [amplitude * np.hypot(c[0], c[1])], (order,), [np.arctan2(c[1], c[0])])
 
 
 def checked(name: str, amplitude, order, phase):

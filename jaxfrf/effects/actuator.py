@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import input_error
+from .._text import number
 from .._types import Array
-from ._harmonics import checked, harmonics
+from ._harmonics import by_order, checked, harmonics
 from ._place import axis_of
-from .effect import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator, Candidate, Joint
+from .effect import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator, Candidate, Joint, Reach
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -178,6 +179,12 @@ class TorqueSaturation(AbstractStatelessActuator):
             for e in these
         )
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        raise input_error(
+            cls.name, "a measured motion", "a simulated one: a clipped torque has no inverse", "See `jaxfrf.screen`."
+        )
+
     def drive(self, torque):
         return jnp.clip(torque, -self.limit, self.limit)
 
@@ -220,5 +227,105 @@ class TorqueRipple(AbstractMotorTorque):
         """None: the orders are found in the data."""
         return ()
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        return by_order(cls, joint, reach, float(cls.typical(robot, joint).amplitude[0]))
+
     def torque(self, angle):
         return harmonics(self.amplitude, self.order, self.phase, angle)
+
+
+_STARTS = 7  # antiresonances over the band
+_APART = 1.3  # resonance over antiresonance, at the start
+_DAMPED = 0.03  # damping ratio there
+
+
+class ElasticLoad(AbstractActuator):
+    """A drive that was taken as rigid has its load behind a spring, as its motor sees it: one more mode,
+    (1 + 2 z_a s/w_a + s^2/w_a^2)/(1 + 2 z_r s/w_r + s^2/w_r^2) of the torque that turns all of the inertia.
+
+    Exact for the motor of a single drive, w_r/w_a = sqrt(1 + load/motor); in a robot other axes feel the load otherwise
+    (`ExtraFlexibility`, or a stiffness of the joint).
+
+    **Arguments:** `antiresonance`, `resonance`: w/(2 pi), Hz. `antiresonance_damping`, `resonance_damping`: z.
+
+    In data: a pair of antiresonance and resonance of a drive's FRF. In the linearised robot: exactly.
+    """
+
+    name: ClassVar = "elastic_load"
+    units: ClassVar = {
+        "antiresonance": "Hz",
+        "resonance": "Hz",
+        "antiresonance_damping": "1",
+        "resonance_damping": "1",
+    }
+    bounds: ClassVar = {
+        "antiresonance": (0.1, 1e5),
+        "resonance": (0.1, 1e5),
+        "antiresonance_damping": (0.0, 2.0),
+        "resonance_damping": (0.0, 2.0),
+    }
+    signature: ClassVar = "a pair of antiresonance and resonance in the FRF of a single drive"
+    confusable: ClassVar = {"current_loop_lag": "lines above the resonance, where a mode gives back the phase"}
+
+    joint: Joint = eqx.field(static=True)
+    antiresonance: Number
+    resonance: Number
+    antiresonance_damping: Number = _DAMPED
+    resonance_damping: Number = _DAMPED
+
+    @classmethod
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
+        return cls(joint, 50.0, 50.0 * _APART)
+
+    @classmethod
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
+        """None: its frequencies are found in an FRF."""
+        return ()
+
+    @classmethod
+    def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple[Candidate, ...]:
+        """From antiresonances all over the band, fitted in logarithms."""
+        if robot.n_axes > 1:
+            return ()
+        found = []
+        for f in np.geomspace(_APART * low, high / _APART, _STARTS):
+            start = tuple(np.log([f, _APART * f, _DAMPED, _DAMPED]))
+            make, free = functools.partial(_of_logarithms, joint), (np.inf,) * 4
+            least = tuple(-x for x in free)
+            found.append(Candidate(cls.name, str(joint), (), make, least, free, 1.0, f"from {number(f)} Hz", start))
+        return tuple(found)
+
+    def start(self, torque, step):
+        return torque, jnp.zeros_like(torque)
+
+    def advance(self, state, torque, step):
+        """State: what the filter follows, and its rate; exact for a torque that is constant within a step, of which the
+        mean goes out."""
+        w = 2.0 * jnp.pi * self.resonance
+        lead = 2.0 * self.antiresonance_damping / (2.0 * jnp.pi * self.antiresonance)
+        # [x, x', integral of x] of x'' + 2 z w x' + w^2 x = w^2 torque over a step
+        A = jnp.array([[0.0, 1.0, 0.0], [-w * w, -2.0 * self.resonance_damping * w, 0.0], [1.0, 0.0, 0.0]])
+        step_matrix = jax.scipy.linalg.expm(A * step)
+
+        def fine(old, new):
+            x, rate = old
+            x = x - new
+            after = step_matrix[0, 0] * x + step_matrix[0, 1] * rate + new
+            faster = step_matrix[1, 0] * x + step_matrix[1, 1] * rate
+            mean = (step_matrix[2, 0] * x + step_matrix[2, 1] * rate) / step + new
+            # torque = x + lead x' + x''/w_a^2, its mean over the step
+            turned = (faster - rate) / step / jnp.square(2.0 * jnp.pi * self.antiresonance)
+            return (after, faster), mean + lead * (after - x - new) / step + turned
+
+        state, out = jax.lax.scan(fine, state, torque)
+        return out, state
+
+    def response(self, s):
+        pair = lambda f, z: 1.0 + (2.0 * z + s / (2.0 * math.pi * f)) * s / (2.0 * math.pi * f)
+        above = pair(self.antiresonance, self.antiresonance_damping)
+        return above / pair(self.resonance, self.resonance_damping)
+
+
+def _of_logarithms(joint, c):
+    return ElasticLoad(joint, *(float(x) for x in np.exp(c)))

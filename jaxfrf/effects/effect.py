@@ -11,6 +11,7 @@ class is its point of insertion; that also settles how it appears in the lineari
 | `AbstractActuator` | torque from command to motor | exactly where linear, as a factor of a column of G |
 | `AbstractMotorTorque` | torque on the motor, by its angle | not at all: it is a disturbance |
 | `AbstractSensor` | the measured motor position | not at all: it is a disturbance |
+| `AbstractLinkSensor` | the measured link position, where a record holds it | not at all: its outputs are the motors |
 | `AbstractGearCoupling` | the ratio of a gear to the axis before | exactly |
 | `AbstractGearError` | the deflection of a gear, by the motor's angle | not at all: it is a disturbance |
 | `AbstractGearTorque` | torque beside a gear's spring, with a memory | exactly where linear, as a complex stiffness |
@@ -41,6 +42,15 @@ Signal = Float[Array, "*run"]
 Joint = int | str
 
 _PHASES = 4096  # of one period of the slow sine; exact for a smoothing down to a hundredth of the amplitude
+
+
+class Reach(eqx.Module):
+    """How far a record moves one joint: `speed`, the largest of its motor, rad/s; `travel`, the range of the motor's
+    angle, rad; `torque`, the largest command, N m."""
+
+    speed: float = eqx.field(static=True)
+    travel: float = eqx.field(static=True)
+    torque: float = eqx.field(static=True)
 
 
 class AbstractEffect(eqx.Module):
@@ -94,6 +104,24 @@ class AbstractEffect(eqx.Module):
             return ()
         return (typical.candidate(*cls.plausible(robot, joint)),)
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple["Candidate", ...]:
+        """What is tried of the effect where a measured motion is compared: by default its `candidates`.
+
+        A class says it itself where what is tried hangs on how far the record reaches.
+
+        **Raises:** `jaxfrf.InputError` where the joint cannot have the effect, or such a comparison cannot see it.
+        """
+        return cls.candidates(robot, joint, reach.torque)
+
+    @classmethod
+    def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple["Candidate", ...]:
+        """What is tried of the effect on an FRF from `low` to `high`, Hz: by default its `candidates`.
+
+        A class says it itself where the fit of a mode needs several starts. **Raises:** as `along_motion`.
+        """
+        return cls.candidates(robot, joint, math.inf)
+
     def candidate(self, low: float, high: float, variant: str = "") -> "Candidate":
         """This effect, linear in its first parameter from `low` to `high`: a coefficient counts its value here."""
         first = next(iter(self.units))
@@ -116,7 +144,8 @@ class Candidate(eqx.Module):
 
     **Fields:** `name`, `joint`: of the effect. `basis`: effects whose signatures are the columns. `make`: the effect of
     coefficients, one for each column. `low`, `high`: bounds of the coefficients. `visible`: first coefficient of the
-    effect that is just visible. `variant`: what tells it from others of the same effect and joint.
+    effect that is just visible. `variant`: what tells it from others of the same effect and joint. `start`: of a fit
+    of coefficients that the effect is not linear in, one for each; () where it is.
     """
 
     name: str = eqx.field(static=True)
@@ -127,6 +156,7 @@ class Candidate(eqx.Module):
     high: tuple[float, ...] = eqx.field(static=True)
     visible: float = eqx.field(static=True, default=1.0)
     variant: str = eqx.field(static=True, default="")
+    start: tuple[float, ...] = ()
 
     @property
     def key(self) -> tuple[str, str]:
@@ -215,6 +245,14 @@ class AbstractSensor(AbstractEffect):
     @abc.abstractmethod
     def measured(self, angle: Signal) -> Signal:
         """Measured motor position of a true one, rad."""
+
+
+class AbstractLinkSensor(AbstractEffect):
+    """What the measured link position is of the true one, in records that hold it beside the motor's."""
+
+    @abc.abstractmethod
+    def error(self, angle: Signal, rate: Signal) -> Signal:
+        """Measured less true position of the link at this angle and rate, rad and rad/s; rad."""
 
 
 class AbstractGear(AbstractEffect):

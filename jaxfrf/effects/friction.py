@@ -1,14 +1,15 @@
 """Friction of motors and joints."""
 
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from .._text import number
 from .._types import Array
 from ._place import axis_of, changed, coulomb, own
-from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint
+from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint, Reach
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -16,6 +17,19 @@ if TYPE_CHECKING:
 Number = Float[Array, ""] | float
 
 _WIDTHS = (2.0, 5.0)  # rad/s, of Stribeck's hump, that are tried
+_PARTS = (0.02, 0.05, 0.1, 0.2)  # of the largest speed of a measured motion: widths that are tried along it
+_TURN = 0.02  # of that speed: within it friction has changed its sign, whatever the units
+
+
+def _smoothing(robot: "Robot", reach: Reach) -> float:
+    """Over which friction changes its sign along a measured motion, rad/s."""
+    return min(float(getattr(robot.drives.friction, "smoothing", jnp.inf)), _TURN * reach.speed)
+
+
+def _turning(typical: Any, robot: "Robot", reach: Reach) -> tuple[Candidate, ...]:
+    """Friction with a smoothing of its own, which follows the speed of a measured motion."""
+    effect = eqx.tree_at(lambda e: e.smoothing, typical, _smoothing(robot, reach))
+    return (effect.candidate(*effect.plausible(robot, effect.joint)),)
 
 
 class CoulombFriction(AbstractStructure):
@@ -108,6 +122,13 @@ class ArmViscousFriction(AbstractArmTorque):
         gear = robot.drives.gear_ratio[axis_of(robot, joint)]
         return cls(joint, 0.5 * own(robot, joint, robot.drives.friction.viscous, 1e-3) * gear**2)
 
+    @classmethod
+    def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple[Candidate, ...]:
+        """None behind a rigid transmission: there it is one with the motor's."""
+        if axis_of(robot, joint) not in robot.flexible_axes:
+            return ()
+        return super().over_band(robot, joint, low, high)
+
     def torque(self, angle, rate):
         return self.coefficient * rate
 
@@ -143,6 +164,16 @@ class StribeckFriction(AbstractFriction):
         these = [eqx.tree_at(lambda e: e.width, typical, width) for width in _WIDTHS]
         return tuple(e.candidate(*bounds, f"width {e.width:g} rad/s") for e in these)
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        level, smoothing, bounds = (
+            cls.typical(robot, joint).level,
+            _smoothing(robot, reach),
+            cls.plausible(robot, joint),
+        )
+        these = [cls(joint, level, part * reach.speed, smoothing) for part in _PARTS]
+        return tuple(e.candidate(*bounds, f"width {number(e.width)} rad/s") for e in these)
+
     def torque(self, speed, load):
         return self.level * jnp.exp(-jnp.square(speed / self.width)) * jnp.tanh(speed / self.smoothing)
 
@@ -173,6 +204,10 @@ class FrictionAsymmetry(AbstractFriction):
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.1 * own(robot, joint, coulomb(robot), 0.1))
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        return _turning(cls.typical(robot, joint), robot, reach)
+
     def torque(self, speed, load):
         return self.offset + self.level * jnp.tanh(speed / self.smoothing)
 
@@ -199,6 +234,10 @@ class LoadDependentFriction(AbstractFriction):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.02)
+
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        return _turning(cls.typical(robot, joint), robot, reach)
 
     def torque(self, speed, load):
         return self.coefficient * jnp.abs(load) * jnp.tanh(speed / self.smoothing)

@@ -7,12 +7,16 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from .._errors import input_error
 from .._types import Array
-from ._harmonics import checked, harmonics
-from .effect import AbstractSensor, Candidate, Joint
+from ._harmonics import by_order, checked, harmonics
+from .effect import AbstractLinkSensor, AbstractSensor, Candidate, Joint, Reach
 
 if TYPE_CHECKING:
     from ..robot import Robot
+
+
+_SMALL = 1e-6  # rad: amplitude at which its signature along a measured motion is linear
 
 
 class ResolverRipple(AbstractSensor):
@@ -49,6 +53,10 @@ class ResolverRipple(AbstractSensor):
         """None: the orders are found in the data."""
         return ()
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        return by_order(cls, joint, reach, _SMALL)
+
     def measured(self, angle):
         return angle + harmonics(self.amplitude, self.order, self.phase, angle)
 
@@ -80,5 +88,44 @@ class EncoderQuantisation(AbstractSensor):
         """None: it is seen in the readings themselves."""
         return ()
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        raise input_error(cls.name, "a filtered motion", "raw readings: it is noise here", "See `jaxfrf.screen`.")
+
     def measured(self, angle):
         return jnp.round(angle / self.resolution) * self.resolution
+
+
+class SensorDelay(AbstractLinkSensor):
+    """The link-side position is logged late, y(t) = q_a(t - delay), to first order -delay q_a'.
+
+    **Arguments:** `delay`: s, 0 or more; 0.3 ms is visible.
+
+    In data: motor side less link side seems to deflect by delay times the speed, whatever the torque; the same delay on
+    all joints where it is the log's. In the linearised robot: not at all, its outputs are the motors.
+    """
+
+    name: ClassVar = "sensor_delay"
+    units: ClassVar = {"delay": "s"}
+    bounds: ClassVar = {"delay": (0.0, 0.02)}
+    signature: ClassVar = "a deflection of delay times speed, whatever the torque"
+    confusable: ClassVar = {"viscous_friction": "its sign: friction takes from the deflection"}
+
+    joint: Joint = eqx.field(static=True)
+    delay: Float[Array, ""] | float
+
+    @classmethod
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
+        return cls(joint, 3e-4)
+
+    @classmethod
+    def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
+        """None where the motors alone are compared."""
+        return ()
+
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        return (cls.typical(robot, joint).candidate(*cls.plausible(robot, joint)),)
+
+    def error(self, angle, rate):
+        return -self.delay * rate

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from .._errors import input_error
 from .._types import Array
 from ._place import axis_of, changed, spring_of
-from .effect import AbstractArmTorque, AbstractStructure, Candidate, Joint
+from .effect import AbstractArmTorque, AbstractStructure, Candidate, Joint, Reach
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -261,6 +261,14 @@ class ExtraFlexibility(AbstractStructure):
                 found.append(Candidate(cls.name, str(joint), (basis,), make, (0.3,), (2.0,), 0.3, label))
         return tuple(found)
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        raise input_error(cls.name, "a measured motion", "a simulated one: links are rigid here", "Use other records.")
+
+    @classmethod
+    def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple[Candidate, ...]:
+        raise input_error(cls.name, "a single drive", "a robot: it bends across the axis", "See `ElasticLoad`.")
+
     def apply(self, robot: "Robot"):
         at = robot.driven_joints[axis_of(robot, self.joint)]
         name = f"{robot.joint_names[at]}_flexibility"
@@ -337,6 +345,11 @@ class Counterbalance(AbstractArmTorque):
         """Where gravity acts: on the other axes the same law is that of hoses."""
         return _springs(cls, joint, 20.0) if _carries_weight(robot, joint) else ()
 
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        """On every joint, at rest somewhere."""
+        return _springs(cls, joint, 20.0)[1:]
+
     def torque(self, angle, rate):
         return self.stiffness * (angle - self.rest)
 
@@ -368,6 +381,11 @@ class DressPack(AbstractArmTorque):
     def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """Where gravity does not act: on the other axes the same law is that of a counterbalance."""
         return () if _carries_weight(robot, joint) else _springs(cls, joint, 50.0)
+
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        """On every joint, at rest somewhere."""
+        return _springs(cls, joint, 50.0)[1:]
 
     def torque(self, angle, rate):
         return self.stiffness * (angle - self.rest) + self.damping * rate

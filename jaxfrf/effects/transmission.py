@@ -12,7 +12,7 @@ from .._errors import input_error
 from .._types import Array
 from ._harmonics import checked, harmonics
 from ._place import axis_of, spring_of
-from .effect import AbstractGearCoupling, AbstractGearError, AbstractGearTorque, Candidate, Joint
+from .effect import AbstractGearCoupling, AbstractGearError, AbstractGearTorque, Candidate, Joint, Reach
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -219,6 +219,12 @@ class WristCoupling(AbstractGearCoupling):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.02)
+
+    @classmethod
+    def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
+        raise input_error(
+            cls.name, "a measured motion", "a simulated one: gears have one motor each here", "See `jaxfrf.calibrate`."
+        )
 
     def check(self, robot: "Robot"):
         if axis_of(robot, self.joint) == 0:

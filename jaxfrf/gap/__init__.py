@@ -10,4 +10,3 @@ from .result import (
     Named as Named,
     Ranked as Ranked,
 )
-from .torque import diagnose_torque as diagnose_torque

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,26 +11,28 @@ import numpy as np
 from .._arguments import expect
 from .._errors import input_error
 from .._types import require_x64
-from ..effects import AbstractEffect
+from ..effects import AbstractEffect, library
 from ..experiment import Experiment
+from ..frf import FRF
 from ..parts import Parts
 from ..robot import Robot, parameters
 from ..trajectory.following import compared
 from ..trajectory.joined import joined, places
 from ..trajectory.measured import fewer, measured
+from ..trajectory.rigid_motion import check_rigid
+from .channels import AbstractChannel, channel_of
+from .channels.conclude import concluded
 from .own_numbers import OwnNumbers, own_numbers
 from .present import present
 from .result import Diagnosis
 from .search import Say, Search, search
-from .torque import diagnose_torque
-from .torque_as_diagnosis import as_diagnosis
 
 _EXPERIMENTS = 2  # of a position that are used: what limits the search is the model, not the noise
 
 
 def diagnose(
-    robot: Robot,
-    data: Experiment | Sequence[Experiment],
+    robot: Robot | None,
+    data: Experiment | FRF | Sequence[Experiment | FRF],
     *,
     own: Sequence[type[AbstractEffect]] = (),
     sealed: int | None = None,
@@ -53,17 +56,22 @@ def diagnose(
     signature act at once, and where an effect that the library does not hold looks like one that it does: then the
     remaining misfit tells, and nothing is named. Nothing is looked for where all that is left is within its floor, and
     no effect is named whose interval holds none of it, or whose robot, simulated as it would be written, does not make
-    the gap on the sealed positions smaller (`verify`). Robots with rigid transmissions whose records are not periodic
-    are diagnosed by inverse dynamics (`diagnose_torque`).
+    the gap on the sealed positions smaller (`verify`).
+
+    Data that need no simulation are compared as they are (`jaxfrf.gap.channels`): the torque that a rigid robot needs
+    for a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
 
     **Arguments:**
 
-    - `robot`: nominal. Where its controller or the references are not known, or where it runs at another rate than the
-      log, its motors are moved as they were measured, which compares torques only.
-    - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`.
+    - `robot`: nominal; `None` for a single drive (a rigid one of unknown inertia then) and for deflections. Where its
+      controller or the references are not known, or where it runs at another rate than the log, its motors are moved
+      as they were measured, which compares torques only.
+    - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`. Or
+      records of any motion of a rigid robot; records whose y are the positions of all motors, then of all links; FRFs
+      or periodic records of one drive.
     - `own`: effects of your own, classes like those of `jaxfrf.effects`.
     - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
-      Of records that are not periodic: so many of the last records, none by default.
+      Of FRFs and records that are not periodic: so many of the last, none by default.
     - `say`: called with a line of progress. `progress`: with the part that is done.
     - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`, begun); a run that finds some goes on behind them.
 
@@ -71,10 +79,15 @@ def diagnose(
 
     Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
     """
+    records: list[Any] = list(data) if isinstance(data, Sequence) else [data]
+    channel = channel_of(robot, records)
+    if channel is not None:
+        return _by_channel(channel, robot, records, own, sealed or 0, say or (lambda text: None))
+    if robot is None:
+        raise input_error("robot", "no robot", "one, for these records", "Name it (--robot robot.toml).")
     expect("robot", robot, Robot)
-    records = [data] if isinstance(data, Experiment) else list(data)
-    if not robot.n_motors and not robot.n_elastic and any(not record.period for record in records):
-        return _by_inverse_dynamics(robot, records, own, sealed, say or (lambda text: None))
+    if any(not record.period for record in records):
+        check_rigid(robot)
     require_x64("A diagnosis")
     record, say = joined(records), say or (lambda text: None)
     explained = _by_own_numbers(robot, record, sealed, say)
@@ -97,23 +110,22 @@ def _from(given: Robot, result: Diagnosis, explained: OwnNumbers) -> Diagnosis:
     return dataclasses.replace(result, says=result.says + explained.says(), given=given, changed=changed)
 
 
-def _by_inverse_dynamics(robot: Robot, records, own, sealed: int | None, say: Say) -> Diagnosis:
-    """Records of any motion: the last so many are sealed."""
-    if own:
-        raise input_error(
-            "own effects",
-            ", ".join(kind.name for kind in own),
-            "effects of the library, where a record is not periodic",
-            "Leave out --effects, or measure a periodic motion.",
-        )
-    sealed = sealed or 0
-    if not 0 <= sealed < len(records):
-        raise input_error(
-            "sealed records", f"{sealed}", f"0 to {len(records) - 1} of {len(records)} records", "Leave some to fit."
-        )
-    fitted, judge = records[: len(records) - sealed], records[len(records) - sealed :]
-    say("the torque that the motion needs is compared: the records are not periodic")
-    return as_diagnosis(diagnose_torque(robot, fitted, judge or None), fitted)
+def _by_channel(
+    kind: type[AbstractChannel],
+    robot: Robot | None,
+    data: Sequence[Any],
+    own: Sequence[type[AbstractEffect]],
+    sealed: int,
+    say: Say,
+) -> Diagnosis:
+    """One comparison without a simulation: the last so many of the data are sealed."""
+    if not 0 <= sealed < len(data):
+        raise input_error("sealed records", f"{sealed}", f"0 to {len(data) - 1} of {len(data)}", "Leave some to fit.")
+    fitted, judge = data[: len(data) - sealed], data[len(data) - sealed :]
+    say(f"compared: {kind.compared}")
+    channel = kind.opened(robot, fitted)
+    sources = tuple(source for x in fitted for source in x.sources)
+    return concluded(channel, channel.of(judge) if judge else None, (*library().values(), *own), sources)
 
 
 def investigate(

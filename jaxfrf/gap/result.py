@@ -67,11 +67,11 @@ class Cell(eqx.Module):
 
 
 class Gap(eqx.Module):
-    """rms torque residual of the robots that are written, before and after, over its floor, on positions that nothing
-    was fitted to.
+    """rms residual (of the torque, unless `quantity` says another) of the robots that are written, before and after,
+    over its floor, on positions that nothing was fitted to.
 
     `floor`: what noise and an honest model leave. `shrink` = 1 - (after - floor)/(before - floor). `torque_before`,
-    `torque_after`: the same residual over the rms torque, per axis, (axis,).
+    `torque_after`: the same residual over the rms torque (of another quantity: in `unit`), per axis, (axis,).
     """
 
     before: float = eqx.field(static=True)
@@ -82,6 +82,7 @@ class Gap(eqx.Module):
     on: str = eqx.field(static=True)
     torque_before: Float[np.ndarray, "axis"]
     torque_after: Float[np.ndarray, "axis"]
+    quantity: str = eqx.field(static=True, default="torque residual")
 
 
 class Maps(eqx.Module):

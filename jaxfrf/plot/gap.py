@@ -166,8 +166,15 @@ def _key(figure, left: float) -> None:
     )
 
 
-def gap_dumbbells(before: Numbers, after: Numbers | None, axis_names: Sequence[str], *, marked: Sequence[str] = ()):
-    """Rms torque residual over the rms torque, axis by axis, before and after.
+def gap_dumbbells(
+    before: Numbers,
+    after: Numbers | None,
+    axis_names: Sequence[str],
+    *,
+    marked: Sequence[str] = (),
+    label: str = "torque residual, % of the torque (rms)",
+):
+    """Rms torque residual over the rms torque, axis by axis, before and after; or another part that `label` says.
 
     **Arguments:** `before`, `after`: (axis,), parts without a unit; `None` where nothing was changed. `marked`: axes in
     bold.
@@ -193,10 +200,10 @@ def gap_dumbbells(before: Numbers, after: Numbers | None, axis_names: Sequence[s
         text = "not known" if not np.isfinite(before[k]) else _change(before[k], after[k])
         axis.text(1.03, k, text, transform=axis.get_yaxis_transform(), fontsize=_style.SMALL, va="center")
     axis.set_yticks(y, axis_names)
-    for label in axis.get_yticklabels():
-        label.set_fontweight("bold" if label.get_text() in marked else "normal")
+    for tick in axis.get_yticklabels():
+        tick.set_fontweight("bold" if tick.get_text() in marked else "normal")
     axis.set(xlim=(0, top), ylim=(len(y) - 0.5, -0.5))
-    axis.set_xlabel("torque residual, % of the torque (rms)", fontsize=_style.SMALL)
+    axis.set_xlabel(label, fontsize=_style.SMALL)
     _style.dress(axis)
     axis.grid(False, axis="y")
     axis.tick_params(axis="y", length=0, labelsize=_style.SMALL + 1)

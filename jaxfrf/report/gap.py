@@ -142,7 +142,8 @@ def _where(d) -> str:
     after = d.maps.after if _changed(d) else None
     maps = figure(
         gap_maps(d.maps.before, after, d.maps.bands, names, marked=concerned, heldout=d.sealed)[0],
-        "Torque residual (measured less simulated) over its floor, rms: a block for each axis, a row for each position"
+        f"{d.gap.quantity[:1].upper()}{d.gap.quantity[1:]} (measured less simulated) over its floor, rms: a block for "
+        "each axis, a row for each position"
         f"{' (bold: held out)' if d.sealed else ''}, a column for each band. 1 is what noise and an honest model "
         "leave.",
     )
@@ -257,7 +258,9 @@ def _expected(ranked) -> str:
 def _worth(d) -> str:
     gap, names = d.gap, d.base.axis_names
     after = gap.torque_after if _changed(d) else None
-    drawn = figure(gap_dumbbells(gap.torque_before, after, names, marked=axes_of(d))[0])
+    of = gap.unit if gap.unit.startswith("of ") else "of the torque" if "torque" in gap.quantity else ""
+    label = f"{gap.quantity}, % {of} (rms)".replace("  ", " ")
+    drawn = figure(gap_dumbbells(gap.torque_before, after, names, marked=axes_of(d), label=label)[0])
     says = f"On {gap.on}: {closed(gap)}."
     unit = f'<p style="color:var(--soft)">{html.escape(gap_name(gap))}</p>'
     heading = "What it is worth" if d.effects else "How large the gap is"

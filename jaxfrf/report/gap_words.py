@@ -108,7 +108,7 @@ def percent(part: float, signed: bool = False) -> str:
 
 def gap_name(gap) -> str:
     """What the gap is, with its unit."""
-    return "torque residual (rms)" + (f", {gap.unit}" if gap.unit not in ("", "1") else "")
+    return f"{gap.quantity} (rms)" + (f", {gap.unit}" if gap.unit not in ("", "1") else "")
 
 
 def closed(gap) -> str:

@@ -69,7 +69,7 @@ def measured(data: Experiment, payloads: Sequence[Payload | None] = ()) -> Measu
             "record",
             "no period",
             "a periodic record, whose lines can be compared",
-            "Say its period (--set period=N), or compare torques of the measured motion (`diagnose_torque`).",
+            "Say its period (--set period=N), or set the transmissions rigid and compare torques (`jaxfrf diagnose`).",
         )
     highest = max(known_lines(data)) * data.fs / data.period
     count = min(int(np.floor(highest * data.period / data.fs)), data.period // 2) + 1

@@ -102,8 +102,16 @@ def thinned(motion: Motion, x: Float[np.ndarray, "time ..."]) -> Float[np.ndarra
     """
     low = COMPARED * motion.cutoff
     end = int(np.ceil(motion.fs / low))
-    step = max(int(0.4 * motion.fs / low), 1)
-    return smooth(x, motion.fs, low)[end : len(x) - end : step]
+    return smooth(x, motion.fs, low)[end : len(x) - end : _step(motion)]
+
+
+def thinned_rate(motion: Motion) -> float:
+    """Samples of a second of what `thinned` leaves, Hz."""
+    return motion.fs / _step(motion)
+
+
+def _step(motion: Motion) -> int:
+    return max(int(0.4 * motion.fs / (COMPARED * motion.cutoff)), 1)
 
 
 def chosen_cutoff(data: Experiment) -> float:

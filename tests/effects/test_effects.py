@@ -251,7 +251,7 @@ class TestLibrary:
             load_dependent_friction torque_ripple resolver_ripple torque_delay current_loop_lag backlash
             stiffness_hardening torque_constant motor_inertia payload counterbalance extra_flexibility
             torque_saturation encoder_quantisation dress_pack
-            transmission_error structural_damping gear_hysteresis wrist_coupling"""
+            transmission_error structural_damping gear_hysteresis wrist_coupling sensor_delay elastic_load"""
         assert set(promised.split()) <= set(ef.library())
 
     @pytest.mark.parametrize("name", ef.library())

@@ -1,20 +1,31 @@
 """Diagnosis by inverse dynamics, by deflection and by the FRF of a drive, where the truth is known in closed form."""
 
+import re
+
 import equinox as eqx
 import numpy as np
 import pytest
 
 import jaxfrf as jf
-from jaxfrf.effects import CoulombFriction, LoadDependentFriction, ResolverRipple, TorqueDelay, TorqueRipple
-from jaxfrf.gap.coupling import diagnose_drive
-from jaxfrf.gap.deflection import diagnose_deflection
-from jaxfrf.gap.torque import diagnose_torque
-from jaxfrf.gap.torque_as_diagnosis import as_diagnosis
-from jaxfrf.gap.torque_candidates import Candidate, allowed
-from jaxfrf.gap.torque_model import added_torque, needed_torque, torque_slopes
-from jaxfrf.gap.torque_score import covariance, family_wise, numbered, projector, score
+from jaxfrf.__main__ import main
+from jaxfrf.effects import (
+    CoulombFriction,
+    Counterbalance,
+    LoadDependentFriction,
+    Reach,
+    ResolverRipple,
+    StribeckFriction,
+    TorqueDelay,
+    TorqueRipple,
+)
+from jaxfrf.gap import diagnose
+from jaxfrf.gap.channels import State
+from jaxfrf.gap.channels.channel import makes_sense
+from jaxfrf.gap.channels.significance import covariance, family_wise, held_out, numbered, projector, summed
+from jaxfrf.gap.channels.torque import TorqueChannel
 from jaxfrf.io.gaps import gap_contents
-from jaxfrf.trajectory.rigid_motion import Motion, measured_motions
+from jaxfrf.trajectory.needed_torque import added_torque, needed_torque
+from jaxfrf.trajectory.rigid_motion import Motion, measured_motions, thinned
 
 # --- a planar arm of two links, its equations as textbooks write them
 
@@ -95,11 +106,16 @@ def test_needed_torque_is_the_textbook_s():
 
 
 def test_slopes_are_what_the_parameters_multiply():
-    (_, v, a), motion = exact()
-    names = ("shoulder.motor_inertia", "elbow.viscous_friction")
-    slopes = torque_slopes(arm(), names, dict(zip(names, (1e-3, 3e-3), strict=True)), motion)
-    np.testing.assert_allclose(slopes[0], np.stack([a[:, 0] * GEAR[0], 0 * a[:, 0]], axis=1), atol=1e-9)
-    np.testing.assert_allclose(slopes[1], np.stack([0 * v[:, 0], v[:, 1] * GEAR[1]], axis=1), atol=1e-9)
+    """Of the channel, over the rms torque; the motion of the record is the exact one within its filter."""
+    channel = TorqueChannel.opened(arm(), [record(3)])
+    state = State(arm(), channel.own())
+    assert list(state.own) == [f"{j}.{k}" for k in ("motor_inertia", "viscous_friction") for j in ("shoulder", "elbow")]
+    slopes = channel.slopes(state).reshape(-1, 2, 4)
+    (motion,) = channel.motions
+    for column, axis, signal in ((0, 0, motion.acceleration), (3, 1, motion.speed)):
+        expected = thinned(motion, signal)[:, axis] / channel.size[axis]
+        np.testing.assert_allclose(slopes[:, axis, column], expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+        np.testing.assert_allclose(slopes[:, 1 - axis, column], 0.0, atol=1e-9)
 
 
 def test_effects_add_what_their_equations_say():
@@ -167,7 +183,7 @@ def test_motion_from_any_quantity(quantity):
 HIDDEN = {
     "coulomb_friction": (lambda q, v, a: 0.08 * np.tanh(v * GEAR / SMOOTHING) * [0, 1], "elbow", {"level": 0.08}),
     "friction_asymmetry": (lambda q, v, a: 0.1 + 0 * q * [1, 0] - 0.1 * np.array([0, 1]), "shoulder", {"offset": 0.1}),
-    "payload": (lambda q, v, a: torque(q, v, a, M2 + 0.5) - torque(q, v, a), "elbow", {"mass": 0.5}),
+    "payload": (lambda q, v, a: torque(q, v, a, M2 + 0.5) - torque(q, v, a), "", {"mass": 0.5}),
     "torque_ripple": (lambda q, v, a: -0.05 * np.sin(6 * q * GEAR + 0.4) * [0, 1], "elbow", {"amplitude": 0.05}),
 }
 
@@ -175,8 +191,7 @@ HIDDEN = {
 @pytest.mark.parametrize("name", HIDDEN)
 def test_hidden_effects_are_named(name):
     more, joint, values = HIDDEN[name]
-    pool = ("coulomb_friction", "friction_asymmetry", "stribeck_friction", "payload", "torque_ripple", "torque_delay")
-    found = diagnose_torque(arm(), record(3, more), record(4, more), effects=pool, draws=499)
+    found = diagnose(arm(), [record(3, more), record(4, more)], sealed=1)
     assert found.verdict == "named"
     assert [(e.name, e.joint) for e in found.effects] == [(name, joint)]
     for key, true in values.items():
@@ -185,15 +200,13 @@ def test_hidden_effects_are_named(name):
     assert found.gap.shrink > 0.9 and found.gap.after < 0.85 * found.gap.before
     # The robot that comes back has it.
     (_, motion) = exact()
-    assert np.std(needed_torque(found.robot, motion) - motion.torque - more(*path(np.arange(2000) / 500, 0))) < 0.02
+    assert np.std(needed_torque(found.extended, motion) - motion.torque - more(*path(np.arange(2000) / 500, 0))) < 0.02
 
 
 def test_it_is_written_as_any_diagnosis():
     """gap.json of it, as `jaxfrf diagnose` writes it."""
     more, joint, _ = HIDDEN["coulomb_friction"]
-    data = record(3, more)
-    found = diagnose_torque(arm(), data, effects=("coulomb_friction", "torque_delay"), draws=199)
-    whole = as_diagnosis(found, data)
+    whole = diagnose(arm(), record(3, more))
     contents = gap_contents(whole)
     assert contents["verdict"] == "named" and "coulomb_friction (elbow)" in contents["says"]
     assert contents["effects"][0]["joint"] == joint
@@ -211,47 +224,70 @@ def test_it_is_written_as_any_diagnosis():
 
 
 def test_nothing_is_named_where_nothing_is_missing():
-    found = diagnose_torque(arm(), record(5), record(6), draws=499)
+    found = diagnose(arm(), [record(5), record(6)], sealed=1)
     assert found.verdict == "sufficient" and not found.effects
     assert found.gap.before == found.gap.after < 0.03
     for key, true in (("shoulder.motor_inertia", ROTOR[0]), ("elbow.viscous_friction", VISCOUS[1])):
         assert abs(found.parameters[key].value - true) < 4 * found.parameters[key].std
-    assert "backlash" in found.left_out and "rigid" in found.left_out["backlash"]
-    assert "wrist_coupling" in found.left_out
+    left_out = found.settings["left_out"]
+    assert "rigid" in left_out["backlash"]
+    assert set(left_out) >= {"wrist_coupling", "torque_saturation", "extra_flexibility", "sensor_delay"}
     with pytest.raises(jf.InputError, match="a gear that turns with another axis"):
-        diagnose_torque(arm().with_effects(jf.effects.WristCoupling(1, 1.0)), record(5))
+        diagnose(arm().with_effects(jf.effects.WristCoupling(1, 1.0)), record(5))
 
 
 def test_wrong_numbers_are_no_missing_effect():
     """Rotors 30 % off: the refit says so, and nothing is named."""
     wrong = jf.robot.with_parameters(arm(), {"shoulder.motor_inertia": 1.3e-3, "elbow.motor_inertia": 5e-4})
-    found = diagnose_torque(wrong, record(7), effects=("coulomb_friction", "torque_delay", "payload"), draws=499)
-    assert not found.effects and found.fit_gap.nominal > 2 * found.fit_gap.before
-    assert any("wrong numbers, no missing effect" in text for text in found.remarks)
+    found = diagnose(wrong, record(7))
+    assert not found.effects
+    told = [text for text in found.settings["remarks"] if "wrong numbers, no missing effect" in text]
+    nominal, before = map(float, re.search(r"from ([\d.]+) to ([\d.]+) of the torque", told[0]).groups())
+    assert nominal > 2 * before
 
 
 def test_what_the_library_lacks_is_not_named():
     """A torque that depends on both angles, as no effect does."""
     more = lambda q, v, a: 0.3 * (np.sin(9 * q[:, :1]) * np.cos(11 * q[:, 1:])) * [0, 1]
-    pool = ("coulomb_friction", "friction_asymmetry", "stribeck_friction", "torque_delay", "load_dependent_friction")
-    found = diagnose_torque(arm(), record(8, more, seconds=24.0), effects=pool, draws=499)
+    found = diagnose(arm(), record(8, more, seconds=24.0))
     assert not found.effects and found.verdict in ("unexplained", "inconclusive")
     assert found.gap.after > 0.05
 
 
 def test_values_must_make_sense():
     """Levels only have to keep their sign and the size of the torque; times keep their bounds."""
-    robot = arm()
-    stribeck = Candidate("stribeck_friction", "elbow", {"width": 2.0, "smoothing": 0.2}, ("level",))
-    coulomb = Candidate("coulomb_friction", "elbow", {}, ("level",))
-    delay = Candidate("torque_delay", "elbow", {}, ("delay",))
-    assert allowed(stribeck, np.array([20.0]), robot, 100.0)  # far outside bounds that are for a robot of R3X's size
-    assert not allowed(stribeck, np.array([200.0]), robot, 100.0) and not allowed(
-        stribeck, np.array([-0.1]), robot, 9.0
-    )
-    assert allowed(coulomb, np.array([-0.15]), robot, 9.0) and not allowed(coulomb, np.array([-0.25]), robot, 9.0)
-    assert allowed(delay, np.array([1e-3]), robot, 9.0)
-    assert not allowed(delay, np.array([-1e-4]), robot, 9.0) and not allowed(delay, np.array([0.1]), robot, 9.0)
+    robot, reach = arm(), Reach(30.0, 40.0, 9.0)
+    of = lambda kind: kind.along_motion(robot, "elbow", reach)[0]
+
+    def sensible(kind, value, most=9.0):
+        candidate = of(kind)
+        unit = float(getattr(candidate.basis[0], next(iter(kind.units))))
+        return makes_sense(robot, candidate, np.array([value / unit]), most)
+
+    assert sensible(StribeckFriction, 20.0, 100.0)  # far outside bounds that are for a robot of R3X's size
+    assert not sensible(StribeckFriction, 200.0, 100.0) and not sensible(StribeckFriction, -0.1)
+    assert sensible(CoulombFriction, -0.15) and not sensible(CoulombFriction, -0.25)
+    assert sensible(TorqueDelay, 1e-3)
+    assert not sensible(TorqueDelay, -1e-4) and not sensible(TorqueDelay, 0.1)
+
+
+def test_shapes_follow_the_motion():
+    """Widths of friction in parts of the speed, whole orders that the travel holds, springs at rest anywhere."""
+    robot, slow, far = arm(), Reach(0.5, 0.2, 9.0), Reach(50.0, 2 * np.pi * 3, 9.0)
+    widths = lambda reach: [c.basis[0].width for c in StribeckFriction.along_motion(robot, "elbow", reach)]
+    np.testing.assert_allclose(widths(slow), [0.01, 0.025, 0.05, 0.1])
+    np.testing.assert_allclose(widths(far), [1.0, 2.5, 5.0, 10.0])
+    with pytest.raises(jf.InputError, match="tells no orders"):
+        TorqueRipple.along_motion(robot, "elbow", slow)
+    ripple = TorqueRipple.along_motion(robot, "elbow", far)
+    assert ripple[0].basis[0].order == (1,) and ripple[-1].basis[0].order == (48,)
+    wave = ripple[2].make(np.array([3.0, 4.0]))
+    unit = ripple[2].basis[0].amplitude[0]
+    angle = np.linspace(0, 7, 50)
+    expected = unit * (3 * np.sin(3 * angle) + 4 * np.cos(3 * angle))
+    np.testing.assert_allclose(wave.torque(angle), expected, atol=1e-12)
+    (spring,) = Counterbalance.along_motion(robot, "shoulder", far)
+    assert spring.make(np.array([2.0, 1.0])).rest == -0.5
 
 
 # --- scores
@@ -273,11 +309,11 @@ def test_family_wise_level_in_coloured_noise():
     pool = [
         np.stack([np.sin(w * t), np.cos(w * t)][: 1 + i % 2], axis=1) for i, w in enumerate(0.02 + 0.01 * np.arange(12))
     ]
-    rejected = 0
+    rejected, project = 0, projector(S)
+    own = [project(P) for P in pool]
     for seed in range(200):
-        project = projector(S)
-        r = project(coloured(rng, n))
-        rejected += family_wise([score(r, P, project, block) for P in pool], 199, seed).min() <= 0.05
+        r = coloured(rng, n)
+        rejected += family_wise([summed(P * project(r)[:, None], block) for P in own], 199, seed).min() <= 0.05
     assert rejected < 21
 
 
@@ -296,6 +332,15 @@ def test_covariance_in_coloured_noise():
     assert np.all(true > 4 * np.diag(np.linalg.inv(S.T @ S)))
 
 
+def test_held_out_rows_are_those_of_fits_to_the_others():
+    rng = np.random.default_rng(2)
+    X, r, fold = rng.standard_normal((60, 3)), rng.standard_normal(60), np.arange(60) % 4
+    left = held_out(X, r, fold)
+    for k in range(4):
+        theta = np.linalg.lstsq(X[fold != k], r[fold != k], rcond=None)[0]
+        np.testing.assert_allclose(left[fold == k], r[fold == k] - X[fold == k] @ theta, atol=1e-12)
+
+
 # --- deflections
 
 
@@ -311,34 +356,43 @@ def deflection_runs(more, n=3, fs=250.0):
     return runs
 
 
+def alone(found, axis, name):
+    """What is left of the deflection on every run by a fit to the others, with one candidate or none."""
+    return np.array(found.settings["alone"][axis][name])
+
+
 def test_friction_before_the_gear_is_named():
-    found = diagnose_deflection(deflection_runs(lambda u, v: -256 * 2 * np.tanh(v / 0.02) / 5e6))
+    """Readings as of 16-bit encoders."""
+    rng = np.random.default_rng(0)
+    noise = lambda u: 1e-5 * rng.standard_normal(u.shape)
+    found = diagnose(None, deflection_runs(lambda u, v: -256 * 2 * np.tanh(v / 0.02) / 5e6 + noise(u)))
     assert found.verdict == "named" and [e.name for e in found.effects] == ["coulomb_friction"]
-    assert abs(found.effects[0].value.value / (-256 * 2 / 5e6) - 1) < 0.05
-    assert abs(found.compliance[0].value / (256 / 5e6) - 1) < 0.05
-    assert np.all(found.held_out["named"] < 0.1 * found.held_out["linear spring"] + 0.1)
+    assert abs(found.effects[0].parameters["level"].value / 2 - 1) < 0.05  # N m of the motor
+    assert abs(found.parameters["axis1.stiffness"].value / (5e6 / 256) - 1) < 0.05
+    assert np.all(alone(found, "axis1", "result") < 0.1 * alone(found, "axis1", "base") + 0.1)
 
 
 def test_a_late_link_encoder_is_named():
-    found = diagnose_deflection(deflection_runs(lambda u, v: 2e-3 * v))
-    assert [e.name for e in found.effects] == ["sensor_delay"]
-    assert abs(found.effects[0].value.value - 2e-3) < 1e-5
-    assert not found.wrong_sign["sensor_delay"][0] and found.wrong_sign["viscous_friction"][0]
+    found = diagnose(None, deflection_runs(lambda u, v: 2e-3 * v))
+    assert [e.name for e in found.effects] == ["sensor_delay"] and found.verdict == "named"
+    assert abs(found.effects[0].parameters["delay"].value - 2e-3) < 1e-5
+    viscous = next(x for x in found.ranking if x.name == "viscous_friction")
+    assert viscous.expected["coefficient"] < 0 and "a sign or size that no such effect has" in viscous.why
 
 
 def test_a_linear_spring_needs_nothing():
     rng = np.random.default_rng(0)
-    found = diagnose_deflection(deflection_runs(lambda u, v: 1e-6 * rng.standard_normal(u.shape)))
-    assert found.verdict == "unexplained" and not found.effects
-    assert np.all(found.held_out["linear spring"] < 0.05)
+    found = diagnose(None, deflection_runs(lambda u, v: 1e-6 * rng.standard_normal(u.shape)))
+    assert found.verdict == "sufficient" and not found.effects
+    assert np.all(alone(found, "axis1", "base") < 0.05)
 
 
 def test_deflections_need_both_sides():
     runs = deflection_runs(lambda u, v: 0.0)
-    with pytest.raises(jf.InputError, match="2: the positions of all motors, then those of all links"):
-        diagnose_deflection([jf.Experiment(x.u, x.y[..., :1], 250.0, y_quantity="position") for x in runs])
+    with pytest.raises(jf.InputError, match="no robot"):
+        diagnose(None, [jf.Experiment(x.u, x.y[..., :1], 250.0, y_quantity="position") for x in runs])
     with pytest.raises(jf.InputError, match="two or more"):
-        diagnose_deflection(runs[:1])
+        diagnose(None, runs[:1])
 
 
 # --- the FRF of a drive
@@ -366,18 +420,47 @@ def drive_frf(effects, seed=0, noise=0.01):
         ({"friction": 40.0}, ["viscous_friction"]),
         ({"lag": 2e-3}, ["current_loop_lag"]),
         ({"delay": 1e-3}, ["torque_delay"]),
-        ({"mode": (50.0, 75.0), "lag": 3e-3}, ["current_loop_lag", "extra_flexibility"]),
+        ({"mode": (50.0, 75.0), "lag": 3e-3}, ["current_loop_lag", "elastic_load"]),
     ],
 )
 def test_drives(truth, names):
-    found = diagnose_drive(drive_frf(truth), drive_frf(truth, seed=1))
+    found = diagnose(None, [drive_frf(truth), drive_frf(truth, seed=1)], sealed=1)
     assert sorted(e.name for e in found.effects) == names
     assert found.verdict == ("named" if names else "sufficient")
-    values = {k: v.value for k, v in found.parameters.items()}
-    assert abs(values["gain"] / 100.0 - 1) < 0.02
-    for key, name in (("friction", "friction"), ("lag", "time_constant"), ("delay", "delay")):
+    values = {k: v.value for e in found.effects for k, v in e.parameters.items()}
+    assert abs(found.parameters["drive.motor_inertia"].value * 100.0 - 1) < 0.02
+    inertia = found.parameters["drive.motor_inertia"].value
+    for key, name, unit in (("friction", "coefficient", inertia), ("lag", "time_constant", 1), ("delay", "delay", 1)):
         if key in truth:
-            assert abs(values[name] / truth[key] - 1) < 0.05
+            assert abs(values[name] / unit / truth[key] - 1) < 0.05
     if "mode" in truth:
         assert abs(values["antiresonance"] - 50) < 0.5 and abs(values["resonance"] - 75) < 0.5
-    np.testing.assert_allclose(found.gap["after"], found.gap["floor"], rtol=0.1)
+    np.testing.assert_allclose(found.gap.after, found.gap.floor, rtol=0.1)
+
+
+@pytest.mark.slow
+def test_a_drive_by_the_command(tmp_path):
+    """Its FRF, another held out: result, page and the drive with what was missing, which is sufficient then."""
+    files = [str(tmp_path / name) for name in ("a.nc", "b.nc")]
+    for seed, path in enumerate(files):
+        jf.io.write_frf(path, drive_frf({"lag": 2e-3}, seed))
+    out = [str(tmp_path / name) for name in ("gap.json", "gap.html", "drive.toml")]
+    arguments = ["diagnose", *files, "--heldout-count", "1", "-o", out[0], "--report", out[1], "--robot-out", out[2]]
+    assert main(arguments) == 0
+    (effect,) = jf.io.read_gap(out[0])["effects"]
+    assert (
+        effect["name"] == "current_loop_lag" and abs(effect["parameters"]["time_constant"]["value"] / 2e-3 - 1) < 0.05
+    )
+    page = (tmp_path / "gap.html").read_text()
+    assert "log FRF residual" in page and "orque residual" not in page
+    drive = jf.io.read_robot(out[2])
+    assert [e.name for e in drive.effects] == ["current_loop_lag"]
+    assert main(["diagnose", files[1], "--robot", out[2], "-o", out[0]]) == 0
+    assert jf.io.read_gap(out[0])["verdict"] == "sufficient"
+
+
+def test_one_kind_of_data_at_a_time(tmp_path, capsys):
+    jf.io.write_frf(tmp_path / "frf.nc", drive_frf({}))
+    jf.io.write(tmp_path / "run.nc", deflection_runs(lambda u, v: 0.0, n=1)[0])
+    assert main(["diagnose", str(tmp_path / "frf.nc"), str(tmp_path / "run.nc"), "-o", str(tmp_path / "gap.json")]) == 2
+    assert "FRFs and records; expected either" in capsys.readouterr().err

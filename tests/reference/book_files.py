@@ -67,6 +67,8 @@ def write(folder: pathlib.Path, wanted: str) -> None:
         "run1.nc": _runs,
         "run.nc": _runs,
         "frf.nc": _frf,
+        "frf_a.nc": _drives,
+        "sides1.csv": _sides,
         "empty.nc": _payload,
         "log.mat": _log,
         "logs/*.mat": _log,
@@ -102,6 +104,28 @@ def _runs(folder):
 
 def _frf(folder):
     jf.io.write_frf(folder / "frf.nc", jf.estimate(jf.example(blocks=3), jf.Auto()))
+
+
+def _drives(folder):
+    """One inertia with a lag."""
+    f = np.arange(10.0, 200.0, 2.0)
+    s, one = 2j * np.pi * f, np.ones((1, len(f)))
+    for name, seed in (("frf_a.nc", 1), ("frf_b.nc", 2)):
+        noise = np.random.default_rng(seed).standard_normal((2, len(f)))
+        G = 100.0 / s / (1.0 + 1e-3 * s) * (1.0 + 0.01 * (noise[0] + 1j * noise[1]))
+        cov = (0.014 * np.abs(G)) ** 2 + 0j
+        frf = jf.FRF(G[None, :, None, None], f, cov[None, :, None, None], 20 * one, 0 * one.astype(int), one)
+        jf.io.write_frf(folder / name, frf)
+
+
+def _sides(folder):
+    """A spring behind a motor, and a link encoder that is logged late."""
+    t = np.arange(2500) / 250.0
+    for name, f in (("sides1.csv", 0.7), ("sides2.csv", 0.9)):
+        q, v, a = (np.sin(2 * np.pi * f * t + k * np.pi / 2) * (2 * np.pi * f) ** k for k in range(3))
+        u = 3 * np.sin(2 * q) + 0.4 * a + np.tanh(v)
+        table = np.column_stack([u, q, q - 5e-5 * u - 2e-3 * v])
+        np.savetxt(folder / name, table, delimiter=",", header="torque,motor,link", comments="")
 
 
 def _payload(folder):

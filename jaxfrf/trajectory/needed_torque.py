@@ -3,7 +3,6 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -14,14 +13,15 @@ from ..effects import (
     AbstractArmTorque,
     AbstractEffect,
     AbstractFriction,
+    AbstractLinkSensor,
     AbstractMotorTorque,
     AbstractSensor,
     AbstractStructure,
 )
 from ..effects._place import axis_of
-from ..robot import Robot, arm_inertia_and_bias, with_parameters
+from ..robot import Robot, arm_inertia_and_bias
 from ..robot.robot import gear_coupling
-from ..trajectory.rigid_motion import Motion, check_rigid, smooth
+from .rigid_motion import Motion, check_rigid, smooth
 
 Torque = Float[np.ndarray, "time axis"]
 
@@ -50,8 +50,8 @@ def needed_torque(robot: Robot, motion: Motion) -> Torque:
         motion = _true_motion(robot, effect, motion)
     torque = np.asarray(_inertial(plain, motion.angle, motion.speed, motion.acceleration))
     for kind in (AbstractArmTorque, AbstractFriction, AbstractMotorTorque, AbstractActuator):
-        for effect in (x for x in robot.effects if isinstance(x, kind)):
-            torque = torque + _contribution(robot, effect, motion, torque)
+        for acting in (x for x in robot.effects if isinstance(x, kind)):
+            torque = torque + _contribution(robot, acting, motion, torque)
     return torque
 
 
@@ -73,23 +73,9 @@ def _inertial(robot: Robot, angle, speed, acceleration):
     return arm / gear + robot.drives.friction.torque(speed)
 
 
-@eqx.filter_jit
-def _slopes(robot: Robot, values: dict, angle, speed, acceleration):
-    changed = lambda v: _inertial(with_parameters(robot, v), angle, speed, acceleration)
-    return jax.jacfwd(changed)(values)
-
-
-def torque_slopes(robot: Robot, names: tuple[str, ...], values: dict, motion: Motion) -> Float[np.ndarray, "name *"]:
-    """d(needed torque)/d(parameter of the robot), (name, time, axis); actuator effects act on it as on the torque."""
-    values = {name: jnp.asarray(values[name], float) for name in names}
-    slopes = _slopes(dataclasses.replace(robot, effects=()), values, motion.angle, motion.speed, motion.acceleration)
-    stacked = np.stack([np.asarray(slopes[name]) for name in names])
-    for effect in (x for x in robot.effects if isinstance(x, AbstractActuator)):
-        stacked = np.stack([x + _contribution(robot, effect, motion, x) for x in stacked])
-    return stacked
-
-
 def _contribution(robot: Robot, effect: AbstractEffect, motion: Motion, torque: Torque) -> Torque:
+    if isinstance(effect, AbstractLinkSensor):
+        return np.zeros_like(torque)
     axis = axis_of(robot, effect.joint)
     gear = float(robot.drives.gear_ratio[axis])
     angle, speed = motion.angle[:, axis], motion.speed[:, axis]

@@ -1,6 +1,7 @@
 """How much of a residual any function of the motion could explain: kernel regression on held-out stretches."""
 
 import numpy as np
+import scipy.linalg
 from jaxtyping import Float, Int
 
 _ROWS = 400  # of the records, that the regression learns from
@@ -23,12 +24,10 @@ def unpredictable(
         for held in np.unique(stretch):
             here, other = stretch == held, np.flatnonzero(stretch != held)
             other = other[:: max(len(other) // _ROWS, 1)]
-            kernel = _kernel(x[other], x[other], width)
-            value, vector = np.linalg.eigh(kernel)
-            seen = vector.T @ residual[other]
-            ahead = _kernel(x[here], x[other], width) @ vector
+            kernel, ahead = _kernel(x[other], x[other], width), _kernel(x[here], x[other], width)
             for left, ridge in zip(lowest, _RIDGES, strict=True):
-                left[here] = residual[here] - ahead @ (seen / (np.maximum(value, 0.0) + ridge)[:, None])
+                factor = scipy.linalg.cho_factor(kernel + ridge * np.eye(len(kernel)))
+                left[here] = residual[here] - ahead @ scipy.linalg.cho_solve(factor, residual[other])
         for left in lowest:
             if np.sum(left**2) < least:
                 best, least = left, np.sum(left**2)

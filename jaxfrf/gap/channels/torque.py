@@ -1,0 +1,179 @@
+"""The torque that a rigid robot needs for the measured motion, against the measured one (inverse dynamics).
+
+For records that are no multisine, or whose reference or controller is not known. It sees what changes the *torque*
+(friction, static torque, ripple, delay) and nothing of springs; it is the weaker comparison of two, for feedback
+carries the noise of the position into the torque.
+"""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...effects import Reach
+from ...experiment import Experiment
+from ...robot import Robot, parameters
+from ...trajectory.needed_torque import added_torque, check_one_motor_a_joint, needed_torque
+from ...trajectory.rigid_motion import COMPARED, Motion, chosen_cutoff, measured_motions, thinned, thinned_rate
+from ..result import Cell
+from .channel import Look, Rows
+from .records import AbstractRecords, rows_of, stretches
+from .settings import LEVEL, STRETCHES, TORQUE, WORTH
+
+_BINS = 24  # of a course
+_TURN = 0.02  # of the largest speed, within which a sign turns over as a feature
+
+
+class TorqueChannel(AbstractRecords):
+    """Torques of robots with rigid transmissions over the rms torque of their axis.
+
+    The motion is filtered without phase and differentiated; torques of both sides go through the same filter. It fails
+    where flexible modes within the filter's band dominate the motion, and where the torque came from feedback of a
+    noisy position (the derivatives' noise then correlates with it).
+
+    **Fields:** `motions`, `size`: of the torques, N m, (axis,). `cutoff`: of the motion's filter, Hz: 2.5 times the
+    band in which y stands 10 dB above its noise floor; torques are compared up to a fifth of it.
+    """
+
+    compared: ClassVar = "torque that the model needs for the measured motion (inverse dynamics): the weaker comparison"
+    quantity: ClassVar = "torque residual"
+    unit: ClassVar = "of the torque"
+    tolerance: ClassVar = TORQUE
+
+    robot: Robot
+    motions: tuple[Motion, ...]
+    size: Float[np.ndarray, "axis"]
+    measured: Rows
+    group: Int[np.ndarray, "row"]
+    fold: Int[np.ndarray, "row"]
+    lengths: tuple[int, ...] = eqx.field(static=True)
+    rate: float = eqx.field(static=True)
+    feature: Float[np.ndarray, "sample feature"]
+    reach: tuple[Reach, ...]
+
+    @classmethod
+    def takes(cls, robot: Robot | None, data: Sequence[Any]) -> bool:
+        records = all(isinstance(x, Experiment) and x.n_out == x.n_in for x in data)
+        if robot is None or not records or robot.n_motors or robot.n_elastic:
+            return False
+        return any(not x.period for x in data)
+
+    @classmethod
+    def opened(cls, robot, data):
+        check_one_motor_a_joint(robot)
+        return cls._compared(robot, data, min(chosen_cutoff(x) for x in data))
+
+    def of(self, data):
+        return self._compared(self.robot, data, self.motions[0].cutoff)
+
+    @classmethod
+    def _compared(cls, robot: Robot, data, cutoff: float) -> "TorqueChannel":
+        motions = tuple(m for x in data for m in measured_motions(robot, x, cutoff))
+        torque = [thinned(m, m.torque) for m in motions]
+        size = np.maximum(np.sqrt(np.mean(np.concatenate(torque) ** 2, axis=0)), 1e-300)
+        speed, travel, most = (
+            np.max([f(x) for x in motions], axis=0)
+            for f in (
+                lambda m: np.max(np.abs(m.speed), axis=0),
+                lambda m: np.ptp(m.angle, axis=0),
+                lambda m: np.max(np.abs(m.torque), axis=0),
+            )
+        )
+        turned = lambda m: np.concatenate(
+            [m.angle, m.speed, np.tanh(m.speed / (_TURN * speed)), m.acceleration], axis=1
+        )
+        lengths = tuple(len(x) for x in torque)
+        fold = stretches(lengths, max(-(-STRETCHES // len(motions)), 1))
+        n = robot.n_axes
+        return cls(
+            robot=robot,
+            motions=motions,
+            size=size,
+            measured=rows_of(torque, size),
+            group=np.tile(np.arange(n), sum(lengths)),
+            fold=np.repeat(fold, n),
+            lengths=lengths,
+            rate=thinned_rate(motions[0]),
+            feature=np.concatenate([thinned(m, turned(m)) for m in motions]),
+            reach=tuple(Reach(*map(float, x)) for x in zip(speed, travel, most, strict=True)),
+        )
+
+    def own(self):
+        """Motor inertia and viscous friction of every axis."""
+        return {name: float(v) for name, v in parameters(self.robot, ("motor_inertia", "viscous_friction")).items()}
+
+    def predicted(self, state):
+        robot = state.robot()
+        return self._rows([needed_torque(robot, m) for m in self.motions])
+
+    def columns(self, state, candidates):
+        robot = state.robot()
+        needed = [needed_torque(robot, m) for m in self.motions]
+        more = lambda e: [added_torque(robot, e, m, x) for m, x in zip(self.motions, needed, strict=True)]
+        return [np.stack([self._rows(more(e)) for e in c.basis], axis=1) for c in candidates]
+
+    def _rows(self, torques: Sequence[Float[np.ndarray, "time axis"]]) -> Rows:
+        return rows_of([thinned(m, x) for m, x in zip(self.motions, torques, strict=True)], self.size)
+
+    def courses(self, robot, before, after):
+        gear = np.asarray(self.robot.drives.gear_ratio)
+        signals = {"speed": lambda m: m.speed, "angle": lambda m: m.angle / gear, "load": lambda m: m.torque}
+        sides = [x.reshape(-1, self.n_axes) * self.size for x in (before, after)]
+        over = lambda f: np.concatenate([thinned(m, f(m)) for m in self.motions])
+        return {name: _course(over(f), *sides) for name, f in signals.items()}
+
+    def where(self, look: Look, cells: tuple[Cell, ...]):
+        """Beside the largest cells, signatures that the rest goes with; the strongest of each axis."""
+        told: list[Cell] = []
+        names = list(_SIGNATURES)
+        at = [(axis, name) for axis in range(self.n_axes) for name in names]
+        tests = look.test(np.stack([self._signature(axis, name) for axis, name in at], axis=1))
+        for axis in range(self.n_axes):
+            own = [(*t, name) for t, (a, name) in zip(tests, at, strict=True) if a == axis]
+            own = [x for x in own if x[2] <= LEVEL and x[0] > WORTH]
+            if own:
+                share, slope, _, name = max(own)
+                told.append(self._said(look.state.robot(), axis, name, share, slope))
+        return (*cells, *told)
+
+    def _signature(self, axis: int, name: str) -> Rows:
+        def alone(m):
+            x = np.zeros_like(m.speed)
+            x[:, axis] = _SIGNATURES[name](m.angle[:, axis], m.speed[:, axis], m.torque[:, axis])
+            return x
+
+        return self._rows([alone(m) for m in self.motions])
+
+    def _said(self, robot: Robot, axis: int, name: str, share: float, slope: float) -> Cell:
+        joint = self.robot.axis_names[axis]
+        text = f"{joint}: what remains goes with {name} ({share:.0%} of it, slope {slope:.4g})."
+        if name == "|speed|":
+            own = float(robot.drives.friction.viscous[axis])
+            text += f" Viscous friction differs by direction: {own + slope:.4g} forward, {own - slope:.4g} backward."
+        return Cell(None, joint, (0.0, COMPARED * self.motions[0].cutoff), float("nan"), text)
+
+    def remarks(self, look: Look):
+        cutoff = self.motions[0].cutoff
+        return (f"the motion was filtered at {cutoff:.3g} Hz, torques compared up to {COMPARED * cutoff:.3g} Hz.",)
+
+
+_SIGNATURES = {
+    "constant": lambda q, v, u: np.ones_like(v),
+    "sign of speed": lambda q, v, u: np.sign(v),
+    "speed": lambda q, v, u: v,
+    "|speed|": lambda q, v, u: np.abs(v),
+    "speed |speed|": lambda q, v, u: v * np.abs(v),
+    "angle": lambda q, v, u: q,
+    "|torque| sign of speed": lambda q, v, u: np.abs(u) * np.sign(v),
+}
+
+
+def _course(signal, before, after):
+    """Means in bins of equally many samples, (axis, bin) each."""
+    order = np.argsort(signal, axis=0)
+    means = lambda x: np.stack(
+        [p.mean(axis=0) for p in np.array_split(np.take_along_axis(x, order, axis=0), _BINS)], axis=1
+    )
+    return means(signal), means(before), means(after)
