@@ -415,7 +415,7 @@ class TestDiagnosis:
 
     def test_records_that_cannot_be_compared(self):
         data = made_up(fs=FS)
-        with pytest.raises(jf.InputError, match="not periodic"):
+        with pytest.raises(jf.InputError, match="springs at shoulder, elbow, and a record that is not periodic"):
             diagnose(small_robot(), changed(data, period=0))
         with pytest.raises(jf.InputError, match="arm configuration"):
             diagnose(small_robot(), changed(data, q=None))

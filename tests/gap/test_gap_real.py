@@ -102,6 +102,7 @@ def test_emps_friction_differs_by_direction(emps):
     assert abs(backward / BACKWARD - 1) < 0.03
 
 
+@pytest.mark.slow
 def test_emps_is_not_explained_by_what_is_not_there(measured, emps_robot):
     """Without friction among the candidates nothing is named, though the gap is plain."""
     channel = TorqueChannel.opened(emps_robot, [emps_record(measured, "DATA_EMPS")])
@@ -143,6 +144,7 @@ def left(kuka, name):
     return np.array([kuka.settings["alone"][axis][name] for axis in ("axis1", "axis2", "axis3")]).T
 
 
+@pytest.mark.slow
 def test_kuka_deflection(kuka):
     """All nine pairs of axis and run, each judged on the run that the fit did not see: a linear spring leaves 58-76 %,
     friction (tanh of speed) 48-61 %; a link-side position that is logged late leaves 6-13 %."""
@@ -157,6 +159,7 @@ def test_kuka_deflection(kuka):
     assert sorted(e.joint for e in kuka.effects if e.name == "sensor_delay") == ["axis1", "axis2", "axis3"]
 
 
+@pytest.mark.slow
 def test_kuka_delay_is_the_same_in_all_axes(kuka_runs, kuka):
     """As it must be if it is the log's, and as the slope of the deflection over speed alone says in every run."""
     values = [e.parameters["delay"] for e in kuka.effects if e.name == "sensor_delay"]
@@ -170,6 +173,7 @@ def test_kuka_delay_is_the_same_in_all_axes(kuka_runs, kuka):
             assert 2.8e-3 < slope < 3.3e-3
 
 
+@pytest.mark.slow
 def test_kuka_friction_would_push(kuka):
     """Friction takes torque away before the gear; fitted alone it has the other sign in every axis, and is refused."""
     expected = {(x.name, x.joint): next(iter(x.expected.values())) for x in kuka.ranking}
@@ -260,6 +264,7 @@ def test_bench_recorded_speed_is_filtered(drives):
     assert drives["omega_max"].gap.shrink > 0.9
 
 
+@pytest.mark.slow
 def test_bench_distortion_is_not_named(measured):
     """Below 40 Hz odd distortion stands at -40 dB, noise at -74; no law of friction that is tried explains half of it
     (the authors suspect rolling friction). The FRF of the same record misses a mode."""

@@ -188,7 +188,9 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize("name", HIDDEN)
+@pytest.mark.parametrize(
+    "name", ["coulomb_friction", *(pytest.param(n, marks=pytest.mark.slow) for n in HIDDEN if n != "coulomb_friction")]
+)
 def test_hidden_effects_are_named(name):
     more, joint, values = HIDDEN[name]
     found = diagnose(arm(), [record(3, more), record(4, more)], sealed=1)
@@ -203,6 +205,7 @@ def test_hidden_effects_are_named(name):
     assert np.std(needed_torque(found.extended, motion) - motion.torque - more(*path(np.arange(2000) / 500, 0))) < 0.02
 
 
+@pytest.mark.slow
 def test_it_is_written_as_any_diagnosis():
     """gap.json of it, as `jaxfrf diagnose` writes it."""
     more, joint, _ = HIDDEN["coulomb_friction"]
@@ -246,6 +249,7 @@ def test_wrong_numbers_are_no_missing_effect():
     assert nominal > 2 * before
 
 
+@pytest.mark.slow
 def test_what_the_library_lacks_is_not_named():
     """A torque that depends on both angles, as no effect does."""
     more = lambda q, v, a: 0.3 * (np.sin(9 * q[:, :1]) * np.cos(11 * q[:, 1:])) * [0, 1]
@@ -417,9 +421,9 @@ def drive_frf(effects, seed=0, noise=0.01):
     ("truth", "names"),
     [
         ({}, []),
-        ({"friction": 40.0}, ["viscous_friction"]),
-        ({"lag": 2e-3}, ["current_loop_lag"]),
-        ({"delay": 1e-3}, ["torque_delay"]),
+        pytest.param({"friction": 40.0}, ["viscous_friction"], marks=pytest.mark.slow),
+        pytest.param({"lag": 2e-3}, ["current_loop_lag"], marks=pytest.mark.slow),
+        pytest.param({"delay": 1e-3}, ["torque_delay"], marks=pytest.mark.slow),
         ({"mode": (50.0, 75.0), "lag": 3e-3}, ["current_loop_lag", "elastic_load"]),
     ],
 )
