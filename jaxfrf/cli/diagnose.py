@@ -27,10 +27,10 @@ from .progress import Progress
 _PROGRAM, _COPIES = 1.2e9, 23.0  # bytes beside the records, and how often these are held: R3X, friction missing, 193 MB
 
 EXAMPLES = (
-    "jaxfrf diagnose frf_a.nc frf_b.nc --heldout-count 1 -o gap.json --robot-out drive.toml",
-    'jaxfrf diagnose a.csv b.csv --map "u=torque,y=[motor;link]" --set fs=250,y_quantity=position -o gap.json',
     "jaxfrf diagnose run1.nc run2.nc --robot robot.toml -o gap.json --report gap.html --robot-out extended.toml",
     "jaxfrf diagnose run.nc --robot robot.toml --effects my_effects.py -o gap.json",
+    "jaxfrf diagnose frf_a.nc frf_b.nc --heldout-count 1 -o gap.json --robot-out drive.toml",
+    'jaxfrf diagnose a.csv b.csv --map "u=torque,y=[motor;link]" --set fs=250,y_quantity=position -o gap.json',
 )
 
 

@@ -310,10 +310,12 @@ def _significant(s, G, std, poles, background, shared: float, keep: bool, delay)
     sigma = None if std is None else std.reshape(len(s), -1)
     dropped: list[float] = []
     while True:
-        fitted = fit_poles(s, g, sigma, poles, background, shared=shared, delay=delay if len(poles) else delay or 0.0)
+        if not len(poles):
+            delay = delay or 0.0  # a delay of nothing
+        fitted = fit_poles(s, g, sigma, poles, background, shared=shared, delay=delay)
         bad = np.zeros(len(poles), bool) if keep or not len(poles) else _doubtful(fitted)
         if not bad.any():
-            if len(poles) and delay is None and not abs(fitted.delay) > _SIGNIFICANT * fitted.delay_std:
+            if delay is None and not abs(fitted.delay) > _SIGNIFICANT * fitted.delay_std:
                 delay = 0.0
                 continue
             return fitted, np.array(dropped)

@@ -86,8 +86,10 @@ def diagnose(
     if robot is None:
         raise input_error("robot", "no robot", "one, for these records", "Name it (--robot robot.toml).")
     expect("robot", robot, Robot)
-    if any(not record.period for record in records):
-        check_rigid(robot)
+    for one in records:
+        expect("data", one, Experiment)
+        if not one.period:
+            check_rigid(robot)
     require_x64("A diagnosis")
     record, say = joined(records), say or (lambda text: None)
     explained = _by_own_numbers(robot, record, sealed, say)

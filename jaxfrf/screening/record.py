@@ -77,10 +77,6 @@ class OfChannels:
     look: Callable[[Channel], Iterator[Finding]]
     signals: str
 
-    def __call__(self, record: "Record") -> Iterator[Finding]:
-        for channel in record.channels(self.signals):
-            yield from self.look(channel)
-
 
 def of_channels(signals: str) -> Callable[[Callable[[Channel], Iterator[Finding]]], OfChannels]:
     return lambda look: OfChannels(look, signals)

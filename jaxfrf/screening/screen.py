@@ -17,7 +17,7 @@ from .samples import disturbed, lost, spikes
 from .steadiness import drift, noise, odd_period
 from .timing import jitter, noncausal
 
-Check = Callable[[Record], Iterator[Finding]]
+Check = Callable[[Record], Iterator[Finding]] | OfChannels
 
 # A check is one function and one line here. What an earlier one explains is not told once more by a later one.
 CHECKS: tuple[Check, ...] = (

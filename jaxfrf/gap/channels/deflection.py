@@ -28,7 +28,7 @@ from ...experiment import Experiment
 from ...robot import Robot, parameters, robot_from_table, with_parameters
 from ...trajectory.rigid_motion import Motion, smooth
 from .channel import Rows
-from .records import AbstractRecords, every_record, rows_of
+from .records import AbstractRecords, every_record, reaches, rows_of
 from .settings import DEFLECTION, DEFLECTION_CUTOFF, DEFLECTION_DROP
 
 _TURN = 0.02  # of the largest speed, over which friction of a robot that is not known changes its sign
@@ -102,21 +102,13 @@ class DeflectionChannel(AbstractRecords):
             )
         u, motor, link = zip(*(_run(x, pos, exp, n) for x, pos, exp in every_record(data)), strict=True)
         motions = tuple(_filtered(a, b, data[0].fs) for a, b in zip(u, motor, strict=True))
-        speed, travel, most = (
-            np.max([f(m) for m in motions], axis=0)
-            for f in (
-                lambda m: np.max(np.abs(m.speed), axis=0),
-                lambda m: np.ptp(m.angle, axis=0),
-                lambda m: np.max(np.abs(m.torque), axis=0),
-            )
-        )
-        robot = _springs_alone(n, float(_TURN * speed.min())) if robot is None else robot
+        reach = reaches(motions)
+        turn = _TURN * np.array([x.speed for x in reach])
+        robot = _springs_alone(n, float(turn.min())) if robot is None else robot
         gear = np.asarray(robot.drives.gear_ratio)
         deflection = [_thinned(m, a / gear - b) for m, a, b in zip(motions, motor, link, strict=True)]
         size = np.sqrt(np.mean(np.concatenate(deflection) ** 2, axis=0))
-        seen = [
-            np.concatenate([m.angle, m.speed, np.tanh(m.speed / (_TURN * speed)), m.torque], axis=1) for m in motions
-        ]
+        seen = [np.concatenate([m.angle, m.speed, np.tanh(m.speed / turn), m.torque], axis=1) for m in motions]
         lengths = tuple(len(x) for x in deflection)
         return cls(
             robot=robot,
@@ -130,7 +122,7 @@ class DeflectionChannel(AbstractRecords):
             lengths=lengths,
             rate=motions[0].fs / _step(motions[0].fs),
             feature=np.concatenate([_thinned(m, x) for m, x in zip(motions, seen, strict=True)]),
-            reach=tuple(Reach(*map(float, x)) for x in zip(speed, travel, most, strict=True)),
+            reach=reach,
         )
 
     def own(self):

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...effects import Reach
+from ...trajectory.rigid_motion import Motion
 from .channel import AbstractChannel, Rows, makes_sense
 from .floor import unpredictable
 from .significance import block_length, numbered
@@ -52,6 +53,14 @@ class AbstractRecords(AbstractChannel):
             power[0] *= 0.5
             found.append((np.fft.rfftfreq(len(x), 1.0 / self.rate), power))
         return found
+
+
+def reaches(motions: Sequence[Motion]) -> tuple[Reach, ...]:
+    """How far the motions go, of every axis."""
+    speed = np.max([np.max(np.abs(m.speed), axis=0) for m in motions], axis=0)
+    travel = np.max([np.ptp(m.angle, axis=0) for m in motions], axis=0)
+    torque = np.max([np.max(np.abs(m.torque), axis=0) for m in motions], axis=0)
+    return tuple(Reach(*map(float, x)) for x in zip(speed, travel, torque, strict=True))
 
 
 def stretches(lengths: Sequence[int], each: int) -> Int[np.ndarray, "sample"]:

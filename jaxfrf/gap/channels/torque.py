@@ -19,7 +19,7 @@ from ...trajectory.needed_torque import added_torque, check_one_motor_a_joint, n
 from ...trajectory.rigid_motion import COMPARED, Motion, chosen_cutoff, measured_motions, thinned, thinned_rate
 from ..result import Cell
 from .channel import Look, Rows
-from .records import AbstractRecords, rows_of, stretches
+from .records import AbstractRecords, reaches, rows_of, stretches
 from .settings import LEVEL, STRETCHES, TORQUE, WORTH
 
 _BINS = 24  # of a course
@@ -73,17 +73,9 @@ class TorqueChannel(AbstractRecords):
         motions = tuple(m for x in data for m in measured_motions(robot, x, cutoff))
         torque = [thinned(m, m.torque) for m in motions]
         size = np.maximum(np.sqrt(np.mean(np.concatenate(torque) ** 2, axis=0)), 1e-300)
-        speed, travel, most = (
-            np.max([f(x) for x in motions], axis=0)
-            for f in (
-                lambda m: np.max(np.abs(m.speed), axis=0),
-                lambda m: np.ptp(m.angle, axis=0),
-                lambda m: np.max(np.abs(m.torque), axis=0),
-            )
-        )
-        turned = lambda m: np.concatenate(
-            [m.angle, m.speed, np.tanh(m.speed / (_TURN * speed)), m.acceleration], axis=1
-        )
+        reach = reaches(motions)
+        turn = _TURN * np.array([x.speed for x in reach])
+        turned = lambda m: np.concatenate([m.angle, m.speed, np.tanh(m.speed / turn), m.acceleration], axis=1)
         lengths = tuple(len(x) for x in torque)
         fold = stretches(lengths, max(-(-STRETCHES // len(motions)), 1))
         n = robot.n_axes
@@ -97,7 +89,7 @@ class TorqueChannel(AbstractRecords):
             lengths=lengths,
             rate=thinned_rate(motions[0]),
             feature=np.concatenate([thinned(m, turned(m)) for m in motions]),
-            reach=tuple(Reach(*map(float, x)) for x in zip(speed, travel, most, strict=True)),
+            reach=reach,
         )
 
     def own(self):
