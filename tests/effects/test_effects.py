@@ -8,6 +8,7 @@ import jax.random as jr
 import numpy as np
 import pytest
 import scipy.integrate
+import scipy.signal
 
 import jaxfrf as jf
 from jaxfrf import effects as ef
@@ -114,6 +115,21 @@ class TestInTheSimulation:
             return (u - 1e-3 * vm - 0.1 * np.tanh(vm / 0.2) - tau / 50) / 1e-3, tau / 2.5
 
         close(data, replay(data, forces, u=lambda k: line[round(10 * k)]), 1e-9)
+
+    def test_elastic_load(self):
+        """The mean of each held step, against SciPy's step-invariant filter on steps that are much finer."""
+        step, fine = 5e-4, 400
+        load = ef.ElasticLoad(0, 40.0, 61.0, 0.03, 0.08)
+        torque = np.random.default_rng(0).standard_normal(80)
+        ours, _ = load.advance(load.start(jnp.zeros(()), step), jnp.asarray(torque), step)
+        above, below = ([1 / w**2, 2 * z / w, 1.0] for w, z in ((80 * np.pi, 0.03), (122 * np.pi, 0.08)))
+        through = scipy.signal.cont2discrete(scipy.signal.tf2ss(above, below), step / fine)
+        held = np.repeat(torque, fine)
+        _, out, _ = scipy.signal.dlsim(through, held)
+        direct = through[3][0, 0] * np.diff(held, append=0.0)  # at a step's end, before the next one begins
+        ends = np.append(out[1:, 0], out[-1, 0]) - direct
+        theirs = ((out[:, 0] + ends) / 2).reshape(-1, fine).mean(axis=1)
+        np.testing.assert_allclose(ours[:-1], theirs[:-1], atol=1e-7 * np.abs(theirs).max())
 
     def test_sensor(self):
         robot = one_joint().with_effects(ef.ResolverRipple(0, [5e-4, 1e-3], phase=[0.3, 0.1]))
