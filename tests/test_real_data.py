@@ -10,6 +10,7 @@ import re
 
 import numpy as np
 import pytest
+from marks import slow
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
@@ -254,7 +255,7 @@ def test_kuka_is_not_periodic(measured, tmp_path, capsys, method):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("method", ["lpm-stacked", "lrm-stacked"])
+@pytest.mark.parametrize("method", ["lpm-stacked", slow("lrm-stacked")])
 def test_kuka_with_a_transient_term(measured, tmp_path, capsys, method):
     """It works, and says what it can give: hardly anything above a few Hz, which the standard deviation shows too."""
     target = tmp_path / "frf.nc"

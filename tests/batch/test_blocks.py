@@ -141,6 +141,7 @@ def test_bad_samples_at_a_later_position_are_named(tmp_path, capsys):
     assert sorted(x.name for x in tmp_path.iterdir()) == ["run0.nc"]
 
 
+@pytest.mark.slow
 def test_zarr_there_and_back(tmp_path):
     pytest.importorskip("zarr")
     data = record()

@@ -190,6 +190,7 @@ def test_intervals_hold_where_errors_repeat_from_line_to_line():
         assert low < 0.95 < high or np.mean(hits) > 0.95
 
 
+@pytest.mark.slow
 def test_intervals_hold_where_errors_repeat_from_position_to_position():
     """Errors of 24 bands of lines that are the same at all positions show between bands; where there are none, bands
     add next to nothing. Scores of so few bands are known to be a little short (MacKinnon & White 1985): .914."""

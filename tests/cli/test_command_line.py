@@ -118,7 +118,7 @@ def test_universal_file(tmp_path, data):
     np.testing.assert_allclose(responses[0]["x"], LINES * FS / PERIOD, rtol=1e-6)
 
 
-_COMPILES = "auto robust-lrm-jio lrm-jio-stacked lrm-jio-common".split()
+_COMPILES = "auto robust-lrm-jio lrm-miso lrm-mimo lrm-jio lrm-stacked lrm-jio-stacked lrm-jio-common".split()
 
 
 @pytest.mark.parametrize(

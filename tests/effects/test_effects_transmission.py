@@ -274,6 +274,7 @@ class TestInTheLinearisation:
                 change = (G({name: own[name] + step}) - G({name: own[name] - step})) / (2 * step)
                 np.testing.assert_allclose(found.jacobian[..., i], change, atol=1e-6 * np.abs(change).max())
 
+    @pytest.mark.slow
     def test_disturbances_do_not_show(self):
         bare = robot_of(arm(stiffness_low=3e4, stiffness_knee=2.9e-4) | {"axis": [1.0, 0.0, 0.0], "com": [0, 0, 0.3]})
         bare = jf.robot.with_parameters(bare, {"joint1.mass": 20.0})

@@ -11,6 +11,7 @@ import numpy as np
 import plants
 import pytest
 import scipy.stats
+from marks import slow
 
 import jaxfrf as jf
 
@@ -79,7 +80,7 @@ def test_h1_of_noise_that_differs_between_lines():
     assert_covers(jf.estimate(open_loop(G, 6, noise), jf.H1()), G, lines=(0, CENTRE, -1))
 
 
-@pytest.mark.parametrize("n, n_real", [(1, 4), (2, 3), (2, 6)])
+@pytest.mark.parametrize("n, n_real", [slow(1, 4), slow(2, 3), (2, 6)])
 def test_arithmetic_mean(n, n_real):
     G = plants.modal_response(np.random.default_rng(3), n, n, 2 * np.pi * LINES * 0.25)
     assert_covers(jf.estimate(open_loop(G, n * n_real, 0.1), jf.ArithmeticMean()), G, lines=(0, CENTRE, -1))
@@ -91,7 +92,7 @@ def test_log_mean_of_small_noise():
     assert_covers(jf.estimate(open_loop(G, 8, 1e-4), jf.LogMean()), G, lines=(0, CENTRE, -1))
 
 
-@pytest.mark.parametrize("n_out, n_in, n_exp, width", [(1, 1, 1, 8), (2, 2, 1, 10), (2, 2, 3, 6)])
+@pytest.mark.parametrize("n_out, n_in, n_exp, width", [slow(1, 1, 1, 8), (2, 2, 1, 10), slow(2, 2, 3, 6)])
 def test_lpm(n_out, n_in, n_exp, width):
     """A polynomial plant: no bias, at the centre and in the windows at the ends of the band."""
     G = plants.matrix_polynomial(np.random.default_rng(5), n_out, n_in, local_offset(), 2)
@@ -99,7 +100,7 @@ def test_lpm(n_out, n_in, n_exp, width):
     assert_covers(found, G, lines=(0, CENTRE, -1))
 
 
-@pytest.mark.parametrize("n, n_exp, width", [(1, 1, 9), (2, 1, 15), (2, 4, 8)])
+@pytest.mark.parametrize("n, n_exp, width", [slow(1, 1, 9), (2, 1, 15), slow(2, 4, 8)])
 def test_lrm_of_small_noise(n, n_exp, width):
     """A rational plant; its denominator varies little in the window, so that all lines weigh alike."""
     G = plants.matrix_fraction(np.random.default_rng(6), n, n, local_offset(), 2)
@@ -133,7 +134,7 @@ def test_jio(n, n_exp):
     assert_covers(jf.estimate(spectra, jf.JointInputOutput(jf.H1())), G, lines=(0, CENTRE, -1))
 
 
-@pytest.mark.parametrize("n, n_exp, width", [(1, 1, 10), (2, 1, 17), (2, 4, 8)])
+@pytest.mark.parametrize("n, n_exp, width", [(1, 1, 10), slow(2, 1, 17), (2, 4, 8)])
 def test_jio_lrm(n, n_exp, width):
     spectra, G = closed_loop(n, n_exp, 1e-3)
     method = jf.JointInputOutput(jf.LRM(order=2, width=width, variable="index"))
@@ -154,8 +155,8 @@ def test_common_denominator_of_small_noise():
     assert_covers(found, (Ny @ np.linalg.inv(Nu))[CENTRE])
 
 
-@pytest.mark.parametrize("width", [10, 14])
-@pytest.mark.parametrize("mean", [jf.ArithmeticMean, jf.LogMean])
+@pytest.mark.parametrize("width", [10, slow(14)])
+@pytest.mark.parametrize("mean", [slow(jf.ArithmeticMean), jf.LogMean])
 def test_means_over_single_experiments(mean, width):
     G = plants.matrix_polynomial(np.random.default_rng(5), 2, 2, local_offset(), 2)
     found = jf.estimate(open_loop(G, 4, 1e-3), mean(jf.LPM(order=2, width=width, variable="index")))

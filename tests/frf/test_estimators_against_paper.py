@@ -6,6 +6,7 @@ import numpy as np
 import paper_reference as ref
 import plants
 import pytest
+from marks import slow
 
 import jaxfrf as jf
 
@@ -145,7 +146,7 @@ def test_arithmetic_mean(n, n_real):
     assert_same(jf.estimate(data.spectra(), jf.ArithmeticMean()), expected)
 
 
-@pytest.mark.parametrize("n, n_real", [(1, 3), (2, 2), (3, 4), SIX])
+@pytest.mark.parametrize("n, n_real", [slow(1, 3), slow(2, 2), (3, 4), SIX])
 def test_log_mean(n, n_real):
     """The paper's estimate; its covariance without the factor (M - 1)/M that the paper's is too small by."""
     data = closed_loop(n, n_real)
@@ -175,23 +176,19 @@ METHODS = {"lpm": jf.LPM, "lrm-miso": jf.MisoLRM, "lrm-mimo": jf.LRM}
 CASES = [
     # kind, n, experiments, order, width (odd ones are symmetric windows)
     ("lpm", 1, 1, 2, 6),
-    ("lpm", 3, 1, 2, 14),
+    slow("lpm", 3, 1, 2, 14),
     ("lpm", 2, 3, 1, 7),
-    ("lpm", 2, 4, 2, 9),
+    slow("lpm", 2, 4, 2, 9),
     ("lrm-miso", 1, 1, 2, 8),
-    ("lrm-miso", 3, 1, 2, 15),
+    slow("lrm-miso", 3, 1, 2, 15),
     ("lrm-miso", 2, 4, 2, 8),
     ("lrm-mimo", 1, 1, 2, 7),
-    ("lrm-mimo", 3, 1, 2, 20),
+    slow("lrm-mimo", 3, 1, 2, 20),
     ("lrm-mimo", 3, 6, 2, 9),
-    ("lrm-mimo", 2, 3, 1, 12),
-    ("lrm-mimo", 2, 4, 3, 40),  # one window holds the whole band
-    ("lrm-mimo", 6, 1, 2, 34),
+    slow("lrm-mimo", 2, 3, 1, 12),
+    slow("lrm-mimo", 2, 4, 3, 40),  # one window holds the whole band
+    slow("lrm-mimo", 6, 1, 2, 34),
 ]
-
-
-def slow(*case):
-    return pytest.param(*case, marks=pytest.mark.slow)
 
 
 def check_local(kind, n, n_exp, order, width, grid, variable):
@@ -208,13 +205,16 @@ def test_local_methods(kind, n, n_exp, order, width):
 
 
 @pytest.mark.parametrize("variable", ["index", "frequency"])
-@pytest.mark.parametrize("kind, n, n_exp, order, width", [CASES[1], CASES[6], CASES[8], CASES[9]])
+@pytest.mark.parametrize(
+    "kind, n, n_exp, order, width",
+    [slow("lpm", 3, 1, 2, 14), slow("lrm-miso", 2, 4, 2, 8), slow("lrm-mimo", 3, 1, 2, 20), ("lrm-mimo", 3, 6, 2, 9)],
+)
 def test_local_methods_on_log_spaced_lines(kind, n, n_exp, order, width, variable):
     """The two variables are two estimates where the lines are not evenly spaced."""
     check_local(kind, n, n_exp, order, width, "log", variable)
 
 
-@pytest.mark.parametrize("kind", METHODS)
+@pytest.mark.parametrize("kind", ["lpm", slow("lrm-miso"), slow("lrm-mimo")])
 def test_local_methods_with_unequal_numbers_of_inputs_and_outputs(kind):
     for n_out, n_in in ((3, 2), (1, 3)):
         data = open_loop(n_out, n_in, 2)
@@ -223,7 +223,7 @@ def test_local_methods_with_unequal_numbers_of_inputs_and_outputs(kind):
 
 
 @pytest.mark.parametrize("kind", METHODS)
-@pytest.mark.parametrize("n_exp", [1, 3])
+@pytest.mark.parametrize("n_exp", [slow(1), 3])
 def test_transient_terms(kind, n_exp):
     given, U, Y, _ = first_experiments(closed_loop(2), n_exp)
     expected = [ref.local(kind, u, y, 2, 18, transient=2) for u, y in zip(U, Y, strict=True)]
@@ -231,7 +231,7 @@ def test_transient_terms(kind, n_exp):
 
 
 @pytest.mark.parametrize("kind", METHODS)
-@pytest.mark.parametrize("n, n_exp, width", [(2, 1, 14), (3, 6, 12)])
+@pytest.mark.parametrize("n, n_exp, width", [slow(2, 1, 14), (3, 6, 12)])
 def test_joint_input_output_of_local_methods(kind, n, n_exp, width):
     given, U, Y, R = first_experiments(closed_loop(n), n_exp)
     expected = [ref.local_jio(kind, *X, 2, width) for X in zip(U, Y, R, strict=True)]
@@ -239,7 +239,7 @@ def test_joint_input_output_of_local_methods(kind, n, n_exp, width):
     assert_same(jf.estimate(given, jf.JointInputOutput(method)), expected)
 
 
-@pytest.mark.parametrize("n, n_exp, width, variable", [(2, 1, 14, "index"), (3, 6, 12, "frequency")])
+@pytest.mark.parametrize("n, n_exp, width, variable", [slow(2, 1, 14, "index"), (3, 6, 12, "frequency")])
 def test_joint_input_output_on_log_spaced_lines(n, n_exp, width, variable):
     data = closed_loop(n, 2, "log")
     given, U, Y, R = first_experiments(data, n_exp)
@@ -276,7 +276,7 @@ def test_arithmetic_mean_over_single_experiments():
     assert_same(found, expected)
 
 
-@pytest.mark.parametrize("n, n_exp, width", [(2, 4, 14), pytest.param(6, 6, 34, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n, n_exp, width", [(2, 4, 14), slow(6, 6, 34)])
 def test_the_papers_recipe_log_mean_over_joint_input_output_lrm(n, n_exp, width):
     given, U, Y, R = first_experiments(closed_loop(n), n_exp)
     one = functools.partial(ref.local_jio, "lrm-mimo", order=2, width=width)

@@ -8,6 +8,7 @@ import numpy as np
 import plants
 import pytest
 import scipy.linalg
+from marks import slow
 
 import jaxfrf as jf
 from jaxfrf.frf import KroneckerSum, OuterSum, Signals
@@ -52,9 +53,9 @@ def row_wise(U, Y, R, width, order=2):
     "method",
     [
         jf.JointInputOutput(jf.LRM(width=12)),
-        jf.MisoLRM(width=10),
+        slow(jf.MisoLRM(width=10)),
         jf.LogMean(),
-        pytest.param(jf.LogMean(jf.JointInputOutput(jf.LPM(width=10))), marks=pytest.mark.slow),
+        slow(jf.LogMean(jf.JointInputOutput(jf.LPM(width=10)))),
     ],
     ids=["jio-lrm", "miso", "log", "log-jio-lpm"],
 )

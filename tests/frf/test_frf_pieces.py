@@ -445,6 +445,7 @@ def test_auto_widens_where_the_plant_is_smooth():
     assert np.median([auto / first for _, auto, first, _ in results]) < 0.65
 
 
+@pytest.mark.slow
 def test_auto_narrows_at_resonances():
     """Three sharp resonances close together, more poles than a wide window can hold: narrow there and wide elsewhere,
     wider again where noise hides how the response bends; with little noise far better than the widest window."""
@@ -470,6 +471,7 @@ def test_auto_uses_the_windows_it_is_given():
     np.testing.assert_array_equal(one.dof, same.dof)
 
 
+@pytest.mark.slow
 def test_auto_in_one_stage():
     """With one window it is the method itself; two stages are another estimate."""
     spectra = plants.steady_spectra(plants.two_mass_loop(2), LOG_ODD, 4000, 1, process_noise=0.05).spectra()

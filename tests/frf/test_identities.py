@@ -3,6 +3,7 @@
 import numpy as np
 import plants
 import pytest
+from marks import slow
 
 import jaxfrf as jf
 
@@ -21,7 +22,7 @@ def noisy(n, n_real, n_pos=2, seed=3):
     )
 
 
-@pytest.mark.parametrize("n", [1, 3, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [slow(1), 3, slow(6)])
 @pytest.mark.parametrize(
     "method",
     [
@@ -43,7 +44,7 @@ def test_one_block_leaves_no_choice(method, n):
     assert relative(found.G, Y @ np.linalg.inv(U)).max() < 1e-10
 
 
-@pytest.mark.parametrize("n, n_real", [(1, 4), (3, 2)])
+@pytest.mark.parametrize("n, n_real", [slow(1, 4), (3, 2)])
 @pytest.mark.parametrize("method", [jf.LPM, jf.MisoLRM, jf.LRM])
 def test_stacked_window_of_one_line_is_h1(method, n, n_real):
     given = noisy(n, n_real).spectra()
@@ -71,7 +72,9 @@ def test_lpm_and_lrm_of_order_zero_are_one():
 
 
 @pytest.mark.parametrize("variable", ["index", "frequency"])
-@pytest.mark.parametrize("n_out, n_in, n_exp, order, width", [(1, 1, 1, 2, 6), (3, 2, 1, 3, 12), (2, 2, 3, 2, 5)])
+@pytest.mark.parametrize(
+    "n_out, n_in, n_exp, order, width", [slow(1, 1, 1, 2, 6), (3, 2, 1, 3, 12), slow(2, 2, 3, 2, 5)]
+)
 def test_lpm_is_exact_on_polynomials(n_out, n_in, n_exp, order, width, variable):
     rng = np.random.default_rng(order)
     G = plants.matrix_polynomial(rng, n_out, n_in, LINES - LINES.mean(), order)
@@ -84,7 +87,7 @@ def test_lpm_is_exact_on_polynomials(n_out, n_in, n_exp, order, width, variable)
 
 @pytest.mark.parametrize("variable", ["index", "frequency"])
 @pytest.mark.parametrize(
-    "n_out, n_in, n_exp, width", [(1, 1, 1, 7), (3, 3, 1, 17), (2, 3, 1, 16), (3, 3, 6, 8), (6, 6, 1, 34)]
+    "n_out, n_in, n_exp, width", [slow(1, 1, 1, 7), slow(3, 3, 1, 17), (2, 3, 1, 16), (3, 3, 6, 8), slow(6, 6, 1, 34)]
 )
 def test_lrm_is_exact_on_matrix_fractions(n_out, n_in, n_exp, width, variable):
     rng = np.random.default_rng(7)
@@ -107,7 +110,7 @@ def mechanical_acceleration(n, frequency, seed=0):
     return -(w**2) * np.linalg.inv(stiffness + 0.05j * w * np.sqrt(stiffness) - w**2 * inertia)
 
 
-@pytest.mark.parametrize("n", [1, 3])
+@pytest.mark.parametrize("n", [slow(1), 3])
 def test_lrm_is_exact_on_a_mechanical_system(n):
     """Log-spaced lines and resonances: exact with the variable in which the plant is rational."""
     lines = plants.log_odd_lines(61, 301, 44)
@@ -118,7 +121,7 @@ def test_lrm_is_exact_on_a_mechanical_system(n):
     assert relative(found.G[0], G).max() < 1e-9
 
 
-@pytest.mark.parametrize("n, n_exp", [(1, 1), (2, 1), (3, 1), (3, 4)])
+@pytest.mark.parametrize("n, n_exp", [(1, 1), slow(2, 1), slow(3, 1), (3, 4)])
 def test_joint_input_output_lrm_is_exact_in_closed_loop(n, n_exp):
     """u = C (r - y), C constant: [y; u] on r are matrix fractions of the plant's own degree."""
     G = mechanical_acceleration(n, FREQUENCY)
@@ -132,7 +135,7 @@ def test_joint_input_output_lrm_is_exact_in_closed_loop(n, n_exp):
     assert relative(jf.estimate(plants.spectra(U, Y, R), method).G[0], G).max() < 1e-9
 
 
-@pytest.mark.parametrize("n_out, n_in", [(1, 1), (3, 2)])
+@pytest.mark.parametrize("n_out, n_in", [slow(1, 1), (3, 2)])
 def test_miso_lrm_is_exact_where_every_row_has_its_own_denominator(n_out, n_in):
     rng = np.random.default_rng(4)
     x = LINES - LINES.mean()
@@ -149,7 +152,7 @@ def slow_denominator(x):
     return 1 + 0.2j * x + 0.1 * x**2
 
 
-@pytest.mark.parametrize("n, width", [(1, 6), (3, 11), (6, 20)])
+@pytest.mark.parametrize("n, width", [(1, 6), slow(3, 11), slow(6, 20)])
 def test_common_denominator_cancels(n, width):
     """[y; u] = [N_y; N_u] / d r, one scalar d: fewer lines than a full matrix fraction needs are enough."""
     rng = np.random.default_rng(5)
@@ -164,7 +167,7 @@ def test_common_denominator_cancels(n, width):
     assert relative(jf.estimate(plants.spectra(U, Y, R), method).G[0], G).max() < 1e-9
 
 
-@pytest.mark.parametrize("method", [jf.LPM, jf.MisoLRM, jf.LRM])
+@pytest.mark.parametrize("method", [jf.LPM, slow(jf.MisoLRM), jf.LRM])
 def test_transient_of_the_chosen_order_is_removed(method):
     """Y = (N U + T) / d with a polynomial T of its own for every experiment."""
     rng = np.random.default_rng(6)
@@ -179,7 +182,7 @@ def test_transient_of_the_chosen_order_is_removed(method):
     assert relative(found.G[0], N / d[:, None, None]).max() < 1e-9
 
 
-@pytest.mark.parametrize("n", [1, 3])
+@pytest.mark.parametrize("n", [slow(1), 3])
 @pytest.mark.parametrize("method", [jf.ArithmeticMean, jf.LogMean])
 def test_means_of_equal_responses_are_that_response(method, n):
     """Noise-free blocks all give G, and the scatter between them is rounding."""

@@ -9,6 +9,7 @@ import numpy as np
 import plants
 import pytest
 from hypothesis import given, settings, strategies as st
+from marks import slow
 
 import jaxfrf as jf
 
@@ -17,16 +18,16 @@ JIO = jf.JointInputOutput
 
 CLASSICAL = [jf.H1(), jf.H2(), JIO(jf.H1()), jf.ArithmeticMean()]
 LOCAL = [
-    jf.LPM(order=2, width=9),
+    slow(jf.LPM(order=2, width=9)),
     jf.LRM(order=2, width=9),
-    JIO(jf.LPM(order=2, width=9)),
+    slow(JIO(jf.LPM(order=2, width=9))),
     JIO(jf.LRM(order=2, width=9)),
 ]
 BY_CHANNEL = [jf.MisoLRM(order=2, width=9), JIO(jf.MisoLRM(order=2, width=9))]
 COMMON = [JIO(jf.CommonDenominatorLRM(order=2, width=9))]
 LOGARITHMIC = [
     jf.LogMean(),
-    jf.LogMean(jf.LRM(order=2, width=14)),
+    slow(jf.LogMean(jf.LRM(order=2, width=14))),
     jf.LogMean(JIO(jf.LRM(order=2, width=14))),
 ]
 ELEMENTWISE = [jf.LogMean(elementwise=True), jf.LogMean(jf.LRM(order=2, width=14), elementwise=True)]

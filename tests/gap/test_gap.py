@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 import scipy.stats
+from marks import slow
 from small_arm import FS, PERIOD, STEPS, Q, record, small_robot
 
 import jaxfrf as jf
@@ -198,12 +199,12 @@ class TestSignatures:
         ("name", "factor", "more"),
         [
             ("shoulder.stiffness", 1.01, 0.0),
-            ("elbow.damping", 1.05, 0.0),
-            ("elbow.viscous_friction", 1.1, 0.0),
+            slow("elbow.damping", 1.05, 0.0),
+            slow("elbow.viscous_friction", 1.1, 0.0),
             ("shoulder.coulomb_friction", 1.0, 0.002),
-            ("elbow.motor_inertia", 1.02, 0.0),
+            slow("elbow.motor_inertia", 1.02, 0.0),
             ("elbow.mass", 1.01, 0.0),
-            ("shoulder.inertia", 1.02, 0.0),
+            slow("shoulder.inertia", 1.02, 0.0),
         ],
     )
     def test_numbers_of_the_robot(self, carrier, quiet, name, factor, more):
@@ -224,14 +225,14 @@ class TestSignatures:
         ("kind", "values"),
         [
             (Drag, {"coefficient": 1e-6}),
-            pytest.param(fx.Counterbalance, {"stiffness": 2.0}, marks=pytest.mark.slow),
-            (fx.TorqueRipple, {"amplitude": [1e-3]}),
-            pytest.param(fx.CurrentLoopLag, {"time_constant": 2e-5}, marks=pytest.mark.slow),
-            pytest.param(fx.TorqueConstant, {"error": 2e-3}, marks=pytest.mark.slow),
-            (fx.ResolverRipple, {"amplitude": [2e-5]}),
+            slow(fx.Counterbalance, {"stiffness": 2.0}),
+            slow(fx.TorqueRipple, {"amplitude": [1e-3]}),
+            slow(fx.CurrentLoopLag, {"time_constant": 2e-5}),
+            slow(fx.TorqueConstant, {"error": 2e-3}),
+            slow(fx.ResolverRipple, {"amplitude": [2e-5]}),
             (fx.TransmissionError, {"amplitude": [1e-6]}),
-            pytest.param(fx.WristCoupling, {"ratio": 1e-3}, marks=pytest.mark.slow),
-            pytest.param(fx.GearHysteresis, {"torque": 0.2}, marks=pytest.mark.slow),
+            slow(fx.WristCoupling, {"ratio": 1e-3}),
+            slow(fx.GearHysteresis, {"torque": 0.2}),
         ],
     )
     def test_effects(self, carrier, quiet, kind, values):

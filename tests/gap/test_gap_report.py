@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 from gap_examples import AXES, NAMES, example
+from marks import slow
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
@@ -261,7 +262,7 @@ def read(page):
     return checker.text
 
 
-@pytest.fixture(scope="module", params=NAMES)
+@pytest.fixture(scope="module", params=[n if n in ("two", "coulomb") else slow(n) for n in NAMES])
 def written(request, tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "gap.html"
     write_gap_report(path, example(request.param))

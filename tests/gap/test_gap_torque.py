@@ -5,6 +5,7 @@ import re
 import equinox as eqx
 import numpy as np
 import pytest
+from marks import slow
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
@@ -365,6 +366,7 @@ def alone(found, axis, name):
     return np.array(found.settings["alone"][axis][name])
 
 
+@pytest.mark.slow
 def test_friction_before_the_gear_is_named():
     """Readings as of 16-bit encoders."""
     rng = np.random.default_rng(0)
@@ -376,6 +378,7 @@ def test_friction_before_the_gear_is_named():
     assert np.all(alone(found, "axis1", "result") < 0.1 * alone(found, "axis1", "base") + 0.1)
 
 
+@pytest.mark.slow
 def test_a_late_link_encoder_is_named():
     found = diagnose(None, deflection_runs(lambda u, v: 2e-3 * v))
     assert [e.name for e in found.effects] == ["sensor_delay"] and found.verdict == "named"
@@ -421,10 +424,10 @@ def drive_frf(effects, seed=0, noise=0.01):
     ("truth", "names"),
     [
         ({}, []),
-        pytest.param({"friction": 40.0}, ["viscous_friction"], marks=pytest.mark.slow),
-        pytest.param({"lag": 2e-3}, ["current_loop_lag"], marks=pytest.mark.slow),
-        pytest.param({"delay": 1e-3}, ["torque_delay"], marks=pytest.mark.slow),
-        ({"mode": (50.0, 75.0), "lag": 3e-3}, ["current_loop_lag", "elastic_load"]),
+        slow({"friction": 40.0}, ["viscous_friction"]),
+        ({"lag": 2e-3}, ["current_loop_lag"]),
+        slow({"delay": 1e-3}, ["torque_delay"]),
+        slow({"mode": (50.0, 75.0), "lag": 3e-3}, ["current_loop_lag", "elastic_load"]),
     ],
 )
 def test_drives(truth, names):

@@ -191,6 +191,7 @@ class TestCost:
         np.testing.assert_allclose(tg.magnitude**2, 1 / (found + 0.03**2), rtol=1e-12)
         np.testing.assert_allclose(np.diagonal(tg.cov, axis1=-2, axis2=-1), found, rtol=1e-12)
 
+    @pytest.mark.slow
     def test_deviations_without_a_covariance(self):
         """The scatter of neighbouring lines stands in for it, where the response is smooth between them."""
         rng, frequency = np.random.default_rng(3), np.linspace(1.0, 40.0, 400)
@@ -228,6 +229,7 @@ class TestCost:
         E, _ = Cost(model, Coordinates(model.parameters), tg).errors(jnp.array([0.0, 0.01]))
         np.testing.assert_allclose(E, -0.02j, atol=1e-12)
 
+    @pytest.mark.slow
     def test_elements_of_the_model_that_are_zero_do_not_matter_where_nothing_is_measured(self):
         """Decoupled axes: the off-diagonal elements are noise in the data and exactly 0 in the model."""
 
@@ -451,6 +453,7 @@ class TestFit:
         np.testing.assert_allclose(found.cost, 2 * best.cost, rtol=1e-9)
         np.testing.assert_allclose(found.uncertainty.information, best.jac.T @ best.jac, rtol=1e-4, atol=1e-2)
 
+    @pytest.mark.slow
     def test_bfgs_ends_where_levenberg_marquardt_does(self, measured):
         one = jf.fit(drive(), measured, starts=1)
         two = jf.fit(drive(), measured, starts=1, solver=jf.BFGS())
@@ -475,6 +478,7 @@ class TestFit:
             for x, cost in zip(found.starts[1].path_x, found.starts[1].path_cost, strict=True):
                 np.testing.assert_allclose(gram(drive(), found.coordinates, tg, x)[-1, -1], cost, rtol=1e-9)
 
+    @pytest.mark.slow
     def test_paths_of_a_search_on_a_part_of_the_lines(self):
         frequency = np.linspace(0.5, 8.0, 200)
         frf = frf_of(true_response(TRUE, frequency, ARMS[:1]), frequency=frequency, q=ARMS[:1])
@@ -526,6 +530,7 @@ class TestFit:
         assert found.values["colour"] == 3.0 and found.verdict == "not identifiable"
         assert found.explain()[0] == "colour has no effect on the response: it was left at its start"
 
+    @pytest.mark.slow
     def test_springs_in_series(self):
         model = jf.GrayBox(series, {"k1": 200.0, "k2": 300.0, "d": 0.5})
         G = np.asarray(series(2 * np.pi * FREQUENCY, {"k1": 150.0, "k2": 600.0, "d": 0.4}))[None, :, None, None]

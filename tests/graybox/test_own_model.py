@@ -101,6 +101,7 @@ def test_recovers_its_parameters():
     assert evaluate(fit, other, jf.Weights(focus=1.0)) < 0.1  # 1 % of noise beside a floor of 3 %
 
 
+@pytest.mark.slow
 def test_state_space_is_the_same_model():
     frf = synthetic(TRUTH, outputs=2, noise=0.0)
     model = starting_at(jf.GrayBox(StateSpace(), parameters()), TRUTH)

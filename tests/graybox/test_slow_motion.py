@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
+from marks import slow
 from two_axes import ROBOT
 
 import jaxfrf as jf
@@ -92,7 +93,7 @@ class TestWhereTheArmWas:
 
 
 class TestController:
-    @pytest.mark.parametrize("corner", [None, 40.0, [30.0, 90.0]])
+    @pytest.mark.parametrize("corner", [slow(None), slow(40.0), [30.0, 90.0]])
     def test_feedback_against_the_sampled_law(self, robot, corner):
         """A sine through the controller's own difference equation, until it is steady."""
         filtered = None if corner is None else np.array(corner)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from marks import slow
 from mujoco_reference import MuJoCoRobot, random_positions
 from puma560 import puma560
 from scipy.spatial.transform import Rotation
@@ -220,7 +221,7 @@ class TestClosedForms:
 
 
 class TestMechanics:
-    @pytest.mark.parametrize("n", [1, 2, 4])
+    @pytest.mark.parametrize("n", [slow(1), 2, slow(4)])
     def test_power(self, n):
         """The power of the inverse dynamics is the rate of kinetic and potential energy, on random chains."""
         chain, (q, v, a) = random_chain(n, seed=n), random_motion(n)

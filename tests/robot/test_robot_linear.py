@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.signal
+from marks import slow
 from mujoco_reference import MuJoCoRobot, paper_frequencies, random_positions, second_order_frf
 from puma560 import puma560
 from two_axes import ROBOT
@@ -249,6 +250,7 @@ class TestResponse:
         G = np.asarray(jr.frf(model, LINES[::10]))
         np.testing.assert_allclose(G, G.swapaxes(-1, -2), rtol=1e-7, atol=1e-12 * np.abs(G).max())
 
+    @pytest.mark.slow
     def test_rigid_limit(self, robot, friction):
         """Springs of growing stiffness tend to the robot with rigid transmissions, at the rate 1/k."""
         table = jr.table_from_robot(robot)
@@ -313,6 +315,7 @@ class TestResponse:
             ours = jr.frf(linear_model(robot, np.zeros(1)), LINES, quantity)
             np.testing.assert_allclose(ours[:, 0, 0], expected * s ** (n - 1), rtol=1e-10)
 
+    @pytest.mark.slow
     def test_rigid_puma_swings_under_gravity(self):
         """K of a rigid robot is gravity alone; its FRF against MuJoCo's matrices."""
         robot = puma560(complete_first_link=True)
@@ -366,7 +369,7 @@ class TestSampling:
             )
             assert relative(G, everywhere.sum(axis=0)) < 1e-9
 
-    @pytest.mark.parametrize("fs", [8000.0, 2000.0, 500.0, 250.0])
+    @pytest.mark.parametrize("fs", [slow(8000.0), 2000.0, slow(500.0), 250.0])
     def test_remainder_tells_the_error(self, friction, fs):
         """The terms left out, against the exact discretisation by SciPy, from safe to useless sampling
         frequencies."""
@@ -476,6 +479,7 @@ class TestJacobian:
             assert relative(batch.G[i], single.G).max() < 1e-11
             assert relative(batch.jacobian[i, ..., 0], single.jacobian[..., 0]).max() < 1e-10
 
+    @pytest.mark.slow
     def test_rigid_robot_has_friction_only(self):
         robot = puma560()
         ours = jr.frf_and_jacobian(robot, np.zeros(6), LINES[::60], friction=jnp.full(6, 1e-3))

@@ -127,6 +127,7 @@ class TestRecord:
         limit = np.asarray(jf.robot.r3x().drives.torque_limit)
         assert np.all(np.abs(recorded.u) <= limit)
 
+    @pytest.mark.slow
     def test_noise(self, recorded):
         """The noise is 5e-5 rad, white, its own in every run."""
         quiet = jf.simulate(jf.robot.r3x(), design(), recorded.q, key=KEY, run_in=1.0, noise=0.0)

@@ -6,6 +6,7 @@ import functools
 import jax.random as jr
 import numpy as np
 import pytest
+from marks import slow
 from small_arm import Q, small_robot
 from uncertain_arm import design, machine, model, played
 
@@ -60,7 +61,7 @@ def test_torque_of_a_measured_motion(name):
     assert np.all(missed(unknown(robot), data) < 2e-3)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [slow(1), 2])
 def test_logs_of_speeds_and_accelerations(order):
     robot, data = simulated("springs")
     steady = data.period // 2 + 1

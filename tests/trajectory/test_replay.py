@@ -10,6 +10,7 @@ import jax.random as jr
 import numpy as np
 import pytest
 from loop_reference import mujoco_loop
+from marks import slow
 from two_axes import ROBOT
 
 import jaxfrf as jf
@@ -75,6 +76,7 @@ class TestSimulatedRecords:
         close(replay(robot, recorded, key=jr.key(7), noise=5e-5, **SETTINGS), noisy)
         assert np.abs(noisy.y - recorded.y).max() > 1e-4
 
+    @pytest.mark.slow
     def test_references_of_every_position(self, robot, recorded):
         """Another realisation at the second position, in blocks that hold a part of the runs."""
         other = simulate(robot, design(seed=5), recorded.q[1:], key=KEY, noise=0.0, **SETTINGS)
@@ -117,7 +119,7 @@ def wriggle(n=1200, fs=2000.0):
     return speed, angle
 
 
-@pytest.mark.parametrize("quantity", ["velocity", "position"])
+@pytest.mark.parametrize("quantity", ["velocity", slow("position")])
 def test_once_against_mujoco(quantity):
     """A record that is not periodic, from rest at q, beside MuJoCo with the references in closed form."""
     robot = jf.robot.r3x()
