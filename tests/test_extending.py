@@ -104,7 +104,7 @@ from ...effects import Reach
 from ...experiment import Experiment
 from ...robot import Robot
 from ...trajectory.needed_torque import needed_torque
-from ...trajectory.rigid_motion import Motion
+from ...trajectory.rigid_motion import MeasuredMotion
 from .channel import AbstractChannel, makes_sense
 
 
@@ -117,7 +117,7 @@ class HoldingChannel(AbstractChannel):
     tolerance = 0.02
 
     robot: Robot
-    motion: Motion
+    motion: MeasuredMotion
     scatter: np.ndarray
     size: float
     measured: np.ndarray
@@ -134,7 +134,7 @@ class HoldingChannel(AbstractChannel):
         angle = np.concatenate([np.asarray(x.q) for x in data]) * np.asarray(robot.drives.gear_ratio)
         mean, n = u.mean(axis=1), robot.n_axes
         size, scatter = np.sqrt(np.mean(mean**2)), u.std(axis=1) / np.sqrt(u.shape[1])
-        motion = Motion(angle, 0 * angle, 0 * angle, torque=mean, fs=data[0].fs, cutoff=1.0)
+        motion = MeasuredMotion(angle, 0 * angle, 0 * angle, torque=mean, fs=data[0].fs, cutoff=1.0)
         group, place = np.tile(np.arange(n), len(u)), np.repeat(np.arange(len(u)), n)
         return cls(robot, motion, scatter, size, (mean / size).ravel(), group, place % 5)
 

@@ -13,7 +13,7 @@ from ..robot import Friction, Robot
 from ..robot.regressor import link_parameters, link_regressor
 from ..robot.robot import gear_coupling
 from ..trajectory.evidence import Gram
-from ..trajectory.rigid_motion import Motion, check_rigid, chosen_cutoff, measured_motions, thinned
+from ..trajectory.rigid_motion import MeasuredMotion, check_rigid, chosen_cutoff, measured_motions, thinned
 from .columns import OF_LINKS, link_slopes
 from .heldout import heldout_numbers
 from .least_squares import Posterior, solve
@@ -38,7 +38,7 @@ class Rows(eqx.Module):
     speed: Float[np.ndarray, "row axis"]
     acceleration: Float[np.ndarray, "row axis"]
     torque: Float[np.ndarray, "row axis"]
-    motion: Motion
+    motion: MeasuredMotion
     carried: Float[np.ndarray, "parameter"]
 
 
@@ -106,7 +106,7 @@ def calibrate_from_motion(
     return _result(robot, these, x, posterior, done, converged, fitted, judged, records)
 
 
-def _rows(robot: Robot, motion: Motion, payload: Payload | None) -> Rows:
+def _rows(robot: Robot, motion: MeasuredMotion, payload: Payload | None) -> Rows:
     gear = np.asarray(robot.drives.gear_ratio, float)
     out = _unmixed(robot) / gear  # arm = out @ motor
     zero = 0.0 if robot.drives.zero is None else np.asarray(robot.drives.zero)

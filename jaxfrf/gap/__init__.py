@@ -4,7 +4,7 @@ from .diagnose import diagnose as diagnose
 from .result import (
     Cell as Cell,
     Diagnosis as Diagnosis,
-    Estimate as Estimate,
+    EstimatedValue as EstimatedValue,
     Gap as Gap,
     Maps as Maps,
     Named as Named,

@@ -15,7 +15,7 @@ from ..trajectory.evidence import band_edges, by_band, weigh
 from ..trajectory.remainder import remainder
 from ..trajectory.signature import signature
 from .refine import refine
-from .result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
+from .result import Cell, Diagnosis, EstimatedValue, Gap, Maps, Named, Ranked
 from .score import deviations, family_wise, fit_beside
 from .search import CLASSES, FLOOR, Search, Step, passes
 from .stage import Stage, mean_square
@@ -149,11 +149,11 @@ def _named(search: Search, steps: Sequence[Step], step: Step) -> Named:
     )
 
 
-def _effect_parameters(step: Step) -> dict[str, Estimate]:
+def _effect_parameters(step: Step) -> dict[str, EstimatedValue]:
     effect, names = step.effect, step.option.refined.names
     if names:
         return {
-            n: Estimate(float(getattr(effect, n)), float(s), effect.units[n])
+            n: EstimatedValue(float(getattr(effect, n)), float(s), effect.units[n])
             for n, s in zip(names, step.std, strict=True)
         }
     found = {}
@@ -162,7 +162,7 @@ def _effect_parameters(step: Step) -> dict[str, Estimate]:
             np.ravel(np.asarray(getattr(effect, name), float)) if getattr(effect, name) is not None else np.array([])
         )
         for i, v in enumerate(value):
-            found[name if len(value) == 1 else f"{name}_{i + 1}"] = Estimate(float(v), float("nan"), unit)
+            found[name if len(value) == 1 else f"{name}_{i + 1}"] = EstimatedValue(float(v), float("nan"), unit)
     return found
 
 
@@ -180,7 +180,7 @@ def _counting(search: Search) -> tuple[Named, ...]:
         if count > 0:
             effect = EncoderQuantisation(joint, count)
             visible = count / float(EncoderQuantisation.typical(search.given, joint).resolution)
-            value = {"resolution": Estimate(count, 1e-3 * count, "rad")}
+            value = {"resolution": EstimatedValue(count, 1e-3 * count, "rad")}
             found.append(Named(effect, joint, value, 0.0, (), "", 1.0, visible))
     return tuple(found)
 
@@ -286,7 +286,9 @@ def _parameters(search: Search, stage: Stage, robot: Robot):
     for i, knob in enumerate(search.knobs):
         if knob.free:
             value = float(own[knob.name])
-            values[knob.name] = Estimate(value, value * float(std[i]), parameter_unit(robot, *knob.name.rsplit(".", 1)))
+            values[knob.name] = EstimatedValue(
+                value, value * float(std[i]), parameter_unit(robot, *knob.name.rsplit(".", 1))
+            )
             changed[knob.name] = value / float(given[knob.name]) - 1.0
     return values, changed
 

@@ -11,7 +11,7 @@ from ..robot import Robot
 VERDICTS = ("sufficient", "named", "ambiguous", "unexplained", "inconclusive")
 
 
-class Estimate(eqx.Module):
+class EstimatedValue(eqx.Module):
     """A number with its standard deviation and unit."""
 
     value: float = eqx.field(static=True)
@@ -30,7 +30,7 @@ class Named(eqx.Module):
 
     effect: AbstractEffect
     joint: str = eqx.field(static=True)
-    parameters: dict[str, Estimate]
+    parameters: dict[str, EstimatedValue]
     p_value: float = eqx.field(static=True)
     equivalent: tuple[str, ...] = eqx.field(static=True)
     separating_experiment: str = eqx.field(static=True)
@@ -118,7 +118,7 @@ class Diagnosis(eqx.Module):
     where: tuple[Cell, ...]
     gap: Gap
     maps: Maps
-    parameters: dict[str, Estimate]
+    parameters: dict[str, EstimatedValue]
     changed: dict[str, float]
     given: Robot
     base: Robot

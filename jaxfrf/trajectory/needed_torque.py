@@ -21,7 +21,7 @@ from ..effects import (
 from ..effects._place import axis_of
 from ..robot import Robot, arm_inertia_and_bias
 from ..robot.robot import gear_coupling
-from .rigid_motion import Motion, check_rigid, smooth
+from .rigid_motion import MeasuredMotion, check_rigid, smooth
 
 Torque = Float[np.ndarray, "time axis"]
 
@@ -38,7 +38,7 @@ def check_one_motor_a_joint(robot: Robot) -> None:
         )
 
 
-def needed_torque(robot: Robot, motion: Motion) -> Torque:
+def needed_torque(robot: Robot, motion: MeasuredMotion) -> Torque:
     """Torque command for the motion, u = A^{-1}{(M(q) q'' + c + g + arm torques)/n + friction - ripple}, (time, axis).
 
     A is what the robot's actuator effects make of a command. With a rigid transmission the measured motor torque stands
@@ -55,7 +55,7 @@ def needed_torque(robot: Robot, motion: Motion) -> Torque:
     return torque
 
 
-def added_torque(robot: Robot, effect: AbstractEffect, motion: Motion, needed: Torque) -> Torque:
+def added_torque(robot: Robot, effect: AbstractEffect, motion: MeasuredMotion, needed: Torque) -> Torque:
     """What `effect` adds to the torque that the robot needs (`needed`), (time, axis).
 
     To first order where the robot has actuator effects already."""
@@ -73,7 +73,7 @@ def _inertial(robot: Robot, angle, speed, acceleration):
     return arm / gear + robot.drives.friction.torque(speed)
 
 
-def _contribution(robot: Robot, effect: AbstractEffect, motion: Motion, torque: Torque) -> Torque:
+def _contribution(robot: Robot, effect: AbstractEffect, motion: MeasuredMotion, torque: Torque) -> Torque:
     if isinstance(effect, AbstractLinkSensor):
         return np.zeros_like(torque)
     axis = axis_of(robot, effect.joint)
@@ -116,7 +116,7 @@ def _delay_at_rest(effect: AbstractActuator) -> float:
     return float(-(low[1] / low[0]).imag / step)
 
 
-def _true_motion(robot: Robot, effect: AbstractSensor, motion: Motion) -> Motion:
+def _true_motion(robot: Robot, effect: AbstractSensor, motion: MeasuredMotion) -> MeasuredMotion:
     """The motion behind the measured one: error(true) is taken as error(measured), and differentiated with it."""
     axis = axis_of(robot, effect.joint)
     error = np.zeros_like(motion.angle)

@@ -16,7 +16,7 @@ COMPARED = 0.2  # of the cut-off: where torques are compared, and noise beyond i
 _ORDER = 4
 
 
-class Motion(eqx.Module):
+class MeasuredMotion(eqx.Module):
     """One record as inverse dynamics needs it, motor side, every sample.
 
     **Fields:** `angle`, `speed`, `acceleration`: (time, axis), rad, rad/s, rad/s^2. `torque`: (time, axis), N m, the
@@ -32,8 +32,8 @@ class Motion(eqx.Module):
     cutoff: float = eqx.field(static=True)
 
 
-def measured_motions(robot: Robot, data: Experiment, cutoff: float) -> tuple[Motion, ...]:
-    """Every record of the data, position by position, as a `Motion`.
+def measured_motions(robot: Robot, data: Experiment, cutoff: float) -> tuple[MeasuredMotion, ...]:
+    """Every record of the data, position by position, as a `MeasuredMotion`.
 
     y goes through a Butterworth filter of order 4 at `cutoff` (Hz), forth and back (no phase); derivatives are central
     differences, integrals trapezoids about the configuration q. Transient periods are dropped. An acceleration is
@@ -58,7 +58,7 @@ def measured_motions(robot: Robot, data: Experiment, cutoff: float) -> tuple[Mot
     )
 
 
-def _motion(u, y, data: Experiment, rest, cutoff: float) -> Motion:
+def _motion(u, y, data: Experiment, rest, cutoff: float) -> MeasuredMotion:
     order, fs = QUANTITIES[data.y_quantity], data.fs
     known = smooth(y, fs, cutoff)
     if order == 2:
@@ -70,7 +70,7 @@ def _motion(u, y, data: Experiment, rest, cutoff: float) -> Motion:
         below.append(np.gradient(below[-1], 1.0 / fs, axis=0))
     held = np.concatenate([u[:1], 0.5 * (u[1:] + u[:-1])])
     angle, speed, acceleration = below
-    return Motion(angle, speed, acceleration, torque=np.asarray(held), fs=fs, cutoff=cutoff)
+    return MeasuredMotion(angle, speed, acceleration, torque=np.asarray(held), fs=fs, cutoff=cutoff)
 
 
 def _integral(x, fs: float, mean):
@@ -94,7 +94,7 @@ def smooth(x: Float[np.ndarray, "time ..."], fs: float, cutoff: float) -> Float[
     return scipy.signal.sosfiltfilt(scipy.signal.butter(_ORDER, cutoff, fs=fs, output="sos"), x, axis=0)
 
 
-def thinned(motion: Motion, x: Float[np.ndarray, "time ..."]) -> Float[np.ndarray, "row ..."]:
+def thinned(motion: MeasuredMotion, x: Float[np.ndarray, "time ..."]) -> Float[np.ndarray, "row ..."]:
     """Torques of either side alike: low-pass at a fifth of the motion's cut-off, ends cut, as many samples as it takes.
 
     What the filter does to the measured torque it does to the model's ("parallel filtering and decimation": Gautier,
@@ -105,12 +105,12 @@ def thinned(motion: Motion, x: Float[np.ndarray, "time ..."]) -> Float[np.ndarra
     return smooth(x, motion.fs, low)[end : len(x) - end : _step(motion)]
 
 
-def thinned_rate(motion: Motion) -> float:
+def thinned_rate(motion: MeasuredMotion) -> float:
     """Samples of a second of what `thinned` leaves, Hz."""
     return motion.fs / _step(motion)
 
 
-def _step(motion: Motion) -> int:
+def _step(motion: MeasuredMotion) -> int:
     return max(int(0.4 * motion.fs / (COMPARED * motion.cutoff)), 1)
 
 

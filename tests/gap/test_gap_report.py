@@ -12,7 +12,7 @@ from marks import slow
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
-from jaxfrf.gap.result import VERDICTS, Estimate
+from jaxfrf.gap.result import VERDICTS, EstimatedValue
 from jaxfrf.io.gaps import equation, read_gap, write_gap
 from jaxfrf.plot.gap import AFTER, BEFORE, gap_bode, gap_dumbbells, gap_maps, torque_courses
 from jaxfrf.report.gap import gap_page, write_gap_report
@@ -135,7 +135,7 @@ class TestWords:
         ],
     )
     def test_estimate(self, value, std, unit, says):
-        assert estimate(Estimate(value, std, unit)) == says
+        assert estimate(EstimatedValue(value, std, unit)) == says
 
     def test_numbers(self):
         assert (percent(0.972), percent(0.0125, signed=True), percent(np.nan)) == ("97 %", "+1.2 %", "-")

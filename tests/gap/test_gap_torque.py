@@ -26,7 +26,7 @@ from jaxfrf.gap.channels.significance import covariance, family_wise, held_out, 
 from jaxfrf.gap.channels.torque import TorqueChannel
 from jaxfrf.io.gaps import gap_contents
 from jaxfrf.trajectory.needed_torque import added_torque, needed_torque
-from jaxfrf.trajectory.rigid_motion import Motion, measured_motions, thinned
+from jaxfrf.trajectory.rigid_motion import MeasuredMotion, measured_motions, thinned
 
 # --- a planar arm of two links, its equations as textbooks write them
 
@@ -98,7 +98,7 @@ def record(seed, more=lambda q, v, a: 0.0, fs=250.0, seconds=12.0):
 
 def exact(seed=0, fs=500.0, seconds=4.0):
     q, v, a = path(np.arange(int(seconds * fs)) / fs, seed)
-    return (q, v, a), Motion(q * GEAR, v * GEAR, a * GEAR, torque=torque(q, v, a), fs=fs, cutoff=0.45 * fs)
+    return (q, v, a), MeasuredMotion(q * GEAR, v * GEAR, a * GEAR, torque=torque(q, v, a), fs=fs, cutoff=0.45 * fs)
 
 
 def test_needed_torque_is_the_textbook_s():

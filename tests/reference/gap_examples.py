@@ -9,7 +9,7 @@ import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.experiment import Source
 from jaxfrf.frf import FRF
-from jaxfrf.gap.result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
+from jaxfrf.gap.result import Cell, Diagnosis, EstimatedValue, Gap, Maps, Named, Ranked
 
 BANDS = np.array([0.5, 4.0, 8.0, 14.0, 20.0, 30.0, 45.0, 80.0])
 AXES = tuple(f"joint{k}" for k in range(1, 7))
@@ -83,13 +83,13 @@ def _frfs(shift=0.0, delay=0.0, gain=1.0, after=None):
     return frf(truth * noise, 0.012), before, before if after == "same" else frf(_response(0.001))
 
 
-def _parameters(shift: dict[str, float]) -> tuple[dict[str, Estimate], dict[str, float]]:
+def _parameters(shift: dict[str, float]) -> tuple[dict[str, EstimatedValue], dict[str, float]]:
     given = jf.robot.parameters(robot(), ("stiffness", "damping"))
     rng = np.random.default_rng(2)
     changed = {n: shift.get(n, 0.012 * float(rng.standard_normal())) for n in given}
     units = {"stiffness": "N m/rad", "damping": "N m s/rad"}
     values = {n: float(x) * (1 + changed[n]) for n, x in given.items()}
-    found = {n: Estimate(v, 0.004 * v, units[n.split(".")[1]]) for n, v in values.items()}
+    found = {n: EstimatedValue(v, 0.004 * v, units[n.split(".")[1]]) for n, v in values.items()}
     return found, changed
 
 
@@ -138,7 +138,7 @@ def _gap(before, after, floor, axes_before, axes_after, on="held-out positions 5
 
 
 def _coulomb() -> Diagnosis:
-    level = {"level": Estimate(0.2087, 0.0061, "N m")}
+    level = {"level": EstimatedValue(0.2087, 0.0061, "N m")}
     named = Named(
         fx.CoulombFriction("joint3", 0.2087),
         "joint3",
@@ -201,7 +201,7 @@ def _two() -> Diagnosis:
         Named(
             fx.Payload(1.42),
             "",
-            {"mass": Estimate(1.42, 0.05, "kg")},
+            {"mass": EstimatedValue(1.42, 0.05, "kg")},
             1e-9,
             (),
             "",
@@ -211,7 +211,7 @@ def _two() -> Diagnosis:
         Named(
             fx.TorqueDelay("joint2", 3.6e-4),
             "joint2",
-            {"delay": Estimate(3.6e-4, 2.1e-5, "s")},
+            {"delay": EstimatedValue(3.6e-4, 2.1e-5, "s")},
             4e-5,
             ("current_loop_lag",),
             "A step of torque, or lines above 300 Hz.",
@@ -251,7 +251,7 @@ def _ambiguous() -> Diagnosis:
     named = Named(
         fx.TorqueDelay("joint2", 3.6e-4),
         "joint2",
-        {"delay": Estimate(3.6e-4, 2.1e-5, "s")},
+        {"delay": EstimatedValue(3.6e-4, 2.1e-5, "s")},
         3e-8,
         ("current_loop_lag",),
         "Excite joint2 above 300 Hz, or command a step of torque.",

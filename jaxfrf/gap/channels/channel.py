@@ -152,11 +152,11 @@ class AbstractChannel(eqx.Module):
         """Mean residuals against signals, see `jaxfrf.gap.Maps`."""
         return {}
 
-    def where(self, look: "Look", cells: tuple[Cell, ...]) -> tuple[Cell, ...]:
+    def where(self, outcome: "Outcome", cells: tuple[Cell, ...]) -> tuple[Cell, ...]:
         """Where the gap is, and what is left of it goes with: by default the largest `cells` of the maps."""
         return cells
 
-    def remarks(self, look: "Look") -> tuple[str, ...]:
+    def remarks(self, outcome: "Outcome") -> tuple[str, ...]:
         """Sentences that belong to the result."""
         return ()
 
@@ -165,7 +165,7 @@ class AbstractChannel(eqx.Module):
         return found
 
 
-class Look(eqx.Module):
+class Outcome(eqx.Module):
     """What a channel may see of a finished search: the state before and after, what is left of the rows, the ranking,
     and a test of columns: (share, coefficient, p-value) of each, family-wise."""
 

@@ -8,9 +8,9 @@ import scipy.stats
 
 from ...effects import AbstractEffect, Candidate
 from ...robot import parameter_unit, parameters
-from ..result import Cell, Diagnosis, Estimate, Gap, Maps, Named, Ranked
-from .channel import AbstractChannel, Look, State
-from .select import Fitted, Search, Trial, search, spread
+from ..result import Cell, Diagnosis, EstimatedValue, Gap, Maps, Named, Ranked
+from .channel import AbstractChannel, Outcome, State
+from .select import FittedState, Selection, TriedCandidate, search, spread
 from .settings import BANDS, DRAWS, EXPLAINED, LEAST_SHARE, LEVEL, SYSTEMATIC
 from .significance import family_wise, mean_squares, projector, summed
 
@@ -29,17 +29,19 @@ def concluded(
     if final is found.base:
         gap = _judged(channel, sealed, _nothing(found))
     named, own = _reported(channel, final, found)
-    look = Look(found.base.state, final.state, found.base.residual, final.residual, found.trials, _test(channel, final))
+    outcome = Outcome(
+        found.base.state, final.state, found.base.residual, final.residual, found.trials, _test(channel, final)
+    )
     ranking = tuple(_ranked(channel, t) for t in found.trials)
     maps = _maps(channel, final, found, gap.floor)
     begun = _numbers(channel, own)
-    remarks = (*_refit_remark(channel, found, final), *_wrong_signs(found), *channel.remarks(look))
+    remarks = (*_refit_remark(channel, found, final), *_wrong_signs(found), *channel.remarks(outcome))
     diagnosis = Diagnosis(
         verdict=verdict,
         says=_says(channel, verdict, named, gap, ranking),
         effects=named,
         ranking=ranking,
-        where=channel.where(look, _cells(channel, maps)),
+        where=channel.where(outcome, _cells(channel, maps)),
         gap=gap,
         maps=maps,
         parameters=own,
@@ -58,11 +60,11 @@ def concluded(
     return channel.joined(diagnosis)
 
 
-def _nothing(found: Search) -> Search:
-    return Search(found.base, found.base, (), found.trials, found.refused, found.last_p, found.floor, found.left_out)
+def _nothing(found: Selection) -> Selection:
+    return Selection(found.base, found.base, (), found.trials, found.refused, found.last_p, found.floor, found.left_out)
 
 
-def _verdict(channel: AbstractChannel, found: Search, sealed: Gap | None) -> str:
+def _verdict(channel: AbstractChannel, found: Selection, sealed: Gap | None) -> str:
     before, after = np.mean(found.base.left**2), np.mean(found.fitted.left**2)
     floor = float(np.mean(found.floor**2))
     if found.found:
@@ -78,14 +80,14 @@ def _verdict(channel: AbstractChannel, found: Search, sealed: Gap | None) -> str
     return "inconclusive"
 
 
-def _upper(channel: AbstractChannel, fit: Fitted) -> float:
+def _upper(channel: AbstractChannel, fit: FittedState) -> float:
     """95 % bound of the rms held-out error, in the gap's unit."""
     squares = mean_squares(channel.plain(fit.left), channel.blocks(fit.residual))
     n = len(squares)
     return float(np.sqrt(squares.mean() + scipy.stats.t.ppf(0.95, n - 1) * squares.std(ddof=1) / np.sqrt(n)))
 
 
-def _judged(channel: AbstractChannel, sealed: AbstractChannel | None, found: Search) -> Gap:
+def _judged(channel: AbstractChannel, sealed: AbstractChannel | None, found: Selection) -> Gap:
     """The gap on sealed data, or on folds that were held out in turn."""
     if sealed is None:
         where, before, after, on = channel, found.base.left, found.fitted.left, "held-out parts of the data"
@@ -101,11 +103,11 @@ def _judged(channel: AbstractChannel, sealed: AbstractChannel | None, found: Sea
     return Gap(rms(sides[0]), rms(sides[1]), floor, shrink, where.unit, on, axes[0], axes[1], where.quantity)
 
 
-def _reported(channel: AbstractChannel, fit: Fitted, found: Search):
+def _reported(channel: AbstractChannel, fit: FittedState, found: Selection):
     """Effects and own numbers with standard deviations that respect the residual's colour."""
     state, V = fit.state, spread(channel, fit)
     unit = lambda name: parameter_unit(state.given, *name.rsplit(".", 1))
-    own = {n: Estimate(v, float(np.sqrt(V[i, i])), unit(n)) for i, (n, v) in enumerate(state.own.items())}
+    own = {n: EstimatedValue(v, float(np.sqrt(V[i, i])), unit(n)) for i, (n, v) in enumerate(state.own.items())}
     named = []
     for i, ((candidate, values), one) in enumerate(zip(state.chosen, found.found, strict=False)):
         here = state.place(i)
@@ -128,7 +130,7 @@ def _reported(channel: AbstractChannel, fit: Fitted, found: Search):
     return tuple(named), own
 
 
-def _numbers_of(candidate: Candidate, values, V) -> dict[str, Estimate]:
+def _numbers_of(candidate: Candidate, values, V) -> dict[str, EstimatedValue]:
     """The effect's parameters, with standard deviations by their slopes in the coefficients."""
     units = candidate.make(np.array(values)).units
     read = lambda e: {k: float(np.ravel(getattr(e, k))[0]) for k in units if getattr(e, k) is not None}
@@ -142,10 +144,10 @@ def _numbers_of(candidate: Candidate, values, V) -> dict[str, Estimate]:
         for name in now:
             slopes.setdefault(name, []).append((then[name] - now[name]) / step)
     std = {k: float(np.sqrt(max(np.array(s) @ V @ np.array(s), 0.0))) for k, s in slopes.items()}
-    return {k: Estimate(v, std[k] if np.any(slopes[k]) else float("nan"), units[k]) for k, v in now.items()}
+    return {k: EstimatedValue(v, std[k] if np.any(slopes[k]) else float("nan"), units[k]) for k, v in now.items()}
 
 
-def _visible(channel: AbstractChannel, effect: AbstractEffect, joint: str, numbers: dict[str, Estimate]) -> float:
+def _visible(channel: AbstractChannel, effect: AbstractEffect, joint: str, numbers: dict[str, EstimatedValue]) -> float:
     """Size of the effect's first parameter over that of a just visible one; NaN for a robot of another size, which has
     the value outside the effect's bounds."""
     name = next(iter(numbers))
@@ -154,14 +156,14 @@ def _visible(channel: AbstractChannel, effect: AbstractEffect, joint: str, numbe
     return float(abs(value) / typical) if typical > 0 and low <= value <= high else float("nan")
 
 
-def _ranked(channel: AbstractChannel, t: Trial) -> Ranked:
+def _ranked(channel: AbstractChannel, t: TriedCandidate) -> Ranked:
     effect = t.candidate.make(np.array(t.values))
     units = list(effect.units)[:1]
     expected = {k: float(np.ravel(getattr(effect, k))[0]) for k in units}
     return Ranked(t.candidate.name, t.candidate.joint, t.explained, t.p_value, expected, float("nan"), t.why)
 
 
-def _alone(channel: AbstractChannel, found: Search, final: Fitted) -> dict[str, dict[str, list[float]]]:
+def _alone(channel: AbstractChannel, found: Selection, final: FittedState) -> dict[str, dict[str, list[float]]]:
     """rms left of what was measured, on every fold by a fit to the others: of the base, of the
     result, and with each candidate of the axis by itself; {axis: {name: [fold, ...]}}."""
     sides = {"base": found.base.left, "result": final.left}
@@ -177,7 +179,7 @@ def _alone(channel: AbstractChannel, found: Search, final: Fitted) -> dict[str, 
     return told
 
 
-def _test(channel: AbstractChannel, fit: Fitted):
+def _test(channel: AbstractChannel, fit: FittedState):
     """A test of columns beside all that is free."""
 
     def tested(columns):
@@ -193,7 +195,7 @@ def _test(channel: AbstractChannel, fit: Fitted):
     return tested
 
 
-def _maps(channel: AbstractChannel, final: Fitted, found: Search, floor: float) -> Maps:
+def _maps(channel: AbstractChannel, final: FittedState, found: Selection, floor: float) -> Maps:
     sides = [channel.spectra(channel.plain(fit.residual)) for fit in (found.base, final)]
     f = np.concatenate([frequency for frequency, _ in sides[0]])
     top, low = float(f.max()), float(np.min(f[f > 0]))
@@ -229,7 +231,7 @@ def _numbers(channel: AbstractChannel, own) -> dict[str, float]:
     return {name: float(begun[name]) for name in own}
 
 
-def _refit_remark(channel: AbstractChannel, found: Search, final: Fitted) -> tuple[str, ...]:
+def _refit_remark(channel: AbstractChannel, found: Selection, final: FittedState) -> tuple[str, ...]:
     rms = lambda r: float(np.sqrt(np.mean(channel.plain(r) ** 2)))
     nominal, before = rms(channel.residual(State(channel.robot, channel.own()))), rms(found.base.residual)
     said = []
@@ -241,7 +243,7 @@ def _refit_remark(channel: AbstractChannel, found: Search, final: Fitted) -> tup
     return (*said, *(f"{n} came out negative ({v:.3g})." for n, v in final.state.own.items() if v < 0))
 
 
-def _wrong_signs(found: Search) -> tuple[str, ...]:
+def _wrong_signs(found: Selection) -> tuple[str, ...]:
     """Candidates that would explain much with a sign that they cannot have."""
     telling = [t for t in found.trials if t.p_value <= LEVEL and not t.sensible and t.share >= LEAST_SHARE]
     return tuple(

@@ -26,7 +26,7 @@ from ...effects import (
 from ...effects._place import axis_of
 from ...experiment import Experiment
 from ...robot import Robot, parameters, robot_from_table, with_parameters
-from ...trajectory.rigid_motion import Motion, smooth
+from ...trajectory.rigid_motion import MeasuredMotion, smooth
 from .channel import Rows
 from .records import AbstractRecords, every_record, reaches, rows_of
 from .settings import DEFLECTION, DEFLECTION_CUTOFF, DEFLECTION_DROP
@@ -53,7 +53,7 @@ class DeflectionChannel(AbstractRecords):
     least_drop: ClassVar = DEFLECTION_DROP
 
     robot: Robot
-    motions: tuple[Motion, ...]
+    motions: tuple[MeasuredMotion, ...]
     u: tuple[Float[np.ndarray, "time axis"], ...]
     link: tuple[Float[np.ndarray, "time axis"], ...]
     size: Float[np.ndarray, "axis"]
@@ -146,8 +146,8 @@ class DeflectionChannel(AbstractRecords):
             slow = gear * (m.torque - loss) / k
             yield gear * (u - loss) / k + _bend(robot, slow, m, k) - _misread(robot, link, m.speed / gear)
 
-    def remarks(self, look):
-        late = [c.joint for c, _ in look.state.chosen if isinstance(c.basis[0], AbstractLinkSensor)]
+    def remarks(self, outcome):
+        late = [c.joint for c, _ in outcome.state.chosen if isinstance(c.basis[0], AbstractLinkSensor)]
         said = (
             f"{', '.join(late)}: the link-side position itself is misread, no property of the gears. Mend that first."
         )
@@ -159,25 +159,25 @@ def _run(record: Experiment, pos: int, exp: int, n: int):
     return np.asarray(record.u[pos, exp]), y[:, :n], y[:, n:]
 
 
-def _filtered(u, motor, fs: float) -> Motion:
+def _filtered(u, motor, fs: float) -> MeasuredMotion:
     angle = smooth(motor, fs, DEFLECTION_CUTOFF)
     speed = np.gradient(angle, 1.0 / fs, axis=0)
     quiet = smooth(u, fs, DEFLECTION_CUTOFF)
-    return Motion(angle, speed, np.gradient(speed, 1.0 / fs, axis=0), quiet, fs, DEFLECTION_CUTOFF)
+    return MeasuredMotion(angle, speed, np.gradient(speed, 1.0 / fs, axis=0), quiet, fs, DEFLECTION_CUTOFF)
 
 
 def _step(fs: float) -> int:
     return max(int(0.4 * fs / DEFLECTION_CUTOFF), 1)
 
 
-def _thinned(motion: Motion, x) -> Float[np.ndarray, "sample axis"]:
+def _thinned(motion: MeasuredMotion, x) -> Float[np.ndarray, "sample axis"]:
     fs = motion.fs
     end = int(np.ceil(2.0 * fs / DEFLECTION_CUTOFF))
     low = smooth(np.asarray(x), fs, DEFLECTION_CUTOFF)[end : len(x) - end : _step(fs)]
     return low - low.mean(axis=0)
 
 
-def _loss(robot: Robot, m: Motion):
+def _loss(robot: Robot, m: MeasuredMotion):
     """What the motors need of their torque themselves, N m."""
     loss = np.asarray(robot.drives.friction.torque(m.speed)) + np.asarray(robot.drives.motor_inertia) * m.acceleration
     for e in robot.effects:
@@ -187,7 +187,7 @@ def _loss(robot: Robot, m: Motion):
     return loss
 
 
-def _bend(robot: Robot, x, m: Motion, k):
+def _bend(robot: Robot, x, m: MeasuredMotion, k):
     """What the transmissions give way beyond their stiffness k where a spring would be deflected by x: first order."""
     still, more = jnp.zeros_like(x), np.zeros_like(x)
     springs = np.zeros((len(x), robot.springs.stiffness.shape[0]))

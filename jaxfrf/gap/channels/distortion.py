@@ -18,7 +18,7 @@ from ...experiment import Experiment
 from ...robot import Robot
 from ...spectra import dft, unexcited_spectra
 from ...trajectory.needed_torque import needed_torque
-from ...trajectory.rigid_motion import Motion
+from ...trajectory.rigid_motion import MeasuredMotion
 from ..result import Cell, Diagnosis
 from .channel import Rows, makes_sense
 from .conclude import concluded
@@ -48,7 +48,7 @@ class DistortionChannel(AbstractLines):
 
     robot: Robot
     drive: Diagnosis
-    motion: Motion
+    motion: MeasuredMotion
     lines: Int[np.ndarray, "line"]
     frequency: Float[np.ndarray, "line"]
     D: Complex[np.ndarray, "line"]
@@ -132,7 +132,7 @@ class DistortionChannel(AbstractLines):
         power = 0.5 * np.sum(rows.reshape(-1, 2) ** 2, axis=1, keepdims=True)
         return [(self.frequency, power / len(power))]
 
-    def where(self, look, cells):
+    def where(self, outcome, cells):
         """Odd and even levels by bands."""
         f = self.lines * self.motion.fs / len(self.motion.angle)
         bands = _bands(f, self.lines, self.D, self.Y, self.noise)
@@ -214,7 +214,7 @@ def _mechanics(robot: Robot) -> Robot:
     return dataclasses.replace(robot, effects=tuple(e for e in robot.effects if not isinstance(e, AbstractActuator)))
 
 
-def _motion(record: Experiment, robot: Robot, order: int) -> Motion:
+def _motion(record: Experiment, robot: Robot, order: int) -> MeasuredMotion:
     """One period of the motion at the excited lines, what is late taken off: there a linear law makes no distortion."""
     excited, n = dft(record), record.period
     s = 2j * np.pi * np.asarray(excited.frequency)
@@ -230,4 +230,4 @@ def _motion(record: Experiment, robot: Robot, order: int) -> Motion:
         return np.fft.irfft(X * n, n)[:, None]
 
     angle, speed, acceleration = (back(moved * s ** (k - order)) for k in range(3))
-    return Motion(angle, speed, acceleration, torque=back(driven), fs=record.fs, cutoff=0.4 * record.fs)
+    return MeasuredMotion(angle, speed, acceleration, torque=back(driven), fs=record.fs, cutoff=0.4 * record.fs)

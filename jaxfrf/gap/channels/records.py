@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...effects import Reach
-from ...trajectory.rigid_motion import Motion
+from ...trajectory.rigid_motion import MeasuredMotion
 from .channel import AbstractChannel, Rows, makes_sense
 from .floor import unpredictable
 from .significance import block_length, numbered
@@ -55,7 +55,7 @@ class AbstractRecords(AbstractChannel):
         return found
 
 
-def reaches(motions: Sequence[Motion]) -> tuple[Reach, ...]:
+def reaches(motions: Sequence[MeasuredMotion]) -> tuple[Reach, ...]:
     """How far the motions go, of every axis."""
     speed = np.max([np.max(np.abs(m.speed), axis=0) for m in motions], axis=0)
     travel = np.max([np.ptp(m.angle, axis=0) for m in motions], axis=0)

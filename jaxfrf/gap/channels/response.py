@@ -20,7 +20,7 @@ from ...robot import Robot
 from ...spectra import dft
 from ...trajectory.rigid_motion import check_rigid
 from ..result import Cell
-from .channel import Look, Rows, makes_sense
+from .channel import Outcome, Rows, makes_sense
 from .lines import AbstractLines, DriveNumbers, drive_response, folds, one_drive, parts, rigid_drive
 from .settings import ALIKE_RESPONSES, RESPONSE
 
@@ -125,9 +125,9 @@ class ResponseChannel(AbstractLines):
         power = 0.5 * np.sum(rows.reshape(-1, 2) ** 2, axis=1, keepdims=True)
         return [(self.frequency, power / len(power))]
 
-    def where(self, look: Look, cells):
+    def where(self, outcome: Outcome, cells):
         """Error of the base model by bands, worst first."""
-        error = look.before.reshape(-1, 2) @ np.array([1.0, 1.0j])
+        error = outcome.before.reshape(-1, 2) @ np.array([1.0, 1.0j])
         edges = np.geomspace(self.frequency[0], self.frequency[-1] * (1 + 1e-9), _BANDS + 1)
         found = []
         for low, high in itertools.pairwise(edges):

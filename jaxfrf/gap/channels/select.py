@@ -18,7 +18,7 @@ _SEED = 0
 _STEPS = 20  # of the fit of a candidate that is tried
 
 
-class Fitted(eqx.Module):
+class FittedState(eqx.Module):
     """A state fitted to the rows of a channel: its `residual` and `slopes`, and what is `left` of rows of folds that a
     fit did not see."""
 
@@ -28,7 +28,7 @@ class Fitted(eqx.Module):
     left: Rows
 
 
-class Trial(eqx.Module):
+class TriedCandidate(eqx.Module):
     """A candidate beside what has been found.
 
     **Fields:** `values`: of its coefficients; `part`: of the residual, that it explains; `explained`: of its power.
@@ -67,27 +67,27 @@ class Trial(eqx.Module):
 class Found(eqx.Module):
     """A trial that was taken, `equivalent` ones, and whether these make it `ambiguous`."""
 
-    trial: Trial
+    trial: TriedCandidate
     equivalent: tuple[str, ...]
     ambiguous: bool
 
 
-class Search(eqx.Module):
+class Selection(eqx.Module):
     """What a search found: `base` without and `fitted` with the effects; `trials`: all candidates at the first step,
     the best of each effect and joint, best first; `refused`, `last_p`: at the last one. `floor`: of the base.
     `left_out`: name -> why."""
 
-    base: Fitted
-    fitted: Fitted
+    base: FittedState
+    fitted: FittedState
     found: tuple[Found, ...]
-    trials: tuple[Trial, ...]
-    refused: tuple[Trial, ...]
+    trials: tuple[TriedCandidate, ...]
+    refused: tuple[TriedCandidate, ...]
     last_p: float
     floor: Rows
     left_out: dict[str, str]
 
 
-def refitted(channel: AbstractChannel, state: State, steps: int = 60) -> Fitted:
+def refitted(channel: AbstractChannel, state: State, steps: int = 60) -> FittedState:
     """All free values by least squares, in so many steps at most."""
     if state.values.size:
         worst = 1e3 * channel.measured
@@ -105,15 +105,15 @@ def refitted(channel: AbstractChannel, state: State, steps: int = 60) -> Fitted:
         )
         state = state.at(found.x)
     r, S = channel.residual(state), channel.slopes(state)
-    return Fitted(state, r, S, held_out(S, r, channel.fold))
+    return FittedState(state, r, S, held_out(S, r, channel.fold))
 
 
-def search(channel: AbstractChannel, kinds: Sequence[type[AbstractEffect]]) -> Search:
+def search(channel: AbstractChannel, kinds: Sequence[type[AbstractEffect]]) -> Selection:
     """Base fit, then effect by effect while one is accepted, `MOST` at most; then needless ones are taken out again."""
     now = base = refitted(channel, State(channel.robot, channel.own()))
     pool, left_out = _pool(channel, kinds)
     found: list[Found] = []
-    first: tuple[Trial, ...] = ()
+    first: tuple[TriedCandidate, ...] = ()
     floor = channel.floor(base.residual)
     for step in range(MOST * channel.n_parts + 1):
         trials = _trials(channel, now, pool, floor if now is base else None, _SEED + step)
@@ -131,7 +131,7 @@ def search(channel: AbstractChannel, kinds: Sequence[type[AbstractEffect]]) -> S
     refused = tuple(t for t in _best(trials) if not t.accepted)
     now, kept = _backward(channel, now)
     last_p = min((t.p_value for t in trials), default=1.0)
-    return Search(base, now, tuple(found[i] for i in kept), first, refused, last_p, floor, left_out)
+    return Selection(base, now, tuple(found[i] for i in kept), first, refused, last_p, floor, left_out)
 
 
 def _pool(channel: AbstractChannel, kinds) -> tuple[list[Candidate], dict[str, str]]:
@@ -151,8 +151,8 @@ def _pool(channel: AbstractChannel, kinds) -> tuple[list[Candidate], dict[str, s
 
 
 def _trials(
-    channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], floor: Rows | None, seed: int
-) -> tuple[Trial, ...]:
+    channel: AbstractChannel, now: FittedState, pool: Sequence[Candidate], floor: Rows | None, seed: int
+) -> tuple[TriedCandidate, ...]:
     """All candidates that show, the best variant of each effect and joint, by what they explain."""
     r, block, project = now.residual, channel.blocks(now.residual), projector(now.slopes)
     whole = max(float(np.sum(r**2)), 1e-300)
@@ -162,13 +162,13 @@ def _trials(
     before = mean_squares(now.left, block)
     if floor is None:
         floor = channel.floor(r) if np.any(p <= LEVEL) else np.zeros_like(r)
-    trials: dict[tuple[str, str], Trial] = {}
+    trials: dict[tuple[str, str], TriedCandidate] = {}
     for candidate, columns, values, part, left, p_value in (
         (*one[:-1], float(q)) for one, q in zip(made, p, strict=True)
     ):
         here, squares = acting(columns, channel.group), mean_squares(left, block)
         reducible = np.mean(now.left[here] ** 2) - np.mean(floor[here] ** 2)
-        trial = Trial(
+        trial = TriedCandidate(
             candidate,
             tuple(float(v) for v in values),
             part,
@@ -194,7 +194,7 @@ Made = tuple[
 of every row."""
 
 
-def _lines(channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], project) -> Iterator[Made]:
+def _lines(channel: AbstractChannel, now: FittedState, pool: Sequence[Candidate], project) -> Iterator[Made]:
     """Every candidate by one linear step."""
     r = now.residual
     for candidate, P in zip(pool, channel.columns(now.state, pool), strict=True):
@@ -208,7 +208,7 @@ def _lines(channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], pro
         yield candidate, P, values, own @ values, left, own / size * r[:, None]
 
 
-def _fits(channel: AbstractChannel, now: Fitted, pool: Sequence[Candidate], project) -> list[Made]:
+def _fits(channel: AbstractChannel, now: FittedState, pool: Sequence[Candidate], project) -> list[Made]:
     """Every candidate by a fit of all that is free; variants are its starts, of which the best counts."""
     best: dict[tuple[str, str], tuple[tuple[bool, float], Made]] = {}
     for candidate in pool:
@@ -230,11 +230,11 @@ def _relative(channel: AbstractChannel, left: Rows, here: Bool[np.ndarray, "row"
     return float(np.mean([np.mean(left[x] ** 2) / np.mean(channel.measured[x] ** 2) for x in parts]))
 
 
-def _best(trials: Sequence[Trial]) -> list[Trial]:
+def _best(trials: Sequence[TriedCandidate]) -> list[TriedCandidate]:
     return [t for t in trials if t.p_value <= LEVEL][:BEST]
 
 
-def _simplest(good: list[Trial], before: float, tie: float) -> Found:
+def _simplest(good: list[TriedCandidate], before: float, tie: float) -> Found:
     """The best trial, or one with fewer parameters that is as good; and what cannot be told from it.
 
     As good: within a standard error, or within `tie` of what the best takes away. What explains exactly the same is the
@@ -255,7 +255,7 @@ def _cosine(a: Rows, b: Rows) -> float:
     return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
 
 
-def _backward(channel: AbstractChannel, now: Fitted) -> tuple[Fitted, list[int]]:
+def _backward(channel: AbstractChannel, now: FittedState) -> tuple[FittedState, list[int]]:
     """Effects that the others have made needless, or whose interval holds none of them, are taken out again."""
     kept = list(range(len(now.state.chosen)))
     for i in reversed(range(len(now.state.chosen))):
@@ -269,7 +269,7 @@ def _backward(channel: AbstractChannel, now: Fitted) -> tuple[Fitted, list[int]]
     return now, kept
 
 
-def _holds_none(channel: AbstractChannel, fit: Fitted, i: int) -> bool:
+def _holds_none(channel: AbstractChannel, fit: FittedState, i: int) -> bool:
     """Whether the joint 95 % interval of the effect's coefficients holds zeros, for those that are linear in them."""
     candidate, values = fit.state.chosen[i]
     if candidate.start:
@@ -280,7 +280,7 @@ def _holds_none(channel: AbstractChannel, fit: Fitted, i: int) -> bool:
     return bool(distance < scipy.stats.chi2.ppf(0.95, len(values)))
 
 
-def spread(channel: AbstractChannel, fit: Fitted) -> Float[np.ndarray, "free free"]:
+def spread(channel: AbstractChannel, fit: FittedState) -> Float[np.ndarray, "free free"]:
     """Covariance of all that is free, from the scatter between blocks."""
     block: Int[np.ndarray, row] = channel.blocks(fit.residual)
     return covariance(fit.residual, fit.slopes, block)

@@ -16,9 +16,9 @@ from ...effects import Reach
 from ...experiment import Experiment
 from ...robot import Robot, parameters
 from ...trajectory.needed_torque import added_torque, check_one_motor_a_joint, needed_torque
-from ...trajectory.rigid_motion import COMPARED, Motion, chosen_cutoff, measured_motions, thinned, thinned_rate
+from ...trajectory.rigid_motion import COMPARED, MeasuredMotion, chosen_cutoff, measured_motions, thinned, thinned_rate
 from ..result import Cell
-from .channel import Look, Rows
+from .channel import Outcome, Rows
 from .records import AbstractRecords, reaches, rows_of, stretches
 from .settings import LEVEL, STRETCHES, TORQUE, WORTH
 
@@ -43,7 +43,7 @@ class TorqueChannel(AbstractRecords):
     tolerance: ClassVar = TORQUE
 
     robot: Robot
-    motions: tuple[Motion, ...]
+    motions: tuple[MeasuredMotion, ...]
     size: Float[np.ndarray, "axis"]
     measured: Rows
     group: Int[np.ndarray, "row"]
@@ -116,18 +116,18 @@ class TorqueChannel(AbstractRecords):
         over = lambda f: np.concatenate([thinned(m, f(m)) for m in self.motions])
         return {name: _course(over(f), *sides) for name, f in signals.items()}
 
-    def where(self, look: Look, cells: tuple[Cell, ...]):
+    def where(self, outcome: Outcome, cells: tuple[Cell, ...]):
         """Beside the largest cells, signatures that the rest goes with; the strongest of each axis."""
         told: list[Cell] = []
         names = list(_SIGNATURES)
         at = [(axis, name) for axis in range(self.n_axes) for name in names]
-        tests = look.test(np.stack([self._signature(axis, name) for axis, name in at], axis=1))
+        tests = outcome.test(np.stack([self._signature(axis, name) for axis, name in at], axis=1))
         for axis in range(self.n_axes):
             own = [(*t, name) for t, (a, name) in zip(tests, at, strict=True) if a == axis]
             own = [x for x in own if x[2] <= LEVEL and x[0] > WORTH]
             if own:
                 share, slope, _, name = max(own)
-                told.append(self._said(look.state.robot(), axis, name, share, slope))
+                told.append(self._said(outcome.state.robot(), axis, name, share, slope))
         return (*cells, *told)
 
     def _signature(self, axis: int, name: str) -> Rows:
@@ -146,7 +146,7 @@ class TorqueChannel(AbstractRecords):
             text += f" Viscous friction differs by direction: {own + slope:.4g} forward, {own - slope:.4g} backward."
         return Cell(None, joint, (0.0, COMPARED * self.motions[0].cutoff), float("nan"), text)
 
-    def remarks(self, look: Look):
+    def remarks(self, outcome: Outcome):
         cutoff = self.motions[0].cutoff
         return (f"the motion was filtered at {cutoff:.3g} Hz, torques compared up to {COMPARED * cutoff:.3g} Hz.",)
 
