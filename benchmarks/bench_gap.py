@@ -36,13 +36,19 @@ from _hidden_effects import JOINTS, MAIN, kind_of
 
 from jaxfrf.effects import AbstractEffect
 from jaxfrf.effects.catalogue import effect_from_table
-from jaxfrf.gap.diagnose import diagnose, investigate
-from jaxfrf.gap.present import linear_shrink, shrink_with
+from jaxfrf.gap.diagnose import diagnose, split
+from jaxfrf.gap.fitted import fitted, fitted_from
+from jaxfrf.gap.hypothesis import hypothesis
+from jaxfrf.gap.judge import written
+from jaxfrf.gap.present import gap_between
+from jaxfrf.gap.settings import EXPERIMENTS, JUDGING
 from jaxfrf.io._json import write_json
 from jaxfrf.io.gaps import gap_contents
 from jaxfrf.io.records import read
 from jaxfrf.io.robots import read_robot
+from jaxfrf.trajectory.measured import fewer, measured
 
+_ROUNDS = 8  # of an oracle's fit
 _FORGET = 10  # cases after which compiled programs are dropped: they keep memory
 
 
@@ -50,22 +56,31 @@ class Looked:
     """A case, and what the diagnosis found."""
 
     def __init__(self, folder: pathlib.Path):
-        self._robot, self._record = read_robot(folder / "robot.toml"), read(folder / "data.nc")
-        self.found = diagnose(self._robot, self._record)
+        self.robot, self._record = read_robot(folder / "robot.toml"), read(folder / "data.nc")
+        self.found = diagnose(self.robot, self._record)
 
     @functools.cached_property
-    def search(self):
-        """As from the robot that was given: what other effects are put into."""
-        return investigate(self._robot, self._record)
+    def _begun(self):
+        """The record's positions, the robot with its own numbers fitted, and that written."""
+        records = split(measured(fewer(self._record, EXPERIMENTS)), measured(fewer(self._record, JUDGING)), None)
+        base, _ = fitted(self.robot, records.fitted, _silent)
+        return records, base, written(base.written(), records.every.at(records.judged))
 
     def shrink(self, effects: list[AbstractEffect]) -> float | None:
         """Shrink of the gap on the held-out positions once these effects, started from these values, are fitted with
-        the robot's own parameters; `None` where that cannot be told."""
-        return shrink_with(self.search, effects)
+        the robot's own numbers; `None` where that cannot be told."""
+        records, now, before = self._begun
+        for effect in effects:
+            begun = hypothesis(now, effect, str(effect.joint))
+            if begun is None:
+                return None
+            now = fitted_from(begun.robot, begun.unknown, records.fitted, now, _silent, _ROUNDS)
+        after = written(now.written(), records.every.at(records.judged))
+        return None if after is None or before is None else gap_between(records, before, after).shrink
 
-    def linear_shrink(self, effects: list[AbstractEffect]) -> float:
-        """The same to first order, without a simulation."""
-        return linear_shrink(self.search, effects)
+
+def _silent(text: str) -> None:
+    pass
 
 
 def main() -> None:
@@ -125,7 +140,7 @@ def _diagnosed(case: Case, folder: pathlib.Path, result: pathlib.Path) -> str:
     truth = json.loads((folder / "truth" / f"{case.name}.json").read_text())
     if case.kind in ("single", "double") and looked is not None:
         found["oracle"] = _oracle(looked, truth["effects"])
-        found["placebo"] = looked.linear_shrink(_others(case, looked.search.given))
+        found["placebo"] = looked.shrink(_others(case, looked.robot))
     result.parent.mkdir(parents=True, exist_ok=True)
     write_json(result, found)
     named = ", ".join(f"{e['name']} {e.get('joint') or ''}".strip() for e in found.get("effects") or ())

@@ -15,7 +15,7 @@ from .._text import number
 from .._types import Array
 from ._harmonics import by_order, checked, harmonics
 from ._place import axis_of
-from .effect import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator, Candidate, Joint, Reach
+from .effect import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator, Candidate, Joint, OwnNumber, Reach
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -39,6 +39,7 @@ class TorqueDelay(AbstractActuator):
     bounds: ClassVar = {"delay": (0.0, 2e-3)}
     signature: ClassVar = "phase -omega delay in one column of G"
     confusable: ClassVar = {"current_loop_lag": "above 300 Hz, or a step of torque; one class in 4-80 Hz"}
+    alike: ClassVar = ("current_loop_lag",)
 
     joint: Joint = eqx.field(static=True)
     delay: Number
@@ -53,6 +54,9 @@ class TorqueDelay(AbstractActuator):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 3e-4)
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        return (OwnNumber(f"{robot.axis_names[axis_of(robot, self.joint)]}.delay", "delay"),)
 
     def start(self, torque, step):
         kept = math.ceil(self.longest / step) + 1
@@ -87,6 +91,7 @@ class CurrentLoopLag(AbstractActuator):
     bounds: ClassVar = {"time_constant": (0.0, 2e-3)}
     signature: ClassVar = "phase -omega time_constant in one column of G"
     confusable: ClassVar = {"torque_delay": "above 300 Hz, or a step of torque; one class in 4-80 Hz"}
+    alike: ClassVar = ("torque_delay",)
 
     joint: Joint = eqx.field(static=True)
     time_constant: Number
@@ -125,6 +130,7 @@ class TorqueConstant(AbstractStatelessActuator):
     bounds: ClassVar = {"error": (-0.1, 0.1)}
     signature: ClassVar = "a flat gain of one column of G, without phase"
     confusable: ClassVar = {"motor_inertia": "high against low frequencies"}
+    is_error: ClassVar = True
 
     joint: Joint = eqx.field(static=True)
     error: Number
@@ -132,6 +138,9 @@ class TorqueConstant(AbstractStatelessActuator):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.02)
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        return (OwnNumber(f"{robot.axis_names[axis_of(robot, self.joint)]}.{self.name}", "error"),)
 
     def drive(self, torque):
         return (1.0 + self.error) * torque
@@ -161,6 +170,7 @@ class TorqueSaturation(AbstractStatelessActuator):
     bounds: ClassVar = {"limit": (0.0, math.inf)}
     signature: ClassVar = "at high amplitude only: flat tops"
     confusable: ClassVar = {"backlash": "another amplitude"}
+    grows: ClassVar = False
 
     joint: Joint = eqx.field(static=True)
     limit: Number

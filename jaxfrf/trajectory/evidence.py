@@ -1,7 +1,7 @@
 """What a record says against a robot: the torque that its motors gave beyond what the robot asks of them."""
 
 import concurrent.futures
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -94,16 +94,6 @@ def by_band(left, floor, frequency) -> Float[np.ndarray, "pos exp axis band"]:
     power = np.add.reduceat(0.5 * np.abs(left / floor) ** 2, first, axis=2)
     count = np.diff(np.append(first, len(frequency)))
     return np.swapaxes(power / count[:, None], 2, 3)
-
-
-def inflated(floor, left) -> Float[np.ndarray, "line axis"]:
-    """The floor with the usual size of a remainder, (pos, exp, line, axis), around every line: where a model is far
-    off, no few resonances shall rule. The steady torque is not usual: its floor rises as that of the lines beside it.
-    """
-    power = np.median(np.abs(left[:, :, 1:]) ** 2, axis=(0, 1))
-    smooth = scipy.ndimage.median_filter(power, size=(2 * _AROUND + 1, 1), mode="nearest")
-    wide = np.sqrt(floor[1:] ** 2 + smooth / np.log(2.0))
-    return np.concatenate([floor[:1] * wide[:1] / floor[1:2], wide])
 
 
 def refloored(weighed: "Weighed", old, new) -> "Weighed":
@@ -206,38 +196,3 @@ def placed(weighed: Weighed, place: np.ndarray) -> Weighed:
     """The same columns, runs at positions of the same place taken together; `place`: of each position, (pos,)."""
     g = weighed.gram
     return Weighed(weighed.parts, Gram(g.A, g.b, g.rr, np.asarray(place)[g.position], g.count))
-
-
-def renewed(weighed: Weighed, evidence: Evidence, columns: Mapping[int, Column]) -> Weighed:
-    """The same columns, but for these, beside the residual of another simulation, over the floor that they have."""
-
-    def one(pos):
-        scene, floor = evidence.scenes[pos], evidence.floor
-        X = weighed.parts[pos].copy()
-        X[:, -1] = _row(evidence.residual[pos] / floor)
-        for place, column in columns.items():
-            X[:, place] = _row(column(scene) / floor)
-        return X, _products(X, X)
-
-    found = _shared(one, range(len(weighed.parts)))
-    parts = tuple(X for X, _ in found)
-    return Weighed(parts, _gram(np.concatenate([products for _, products in found]), parts))
-
-
-def _row(x):
-    x = x.reshape(len(x), -1)
-    return np.concatenate([x.real, x.imag], axis=-1).astype(np.float32)
-
-
-def rebased(table: Weighed, base: Weighed) -> Weighed:
-    """Columns of a table behind those of another base, and its residual, over the same floor."""
-    count = base.parts[0].shape[1] - 1
-
-    def one(pos):
-        X = table.parts[pos].copy()
-        X[:, :count], X[:, -1] = base.parts[pos][:, :-1], base.parts[pos][:, -1]
-        return X, _products(X, X)
-
-    found = _shared(one, range(len(table.parts)))
-    parts = tuple(X for X, _ in found)
-    return Weighed(parts, _gram(np.concatenate([products for _, products in found]), parts))
