@@ -1,10 +1,12 @@
 """What stands of a contest once the sealed positions are opened: verdict, words, effects, and the robot to write."""
 
+import functools
 from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
 
+from .._threads import lapack_threads, shared
 from ..calibration.numbers import Number
 from ..effects import AbstractEffect, EncoderQuantisation, TorqueRipple, library
 from ..robot import Robot
@@ -12,7 +14,7 @@ from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order, ripple_effects
 from .contest import Contest, Records, Step, said, shows_nothing
 from .fitted import Fitted, is_loud
-from .judge import Comparison, Written, compared, over_floor, relative_torque, simulated, written
+from .judge import Comparison, Written, compared, each_written, over_floor, relative_torque, simulated, written
 from .quantised import resolution
 from .result import EstimatedValue, Named
 from .settings import (
@@ -45,14 +47,16 @@ class Conclusion(eqx.Module):
 def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     """The verdict: effects stand as far as the robot written with each makes the gap on the sealed positions smaller
     than that of the one before."""
-    told = records.every.at(records.judged)
-    steps, refused = _standing(found, told)
+    told, deciding = records.every.at(records.judged), records.deciding
+    steps, refused, before = _standing(found, told)
     last = found.last if len(steps) == len(found.steps) else steps[-1].found if steps else found.base
-    extended = written(last.written(), told) or simulated(given, told)
-    louder = _loud_ripple(last, extended, records, told)
+    end = last.written()
+    extended, there = shared(functools.partial(written, end), (told, deciding), lapack_threads())
+    extended = extended or simulated(given, told)
+    louder = _loud_ripple(last, extended, there, deciding, told)
     effects = (*(_named(step, last, given) for step in steps), *louder, *_counting(records.whole, given))
-    base = _without(found, steps, last, louder, extended, told)
-    worst = _worst(last, extended, records)
+    base = (before if steps else _without(last, louder, extended, told)) or extended
+    worst = _worst(last, extended, there)
     verdict, says = _verdict(
         base, found.refused, steps, effects, last, extended, told, worst, bool(len(records.sealed))
     )
@@ -67,29 +71,27 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     return Conclusion(verdict, says, effects, base, extended, last, steps)
 
 
-def _worst(last: Fitted, extended: Written, records: Records) -> float:
+def _worst(last: Fitted, extended: Written, there: Written | None) -> float:
     """Mean square over the floor that is left of one axis: where it was fitted, or at one position that chose
-    nothing, where what is missing may show alone."""
-    deciding = written(last.written(), records.deciding) if len(records.sealed) else extended
-    sides = [x for x in (deciding, extended) if x is not None]
+    nothing, where what is missing may show alone. `there`: on positions that decide."""
+    sides = [x for x in (there, extended) if x is not None]
     each = [0.5 * np.mean(np.abs(x.residual / x.evidence.plain) ** 2, axis=(1, 2)) for x in sides]
     return max(float(np.max(last.of_axes)), *(float(np.max(x)) for x in each))
 
 
-def _without(found: Contest, steps, last: Fitted, louder, extended: Written, told: Measured) -> Written:
-    """The robot as it would be written without what is named."""
-    if steps:
-        return written(steps[0].without, told) or extended
+def _without(last: Fitted, louder, extended: Written, told: Measured) -> Written | None:
+    """The robot as it would be written without the ripple that is named."""
     names = {(type(x.effect), x.joint) for x in louder}
     if not names:
         return extended
-    return written(last.written(lambda o, w: _ripple_of(last.robot, o) in names), told) or extended
+    return written(last.written(lambda o, w: _ripple_of(last.robot, o) in names), told)
 
 
-def _standing(found: Contest, told: Measured) -> tuple[tuple[Step, ...], list[str]]:
+def _standing(found: Contest, told: Measured) -> tuple[tuple[Step, ...], list[str], Written | None]:
+    """Effects that stand, what speaks against others, and the robot without the first."""
     kept, refused = 0, []
-    for count, step in enumerate(found.steps, 1):
-        before, after = written(step.without, told), written(step.found.written(), told)
+    played = each_written([r for step in found.steps for r in (step.without, step.found.written())], told)
+    for count, (step, before, after) in enumerate(zip(found.steps, played[::2], played[1::2], strict=True), 1):
         against = "it cannot be simulated there" if after is None else ""
         if before is not None and after is not None:
             against = against_it(told, before, after, step.key[1])
@@ -97,7 +99,8 @@ def _standing(found: Contest, told: Measured) -> tuple[tuple[Step, ...], list[st
             refused.append((count, f"{said(step.key)} was taken back: {against}"))
         else:
             kept = count
-    return found.steps[:kept], [text for count, text in refused if count > kept]
+    first = played[0] if played else None
+    return found.steps[:kept], [text for count, text in refused if count > kept], first
 
 
 def against_it(told: Measured, before: Written, after: Written, joint: str) -> str:
@@ -223,28 +226,27 @@ def _ripple_of(robot: Robot, order: Order) -> tuple[type[AbstractEffect], str]:
     return type(effect), str(effect.joint)
 
 
-def _loud_ripple(last: Fitted, extended: Written, records: Records, told: Measured) -> tuple[Named, ...]:
-    """Ripple that is more than motors have, and without which more is beyond the floor on positions that chose
-    nothing."""
+def _loud_ripple(
+    last: Fitted, extended: Written, there: Written | None, deciding: Measured, told: Measured
+) -> tuple[Named, ...]:
+    """Ripple that is more than motors have, and without which more is beyond the floor on positions that chose nothing,
+    `deciding`; `there`: the robot on these."""
     robot = last.robot
     loud = [(o, w) for o, w in last.waves if is_loud(robot, o, w)]
     effects = ripple_effects(robot.axis_names, [o for o, _ in loud], np.array([w for _, w in loud]).reshape(-1, 2))
     effects = [effect for effect in effects if _loudness(effect, robot) >= LEAST_SIZE]
-    if not effects:
-        return ()
-    deciding = written(last.written(), records.deciding)
-    if deciding is None:
+    if there is None:
         return ()
     found = []
     for effect in effects:
         quiet = _quiet(last, (type(effect), str(effect.joint)))
-        before, sealed = written(quiet, records.deciding), written(quiet, told)
+        before, sealed = shared(functools.partial(written, quiet), (deciding, told), lapack_threads())
         if before is None or sealed is None:
             continue
-        against = against_it(records.deciding, before, deciding, str(effect.joint))
+        against = against_it(deciding, before, there, str(effect.joint))
         if not against and not against_it(told, sealed, extended, str(effect.joint)):
-            floor, frequency = before.evidence.plain, records.deciding.frequency
-            found.append(_ripple(effect, last, compared(before.residual, deciding.residual, floor, frequency)))
+            floor, frequency = before.evidence.plain, deciding.frequency
+            found.append(_ripple(effect, last, compared(before.residual, there.residual, floor, frequency)))
     return tuple(found)
 
 

@@ -13,6 +13,7 @@ import equinox as eqx
 import numpy as np
 
 from .._errors import InputError
+from .._threads import lapack_threads, shared
 from ..effects import AbstractEffect
 from ..parts import Parts
 from ..robot import Robot, Tolerances
@@ -20,7 +21,7 @@ from ..trajectory.evidence import by_band
 from ..trajectory.measured import Measured
 from .fitted import Fit, Fitted, Say, at, fitted, further
 from .hypothesis import Hypothesis, hypothesis
-from .judge import COMPARED, Comparison, compared, written
+from .judge import COMPARED, Comparison, compared, each_written, written
 from .rank import Scored, ranked
 from .rounds import Round, keep_round, read_round
 from .settings import (
@@ -261,10 +262,9 @@ class _Heat:
             return None, "no candidate explains more than chance"
         costs = _costs([r.found for r in runners], self.now)
         runners = [r for r, cost in zip(runners, costs, strict=True) if cost <= IN_THE_RACE * min(costs)]
-        for runner in runners:
-            self._finish(runner)
+        shared(self._finish, runners, lapack_threads())
         runners, costs, before = self._in_order(runners)
-        after = [written(r.found.written(), self.deciding) for r in runners]
+        after = each_written([r.found.written() for r in runners], self.deciding)
         running = [(r, c / before, w) for r, c, w in zip(runners, costs, after, strict=True) if w is not None]
         if not running:
             return None, "no robot with more can be simulated"
@@ -274,7 +274,7 @@ class _Heat:
         winner, cost, its = running[0]
         name = said(winner.hypothesis.key)
         others = to_beat(self.now, winner.hypothesis, winner.found, self.misses)
-        before = [written(robot, self.deciding) for robot in others]
+        before = each_written(others, self.deciding)
         floor, frequency = its.evidence.plain, self.deciding.frequency
         versus = lambda one, two: compared(one.residual, two.residual, floor, frequency)
         results = [versus(one, its) for one in before if one is not None]
@@ -308,19 +308,24 @@ class _Heat:
 
     def _run(self, view: Fitted, chosen: Sequence[Scored], found: list[_Runner]) -> bool:
         """Fit candidates for some rounds; whether one of all takes much away."""
+        starts: dict[tuple[str, str], tuple[Scored, Hypothesis]] = {}
         for this in chosen:
             begun = hypothesis(view, this.effect, this.joint)
-            if begun is None or begun.key in {r.hypothesis.key for r in found}:
-                continue
-            self.say(f"  tries {said(this.key)}, which promises {this.part:.1%}")
-            try:
-                fit = Fit.beside(view, begun.robot, begun.unknown, self.record, self.say)
-            except InputError:
-                continue
-            fit.go_on(FIRST_HEAT - 1)
-            found.append(_Runner(this, begun, fit))
+            if begun is not None and begun.key not in {r.hypothesis.key for r in found}:
+                starts.setdefault(begun.key, (this, begun))
+        runners = shared(lambda start: self._start(view, *start), starts.values(), lapack_threads())
+        found += [runner for runner in runners if runner is not None]
         *costs, before = _costs([*(r.found for r in found), self.now], self.now)
         return bool(costs) and min(costs) < MUCH * before
+
+    def _start(self, view: Fitted, this: Scored, begun: Hypothesis) -> "_Runner | None":
+        self.say(f"  tries {said(this.key)}, which promises {this.part:.1%}")
+        try:
+            fit = Fit.beside(view, begun.robot, begun.unknown, self.record, self.say)
+        except InputError:
+            return None
+        fit.go_on(FIRST_HEAT - 1)
+        return _Runner(this, begun, fit)
 
     def _finish(self, runner: _Runner) -> None:
         runner.fit.go_on(MORE_ROUNDS)

@@ -198,14 +198,15 @@ class Fit:
     def go_on(self, rounds: int) -> None:
         """So many rounds, fewer where the misfit does not come down to the floor by itself."""
         left = self._excess()
-        for _ in range(rounds):
+        for further in reversed(range(rounds)):
             was_near, look = self.descent.near, self.descent.look
             if not self.descent.advance(self.kept):
                 break
             now, before, left = self.descent.look, left, self._excess()
             self.say(f"    {now.misfit**0.5:.3g} times the floor, at most {left**0.5:.3g} behind the next step")
             slow = now.misfit > SLOW * look.misfit and now.left > SLOW * look.left and left > SLOW * before
-            if slow and was_near and left > 2 * FLOOR:
+            end = left * min(left / before, 1.0) ** further  # where it would come at this pace
+            if slow and was_near and end > FLOOR:
                 break
 
     def _excess(self) -> float:

@@ -1,11 +1,14 @@
 """Whether one robot is better than another on positions that neither was fitted to."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import numpy as np
 import scipy.stats
 from jaxtyping import Complex, Float
 
 from .._errors import InputError
+from .._threads import lapack_threads, shared
 from ..robot import Robot
 from ..trajectory.alike import alike_as_written
 from ..trajectory.evidence import Evidence, band_edges, by_band
@@ -34,6 +37,11 @@ def written(robot: Robot, record: Measured) -> Written | None:
         return simulated(robot, record)
     except InputError:
         return None
+
+
+def each_written(robots: Sequence[Robot], record: Measured) -> list[Written | None]:
+    """The same of each of them; the cores share them."""
+    return shared(lambda robot: written(robot, record), robots, lapack_threads())
 
 
 def simulated(robot: Robot, record: Measured) -> Written:

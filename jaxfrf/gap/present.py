@@ -12,7 +12,7 @@ from ..robot import Robot
 from .conclude import Conclusion, concluded, next_experiment
 from .contest import Contest, Records
 from .fitted import Fitted
-from .judge import Written, over_floor, relative_torque, written
+from .judge import Written, each_written, over_floor, relative_torque
 from .maps import largest_cells, maps_of
 from .result import Diagnosis, EstimatedValue, Gap, Maps, Ranked
 from .settings import FLOOR, LEAST_SIZE, SHOWN
@@ -51,9 +51,10 @@ def present(found: Contest, records: Records, given: Robot, compared: str) -> Di
 
 def _maps(records: Records, end: Conclusion) -> Maps:
     """Of all positions."""
-    base = written(end.base.robot, records.whole) or end.base
-    same = end.extended is end.base
-    return maps_of(records.whole, base, base if same else written(end.extended.robot, records.whole) or base)
+    ends = [end.base] if end.extended is end.base else [end.base, end.extended]
+    found = each_written([x.robot for x in ends], records.whole)
+    base = found[0] or end.base
+    return maps_of(records.whole, base, found[-1] or base)
 
 
 def gap_between(records: Records, base: Written, extended: Written) -> Gap:

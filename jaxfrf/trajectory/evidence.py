@@ -1,6 +1,5 @@
 """What a record says against a robot: the torque that its motors gave beyond what the robot asks of them."""
 
-import concurrent.futures
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -8,8 +7,9 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Complex, Float
 
+from .._threads import shared
 from ..robot import Robot
-from ..simulation.runs import Progress, cores
+from ..simulation.runs import Progress
 from .following import moved, torque_rate
 from .frozen import frozen
 from .measured import Measured, mean_period
@@ -100,7 +100,7 @@ def refloored(weighed: "Weighed", old, new) -> "Weighed":
     """The same columns over another floor."""
     factor = np.concatenate([(old / new).ravel()] * 2).astype(np.float32)
     parts = tuple(part * factor for part in weighed.parts)
-    every = np.concatenate(_shared(lambda X: _products(X, X), parts))
+    every = np.concatenate(shared(lambda X: _products(X, X), parts))
     return Weighed(parts, _gram(every, parts))
 
 
@@ -146,7 +146,7 @@ def weigh(evidence: Evidence, columns: Sequence[Column], base: Weighed | None = 
         old = base.parts[pos]
         return np.concatenate([old[:, :-1], X, old[:, -1:]], axis=1), (_products(old, X), _products(X, X))
 
-    found = _shared(one, range(len(evidence.scenes)))
+    found = shared(one, range(len(evidence.scenes)))
     parts = tuple(part for part, _ in found)
     if base is None:
         every = np.concatenate([products for _, products in found])
@@ -156,12 +156,6 @@ def weigh(evidence: Evidence, columns: Sequence[Column], base: Weighed | None = 
     g = base.gram
     A = np.block([[g.A, across[:, :-1]], [across[:, :-1].swapaxes(1, 2), own]])
     return Weighed(parts, Gram(A, np.concatenate([g.b, across[:, -1]], axis=1), g.rr, g.position, g.count))
-
-
-def _shared(work, items) -> list:
-    """Every item's result; the cores share them."""
-    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
-        return list(pool.map(work, items))
 
 
 def _products(X, Y):
@@ -185,7 +179,7 @@ def precise(weighed: Weighed, bands: int = 1) -> Weighed:
         wide = [halves[..., cut].reshape(*X.shape[:2], -1).astype(float) for cut in cuts]
         return np.stack([x @ x.swapaxes(1, 2) for x in wide], axis=1).reshape(-1, X.shape[1], X.shape[1])
 
-    gram = _gram(np.concatenate(_shared(one, weighed.parts)), weighed.parts)
+    gram = _gram(np.concatenate(shared(one, weighed.parts)), weighed.parts)
     if bands > 1:
         position = np.arange(len(gram.A))
         gram = Gram(gram.A, gram.b, gram.rr, position, gram.count // bands)

@@ -193,7 +193,7 @@ def test_positions_in_threads_are_those_one_by_one(monkeypatch):
 
     module = importlib.import_module("jaxfrf.frf.estimate")
     monkeypatch.setattr(module, "_SHARED", 1)
-    monkeypatch.setattr(module, "_threads", lambda: 2)
+    monkeypatch.setattr(module, "lapack_threads", lambda: 2)
     spectra, told = records(n_pos=3).spectra(), []
     for _ in range(2):  # compiled by the first group, then by none
         together = jf.estimate(spectra, jf.H1(), progress=lambda *now: told.append(now))
