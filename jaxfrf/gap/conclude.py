@@ -14,6 +14,7 @@ from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order, ripple_effects
 from .contest import Contest, Records, Step, said, shows_nothing
 from .fitted import Fitted, is_loud
+from .hypothesis import one_class
 from .judge import Comparison, Written, compared, each_written, over_floor, relative_torque, simulated, written
 from .quantised import resolution
 from .result import EstimatedValue, Named
@@ -181,12 +182,8 @@ def close_rivals(steps: Sequence[Step]) -> list[tuple[str, str]]:
         rival.key
         for step in steps[:1]
         for rival in step.rivals
-        if rival.near and rival.key not in named and not _one_class(step.hypothesis.effect, step.key, rival.key)
+        if rival.near and rival.key not in named and not one_class(step.hypothesis.effect, step.key, rival.key)
     ]
-
-
-def _one_class(effect: AbstractEffect, own, other) -> bool:
-    return own[1] == other[1] and other[0] in (*effect.alike, *effect.same_law)
 
 
 def _named(step: Step, last: Fitted, given: Robot) -> Named:

@@ -20,8 +20,8 @@ from ..robot import Robot, Tolerances
 from ..trajectory.evidence import by_band
 from ..trajectory.measured import Measured
 from .fitted import Fit, Fitted, Say, at, fitted, further
-from .hypothesis import Hypothesis, hypothesis
-from .judge import COMPARED, Comparison, compared, each_written, written
+from .hypothesis import Hypothesis, hypothesis, one_class
+from .judge import COMPARED, Comparison, compared, each_written, over_floor, written
 from .rank import Scored, ranked
 from .rounds import Round, keep_round, read_round
 from .settings import (
@@ -145,7 +145,7 @@ def contest(
         else:
             views = [now] if given is None or steps or now.look.left <= FLOOR else [now, given]
             heat = _Heat(now, records, own, misses, say)
-            step, refused = heat.best(views, {s.key for s in steps})
+            step, refused = heat.best(views, steps)
             first = first or heat.scored
             keep_round(parts, len(steps) + 1, _round(step, refused))
         if step is None:
@@ -256,7 +256,7 @@ class _Heat:
         self.record, self.deciding = records.fitted, records.deciding
         self.scored: tuple[Scored, ...] = ()  # from the first view
 
-    def best(self, views: Sequence[Fitted], had) -> tuple[Step | None, str]:
+    def best(self, views: Sequence[Fitted], had: Sequence[Step]) -> tuple[Step | None, str]:
         runners = self._first_heat(views, had)
         if not runners:
             return None, "no candidate explains more than chance"
@@ -271,6 +271,7 @@ class _Heat:
         return self._judged(running)
 
     def _judged(self, running) -> tuple[Step | None, str]:
+        running = self._of_one_class(running)
         winner, cost, its = running[0]
         name = said(winner.hypothesis.key)
         others = to_beat(self.now, winner.hypothesis, winner.found, self.misses)
@@ -289,6 +290,15 @@ class _Heat:
         near = lambda w: _near(versus(w, its), results[-1].before)
         rivals = tuple(Rival(r.hypothesis.key, c, near(w)) for r, c, w in running[1:])
         return Step(winner.hypothesis, winner.scored, winner.found, others[-1], results[-1], cost, rivals), ""
+
+    def _of_one_class(self, running):
+        """The same, the first of them that of its class that leaves least on positions that decide: what the fit tells
+        hardly apart, other positions may."""
+        first, floor = running[0][0].hypothesis, running[0][2].evidence.plain
+        left = [float(np.sum(over_floor(w.residual, floor) ** 2)) for _, _, w in running]
+        alike = [i for i, (r, *_) in enumerate(running) if one_class(first.effect, first.key, r.hypothesis.key)]
+        best = min(alike, key=lambda i: left[i])
+        return [running[best], *(x for i, x in enumerate(running) if i != best)]
 
     def _first_heat(self, views: Sequence[Fitted], had) -> list[_Runner]:
         """Candidates of one view after the other, and those that numbers imitate, until one takes much away."""
@@ -348,7 +358,7 @@ def said(key) -> str:
 
 def _chosen(scored: Sequence[Scored], had) -> list[Scored]:
     """The candidates of a ranking that are fitted."""
-    scored = [s for s in scored if s.key not in had]
+    scored = [s for s in scored if not _stands(s, had)]
     chosen: list[Scored] = []
     for this in scored:
         if len(chosen) == FINALISTS or this.part < max(SHARE * scored[0].part, LEAST_PART):
@@ -358,12 +368,17 @@ def _chosen(scored: Sequence[Scored], had) -> list[Scored]:
     return chosen
 
 
+def _stands(this: Scored, had: Sequence[Step]) -> bool:
+    """Whether an effect was taken before, or one that looks like it."""
+    return any(one_class(step.hypothesis.effect, step.key, this.key) for step in had)
+
+
 def _imitated(view: Fitted, scored: Sequence[Scored], had) -> list[Scored]:
     """Effects of the axis with most left that its numbers imitate to first order."""
     joint = view.robot.axis_names[int(np.argmax(view.of_axes))]
     best: dict[tuple[str, str], Scored] = {}
     for this in scored:
-        if this.effect.imitated and this.joint == joint and this.key not in had:
+        if this.effect.imitated and this.joint == joint and not _stands(this, had):
             best.setdefault(this.key, this)
     return list(best.values())
 

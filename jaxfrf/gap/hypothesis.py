@@ -56,6 +56,14 @@ class Hypothesis(eqx.Module):
         return effect
 
 
+Key = tuple[str, str]  # an effect's name, and its joint
+
+
+def one_class(effect: AbstractEffect, own: Key, other: Key) -> bool:
+    """Whether another effect is one that most data cannot tell from this one, on the same joint."""
+    return own[1] == other[1] and other[0] in (own[0], *effect.alike, *effect.same_law)
+
+
 def hypothesis(view: Fitted, effect: AbstractEffect, joint: str) -> Hypothesis | None:
     """A robot with an effect as it was scored; `None` where it cannot be, or has nothing that could be fitted.
 
