@@ -194,7 +194,8 @@ def _named(step: Step, last: Fitted, given: Robot) -> Named:
     return Named(
         effect=effect,
         joint=joint,
-        parameters={n: EstimatedValue(float(v), float(s), effect.units[n]) for n, (v, s) in told.items()} or _waves(effect),
+        parameters={n: EstimatedValue(float(v), float(s), effect.units[n]) for n, (v, s) in told.items()}
+        or _waves(effect),
         p_value=step.on_select.p_value,
         equivalent=equivalent,
         separating_experiment="; ".join(f"{o}: {how}" for o, how in effect.confusable.items() if o in equivalent),
