@@ -100,7 +100,11 @@ def _share(jobs: list[Iterator], advanced: Callable[[], None]) -> None:
     """Exhaust all jobs, one thread per core, each with its own: a block's arrays stay in its core's cache."""
     if next(jobs[0], _END) is not _END:  # compiled once, before the threads start
         advanced()
-    further = with_settings(lambda job: next(job, _END))
+
+    @with_settings
+    def further(job: Iterator) -> object:
+        return next(job, _END)
+
     with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
         waiting = {pool.submit(further, job): job for job in jobs[: cores()]}
         queue = jobs[cores() :]
