@@ -100,8 +100,8 @@ class Descent:
         self._before = kept.done[-1].round.misfit if kept.done else None
         self.settled = self._settles()
         round = Round(look.misfit, look.left, look.posterior.effect)
-        floor, torque = look.evidence.floor, missed(look.evidence, self.record)
-        kept.keep(Kept(look.x, look.orders, floor, round, self.near, self.inside, torque))
+        torque = missed(look.evidence, self.record)
+        kept.keep(Kept(look.x, look.orders, look.begun, round, self.near, self.inside, torque))
         self.say(
             f"round {len(kept.done)}: {look.misfit**0.5:.3g} times the floor, {look.left**0.5:.3g} after its step; "
             f"{len(look.orders)} orders of ripple"

@@ -42,6 +42,7 @@ class Look(eqx.Module):
     """One simulation of the robot at x, and the step that it asks for.
 
     **Fields:** `misfit`: mean square over the plain floor that ripple alone leaves. `left`: what all columns leave.
+    `begun`: the floor that it began with, and with which it can be made again; `None`: the plain one.
     """
 
     x: Float[np.ndarray, "number"]
@@ -51,6 +52,7 @@ class Look(eqx.Module):
     posterior: Posterior = eqx.field(static=True)
     misfit: float
     left: float
+    begun: Float[np.ndarray, "line axis"] | None
 
 
 class Search:
@@ -91,8 +93,9 @@ class Search:
             [x, *self._to_turn(x)],
             lapack_threads(),
         )
-        if self.floor is not None:
-            evidence.floor = self.floor
+        begun = self.floor
+        if begun is not None:
+            evidence.floor = begun
         own = number_columns(self.robot, self.these, x)
         if self.turns:
             own[self.smoothing] = self._turning(x, evidence, turned)
@@ -116,9 +119,8 @@ class Search:
             posterior = with_bands(posterior, weighed, _FINE_BANDS)
         self.floor = evidence.floor
         left = remainder(evidence, weighed, posterior.change)
-        return Look(
-            np.asarray(x, float), evidence, weighed, orders, posterior, misfit, mean_square(left / evidence.plain)
-        )
+        left_square = mean_square(left / evidence.plain)
+        return Look(np.asarray(x, float), evidence, weighed, orders, posterior, misfit, left_square, begun)
 
     def further(self, look: Look, more: bool) -> Look | None:
         """The next robot, by a step that is short enough to leave less."""

@@ -36,8 +36,7 @@ class Round:
     def of(cls, found: Fitted, effect=None, joint: str = "", told=None) -> "Round":
         at = zip(found.these, found.look.x, strict=True)
         values = {n.name: n.value(float(x)) for n, x in at}
-        floor = np.asarray(found.look.evidence.floor)
-        return cls(effect, joint, values, found.look.orders, floor, found.near, found.inside, told or {})
+        return cls(effect, joint, values, found.look.orders, found.look.begun, found.near, found.inside, told or {})
 
 
 def read_round(parts: Parts | None, number: int) -> Round | None:
