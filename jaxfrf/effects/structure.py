@@ -181,6 +181,7 @@ class Payload(AbstractStructure):
     bounds: ClassVar = {"mass": (-20.0, 50.0), "place": (-1.0, 1.0)}
     signature: ClassVar = "coherent over axes and positions; static torque"
     confusable: ClassVar = {"payload": "mass against centre of mass: several positions"}
+    is_error: ClassVar = True
 
     mass: Number
     place: Float[Array, "3"] | None = None

@@ -1,8 +1,8 @@
 """What every candidate promises to take off the cost of a robot whose numbers are fitted, to first order."""
 
 import functools
+import operator
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -10,7 +10,8 @@ from jaxtyping import Float
 
 from .. import effects as fx
 from ..calibration.least_squares import Posterior, solve
-from ..effects import AbstractEffect, library
+from ..effects import AbstractEffect, OwnNumber
+from ..robot import Robot
 from ..trajectory.evidence import Evidence, Gram, placed, precise, refloored, weigh
 from ..trajectory.joined import places
 from ..trajectory.measured import Measured
@@ -49,7 +50,7 @@ def ranked(
     what is its own beside the numbers, and what it saves them. A number whose tolerance cannot be believed is set
     free."""
     cost = squares(view.look.weighed.gram, view.look.posterior) + view.priced
-    numbers = _set_free(view, cost)
+    numbers = _set_free(view, record, cost)
     terms = _columns(view, record, own) if misses or not numbers else []
     return sorted([*terms, *numbers], key=lambda s: -s.part)
 
@@ -107,11 +108,15 @@ def _steady_seen(evidence: Evidence) -> Float[np.ndarray, "line axis"]:
 
 def _pool(view: Fitted, record: Measured, own) -> list[Candidate]:
     """Effects that are no number of the robot already."""
-    largest = np.abs(np.asarray(record.data.u)).max(axis=(0, 1, 2))
     at_its_numbers = view.look.evidence.robot
-    found = [*candidates(at_its_numbers, largest, own), *_gear_errors(view)]
+    found = [*candidates(at_its_numbers, _largest(record), own), *_gear_errors(view)]
     had = {n.name for n in view.these}
     return [c for c in found if not _is_had(at_its_numbers, c.basis[0], had)]
+
+
+def _largest(record: Measured) -> Float[np.ndarray, "axis"]:
+    """Torque, N m."""
+    return np.abs(np.asarray(record.data.u)).max(axis=(0, 1, 2))
 
 
 def _is_had(robot, effect: AbstractEffect, had: set[str]) -> bool:
@@ -152,16 +157,29 @@ def _t(each, positions) -> float:
     return float(sums.mean() * np.sqrt(len(sums)) / max(sums.std(ddof=1), 1e-300))
 
 
-def _set_free(view: Fitted, cost: float) -> list[Scored]:
+def _set_free(view: Fitted, record: Measured, cost: float) -> list[Scored]:
     """What it would save to know nothing of a number beforehand: exact, where a cost is quadratic."""
-    kinds, strain, found = library(), view.strain, []
+    strain, found = view.strain, []
+    errors = _errors(view.robot, _largest(record)) if view.strained else {}
     for i in view.strained:
         number = view.these[i]
-        kind: Any = kinds.get(number.kind)
-        if kind is None or not kind.is_error:
+        if number.name not in errors:
             continue
-        effect = kind(number.joint, number.value(float(view.x[i])) - number.given)
-        typical, first = kind.typical(view.robot, number.joint), next(iter(kind.units))
-        size = abs(float(getattr(effect, first))) / abs(float(getattr(typical, first)))
-        found.append(Scored(effect, number.joint, float(strain[i] ** 2 / cost), float(strain[i]), float(size)))
+        typical, joint, own = errors[number.name]
+        error = number.value(float(view.x[i])) - own.minus
+        size = abs(error / float(getattr(typical, own.parameter)))
+        effect = eqx.tree_at(operator.attrgetter(own.parameter), typical, error)
+        found.append(Scored(effect, joint, float(strain[i] ** 2 / cost), float(strain[i]), size))
+    return found
+
+
+def _errors(robot: Robot, largest) -> dict[str, tuple[AbstractEffect, str, OwnNumber]]:
+    """By number: the effect that is its error, as it is just visible, and on which joint."""
+    found: dict[str, tuple[AbstractEffect, str, OwnNumber]] = {}
+    for candidate in candidates(robot, largest):
+        kind = type(candidate.basis[0])
+        if kind.is_error:
+            typical = kind.typical(robot, candidate.joint)
+            for own in typical.own_numbers(robot):
+                found.setdefault(own.number, (typical, candidate.joint, own))
     return found
