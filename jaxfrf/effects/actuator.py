@@ -247,7 +247,10 @@ class TorqueRipple(AbstractMotorTorque):
 
 _STARTS = 7  # antiresonances over the band
 _APART = 1.3  # resonance over antiresonance, at the start
-_DAMPED = 0.03  # damping ratio there
+_APART_WITHIN = 0.1, 30.0  # sqrt(1 + load/motor), in a search, where another effect may still be missing
+_DAMPED = 0.03  # damping ratio at the start
+_DAMPED_WITHIN = 1e-5, 50.0  # in a search
+_MODE = 1.005, 0.5  # resonance over antiresonance from which on, and damping ratio up to which a pair is a mode
 
 
 class ElasticLoad(AbstractActuator):
@@ -295,16 +298,27 @@ class ElasticLoad(AbstractActuator):
 
     @classmethod
     def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple[Candidate, ...]:
-        """From antiresonances all over the band, fitted in logarithms."""
+        """From antiresonances all over the band, fitted in logarithms: of the antiresonance, of the resonance over it,
+        and of both dampings."""
         if robot.n_axes > 1:
             return ()
         found = []
+        least, most = (
+            tuple(float(np.log(x)) for x in (f, apart, z, z))
+            for f, apart, z in zip((low, high), _APART_WITHIN, _DAMPED_WITHIN, strict=True)
+        )
+        make = functools.partial(_of_logarithms, joint)
         for f in np.geomspace(_APART * low, high / _APART, _STARTS):
-            start = tuple(np.log([f, _APART * f, _DAMPED, _DAMPED]))
-            make, free = functools.partial(_of_logarithms, joint), (np.inf,) * 4
-            least = tuple(-x for x in free)
-            found.append(Candidate(cls.name, str(joint), (), make, least, free, 1.0, f"from {number(f)} Hz", start))
+            start = tuple(float(np.log(x)) for x in (f, _APART, _DAMPED, _DAMPED))
+            found.append(Candidate(cls.name, str(joint), (), make, least, most, 1.0, f"from {number(f)} Hz", start))
         return tuple(found)
+
+    @property
+    def believable(self) -> bool:
+        """A pair that is damped more, or whose resonance comes first, shapes phases, and is no mode."""
+        apart, damping = _MODE
+        damped = max(float(self.antiresonance_damping), float(self.resonance_damping))
+        return float(self.resonance) > apart * float(self.antiresonance) and damped < damping
 
     def start(self, torque, step):
         return torque, jnp.zeros_like(torque)
@@ -338,4 +352,5 @@ class ElasticLoad(AbstractActuator):
 
 
 def _of_logarithms(joint, c):
-    return ElasticLoad(joint, *(float(x) for x in np.exp(c)))
+    antiresonance, apart, *damping = (float(x) for x in np.exp(c))
+    return ElasticLoad(joint, antiresonance, apart * antiresonance, *damping)

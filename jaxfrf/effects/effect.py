@@ -127,6 +127,11 @@ class AbstractEffect(eqx.Module):
         """
         return cls.candidates(robot, joint, reach.torque)
 
+    @property
+    def believable(self) -> bool:
+        """Whether fitted parameters are still what the effect is called; by default they always are."""
+        return True
+
     @classmethod
     def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple["Candidate", ...]:
         """What is tried of the effect on an FRF from `low` to `high`, Hz: by default its `candidates`.
