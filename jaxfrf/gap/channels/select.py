@@ -152,7 +152,7 @@ def _search(channel: AbstractChannel, kinds, believed_first: bool) -> tuple[Sele
         now = refitted(channel, now.state.having(best.trial.candidate, best.trial.values))
         now = _exchanged(channel, now, whole)
         found = [_called(one, candidate) for one, (candidate, _) in zip(found, now.state.chosen, strict=True)]
-        pool = [c for c in whole if not any(_one_class(c, chosen) for chosen, _ in now.state.chosen)]
+        pool = [c for c in whole if c.key not in {chosen.key for chosen, _ in now.state.chosen}]
     refused = tuple(t for t in _best(trials) if not t.accepted)
     now, kept = _backward(channel, now)
     last_p = min((t.p_value for t in trials), default=1.0)
