@@ -26,6 +26,7 @@ from .rank import Scored, ranked
 from .rounds import Round, keep_round, read_round
 from .settings import (
     DOUBTFUL,
+    EXPLAINED,
     FINAL_ROUNDS,
     FINALISTS,
     FIRST_HEAT,
@@ -223,15 +224,12 @@ def _remembered(kept: Round, now: Fitted, records: Records, misses: bool, say: S
 
 
 def to_beat(now: Fitted, begun: Hypothesis, found: Fitted, misses: bool) -> list[Robot]:
-    """The robots that an effect must beat: the one before, where something of it is beyond the floor. Where there is
-    nothing, the one before with numbers that nobody believes as given; where the effect is the error of a number, also
-    the same robot without it."""
-    robots = [now.written()] if misses else []
+    """The robots that an effect must beat: the one before, where something of it is beyond the floor, else the one before
+    with numbers that nobody believes as given; the same robot without it, where the effect is the error of a number:
+    the one before had most of that error already."""
     if begun.is_number:
-        robots.append(found.written(given=[o.number for o in begun.own]))
-    elif not misses:
-        robots.append(now.written(given=_strained(now)))
-    return robots
+        return [found.written(given=[o.number for o in begun.own])]
+    return [now.written() if misses else now.written(given=_strained(now))]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -401,14 +399,15 @@ def _against(winner: _Runner, results: Sequence[Comparison]) -> str:
         return f"its {name} is {value:.3g} +- {1.96 * std:.2g}, which holds none of it"
     if not results:
         return "the robot without it cannot be simulated where it is decided"
-    return next((text for text in map(shows_nothing, results) if text), "")
+    least = EXPLAINED if winner.hypothesis.is_number else LEAST_GAIN
+    return next((text for text in (shows_nothing(result, least) for result in results) if text), "")
 
 
-def shows_nothing(result: Comparison) -> str:
-    """Why a comparison does not speak for an effect, in words; empty where it does."""
+def shows_nothing(result: Comparison, least: float = LEAST_GAIN) -> str:
+    """Why a comparison does not speak for an effect that must take away so much, in words; empty where it does."""
     if not result.before:
         return "on positions that chose nothing the misfit is nowhere beyond its floor without it"
-    if result.p_value <= max(SIGNIFICANT, result.finest) and result.gain >= LEAST_GAIN and result.least > 0.0:
+    if result.p_value <= max(SIGNIFICANT, result.finest) and result.gain >= least and result.least > 0.0:
         return ""
     return (
         f"on positions that chose nothing it takes away {result.gain:.0%} of what is beyond the floor, p = "

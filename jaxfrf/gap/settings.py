@@ -45,6 +45,6 @@ RISES = 1.1  # of the torque that the effect's own joint is missed by
 
 # Words
 UNEXPLAINED = 2.0  # mean square over the floor of one axis, which must not be left
-EXPLAINED = 0.5  # of the misfit above the floor that must be gone on positions that chose nothing
+EXPLAINED = 0.5  # of the misfit above the floor that must be gone on positions that chose nothing, or be a number's
 TOLERANCE = 0.06  # of the torque, rms of an axis: half a decibel
 SHOWN = 12  # candidates in a ranking
