@@ -224,9 +224,9 @@ def _remembered(kept: Round, now: Fitted, records: Records, misses: bool, say: S
 
 
 def to_beat(now: Fitted, begun: Hypothesis, found: Fitted, misses: bool) -> list[Robot]:
-    """The robots that an effect must beat: the one before, where something of it is beyond the floor, else the one before
-    with numbers that nobody believes as given; the same robot without it, where the effect is the error of a number:
-    the one before had most of that error already."""
+    """The robots that an effect must beat: the one before, where something of it is beyond the floor, else the one
+    before with numbers that nobody believes as given; the same robot without it, where the effect is the error of a
+    number: the one before had most of that error already."""
     if begun.is_number:
         return [found.written(given=[o.number for o in begun.own])]
     return [now.written() if misses else now.written(given=_strained(now))]
