@@ -101,9 +101,7 @@ def main() -> None:
         tell(options.output)
 
 
-def run(
-    chosen: list[Case], folder: pathlib.Path, make_only: bool = False, jobs: int = 1, refits: bool = True
-) -> None:
+def run(chosen: list[Case], folder: pathlib.Path, make_only: bool = False, jobs: int = 1, refits: bool = True) -> None:
     """Data of all these cases and, unless `make_only`, what the diagnosis says of them."""
     began, done = time.monotonic(), 0
     for k, case in enumerate(chosen):

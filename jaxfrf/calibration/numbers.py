@@ -222,13 +222,14 @@ def _with_parameter(robot: Robot, name: str, value: float) -> Robot:
 
 
 def _with_drives(robot: Robot, values) -> Robot:
-    """Torque constants and delays in the place of those that the robot has; none that is nothing where it has none."""
+    """Torque constants and delays in the place of those that the robot has; none that is nothing, but where the robot
+    has one that is: robots then share what is compiled."""
     kept = list(robot.effects)
     for kind, joint, value in values:
         effect, _ = _DRIVE[kind]
         axis = robot.axis_names.index(joint)
         had = [e for e in kept if isinstance(e, effect) and axis_of(robot, e.joint) == axis]
-        if kind == "torque_constant" and had:
+        if kind == "torque_constant" and had and (value != 0.0 or float(had[0].error) == 0.0):
             now = TorqueConstant(joint, jnp.asarray(value, float))
             kept = [now if e is had[0] else e for e in kept if not any(e is other for other in had[1:])]
             continue

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import input_error
+from .._text import number
 from .._types import Array
 from ._harmonics import checked, harmonics
 from ._place import axis_of, own_spring, spring_of
@@ -80,7 +81,7 @@ class TransmissionError(AbstractGearError):
         basis = tuple(TransmissionError(self.joint, [size], self.teeth, (1,), [phase]) for phase in (0.0, np.pi / 2))
         wide = (math.inf, math.inf)
         low = (-math.inf, -math.inf)
-        return Candidate(self.name, str(self.joint), basis, make, low, wide, 1.0, f"{self.teeth:.4g} a turn")
+        return Candidate(self.name, str(self.joint), basis, make, low, wide, 1.0, f"{number(self.teeth, 4)} a turn")
 
     def lead(self, angle):
         return harmonics(self.amplitude, self.order, self.phase, self.teeth * angle)
