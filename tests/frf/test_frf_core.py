@@ -54,7 +54,7 @@ def row_wise(U, Y, R, width, order=2):
     [
         jf.JointInputOutput(jf.LRM(width=12)),
         slow(jf.MisoLRM(width=10)),
-        jf.LogMean(),
+        slow(jf.LogMean()),
         slow(jf.LogMean(jf.JointInputOutput(jf.LPM(width=10)))),
     ],
     ids=["jio-lrm", "miso", "log", "log-jio-lpm"],

@@ -115,6 +115,7 @@ class TestFrozen:
             ours, theirs = signature(effect, scene), scene.by_impedance(other)
             np.testing.assert_allclose(ours, theirs, atol=1e-6 * np.abs(theirs).max())
 
+    @pytest.mark.slow
     def test_hinge_that_the_robot_has(self):
         """Its spring is another then; there is no second hinge."""
         effect = fx.ExtraFlexibility("elbow", [0.0, 1.0, 0.0], 8e4, 30.0)
@@ -195,9 +196,9 @@ class TestSignatures:
             ("shoulder.stiffness", 1.01, 0.0),
             slow("elbow.damping", 1.05, 0.0),
             slow("elbow.viscous_friction", 1.1, 0.0),
-            ("shoulder.coulomb_friction", 1.0, 0.002),
+            slow("shoulder.coulomb_friction", 1.0, 0.002),
             slow("elbow.motor_inertia", 1.02, 0.0),
-            ("elbow.mass", 1.01, 0.0),
+            slow("elbow.mass", 1.01, 0.0),
             slow("shoulder.inertia", 1.02, 0.0),
         ],
     )
@@ -224,7 +225,7 @@ class TestSignatures:
             slow(fx.CurrentLoopLag, {"time_constant": 2e-5}),
             slow(fx.TorqueConstant, {"error": 2e-3}),
             slow(fx.ResolverRipple, {"amplitude": [2e-5]}),
-            (fx.TransmissionError, {"amplitude": [1e-6]}),
+            slow(fx.TransmissionError, {"amplitude": [1e-6]}),
             slow(fx.WristCoupling, {"ratio": 1e-3}),
             slow(fx.GearHysteresis, {"torque": 0.2}),
         ],

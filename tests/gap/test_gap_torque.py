@@ -387,6 +387,7 @@ def test_a_late_link_encoder_is_named():
     assert viscous.expected["coefficient"] < 0 and "a sign or size that no such effect has" in viscous.why
 
 
+@pytest.mark.slow
 def test_a_linear_spring_needs_nothing():
     rng = np.random.default_rng(0)
     found = diagnose(None, deflection_runs(lambda u, v: 1e-6 * rng.standard_normal(u.shape)))
@@ -425,7 +426,7 @@ def drive_frf(effects, seed=0, noise=0.01):
     [
         ({}, []),
         slow({"friction": 40.0}, ["viscous_friction"]),
-        ({"lag": 2e-3}, ["current_loop_lag"]),
+        slow({"lag": 2e-3}, ["current_loop_lag"]),
         slow({"delay": 1e-3}, ["torque_delay"]),
         slow({"mode": (50.0, 75.0), "lag": 3e-3}, ["current_loop_lag", "elastic_load"]),
     ],
