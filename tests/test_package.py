@@ -215,7 +215,18 @@ def test_names_open_no_device_and_change_no_setting():
 # --- directions of the imports
 
 LOWEST = {"errors", "text"}
-BASE = LOWEST | {"alive", "types", "status", "environment", "files", "arguments", "memory", "compile", "units"}
+BASE = LOWEST | {
+    "alive",
+    "types",
+    "status",
+    "environment",
+    "files",
+    "arguments",
+    "memory",
+    "compile",
+    "threads",
+    "units",
+}
 EXCITATION = BASE | {"excitation", "periodic"}
 EXPERIMENT = EXCITATION | {"experiment"}
 SPECTRA = EXPERIMENT | {"spectra"}

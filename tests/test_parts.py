@@ -25,6 +25,7 @@ from jaxfrf.graybox import Correction
 from jaxfrf.identification.rounds import kept_rounds
 from jaxfrf.io.robots import read_robot
 from jaxfrf.parts import Parts
+from jaxfrf.trajectory.ripple import Order
 
 FILES = ("part-[0-9].txt",)
 STAMP = "jaxfrf-parts.json"
@@ -286,19 +287,16 @@ class TestDamagedParts:
             assert again.path("00001.json").read_text() == text
 
     def test_rounds_of_a_search(self, tmp_path):
-        rivals = (("torque_delay", "elbow", 1.5, True),)
-        found = Round(jf.effects.CoulombFriction("elbow", 0.15), "elbow", (0.01,), np.array([0.1, 0.2]), rivals)
+        told = {"rivals": [["torque_delay", "elbow", 1.5, True]]}
+        effect, orders = jf.effects.CoulombFriction("elbow", 0.15), (Order("torque", 1, 6.0),)
+        found = Round(effect, "elbow", {"elbow.stiffness": 3e4}, orders, np.array([[0.1, 0.2]]), told=told)
         with Parts(tmp_path / "gap.json", "diagnose") as kept:
             kept.begin({}, PART_FILES)
             keep_round(kept, 0, found)
             again = read_round(kept, 0)
-            assert (again.effect.name, again.joint, again.std, again.rivals) == (
-                "coulomb_friction",
-                "elbow",
-                (0.01,),
-                rivals,
-            )
-            np.testing.assert_array_equal(again.turns, found.turns)
+            assert (again.effect.name, again.joint, again.told) == ("coulomb_friction", "elbow", told)
+            assert (again.values, again.orders) == (found.values, orders)
+            np.testing.assert_array_equal(again.floor, found.floor)
             text = kept.path("round-0.json").read_text()
             for damaged in (text[:-9], text.replace("coulomb", "columb"), "null", ""):
                 kept.path("round-0.json").write_text(damaged)

@@ -10,7 +10,6 @@ import re
 
 import numpy as np
 import pytest
-from marks import slow
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
@@ -181,6 +180,7 @@ def emps(measured, tmp_path, method, *arguments):
     return frf.frequency, frf.G[0, :, 0, 0]
 
 
+@pytest.mark.slow
 def test_emps_joint_against_direct(measured, tmp_path, capsys):
     """The trapezoidal reference has power at the odd lines only, and its lines are far from equal.
 
@@ -255,7 +255,8 @@ def test_kuka_is_not_periodic(measured, tmp_path, capsys, method):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("method", ["lpm-stacked", slow("lrm-stacked")])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["lpm-stacked", "lrm-stacked"])
 def test_kuka_with_a_transient_term(measured, tmp_path, capsys, method):
     """It works, and says what it can give: hardly anything above a few Hz, which the standard deviation shows too."""
     target = tmp_path / "frf.nc"

@@ -13,10 +13,11 @@ from jaxtyping import Float
 from .._errors import InputError
 from ..effects import AbstractFriction
 from ..robot import Robot
+from ..trajectory.alike import alike
 from ..trajectory.evidence import Column
 from ..trajectory.measured import Measured
-from ..trajectory.ripple import Wave, with_ripple
-from .numbers import Number, alike
+from ..trajectory.ripple import Wave
+from .numbers import Number
 from .result import Round, missed
 from .ripple import found_waves
 from .rounds import Kept, Rounds
@@ -52,18 +53,26 @@ class Descent:
 
     def run(self, rounds: int, kept: Rounds) -> None:
         """So many simulations, from where an earlier run was interrupted."""
-        self._begin(kept)
-        while len(kept.done) < rounds and not self.settled:
-            look = self._nearer()
-            if look is None:
-                look = self._further()
-            if look is None:
-                self.say("no step makes the misfit smaller")
-                break
-            self.look = look
-            self._keep(kept)
+        self.begin(kept)
+        while len(kept.done) < rounds and self.advance(kept):
+            pass
 
-    def _begin(self, kept: Rounds) -> None:
+    def advance(self, kept: Rounds) -> bool:
+        """One simulation further; whether there was one that leaves less."""
+        if self.settled:
+            return False
+        look = self._nearer()
+        if look is None:
+            look = self._further()
+        if look is None:
+            self.say("no step makes the misfit smaller")
+            return False
+        self.look = look
+        self._keep(kept)
+        return True
+
+    def begin(self, kept: Rounds) -> None:
+        """Simulate the robot as it was given, or where the last of the finished rounds had it."""
         if not kept.done:
             self._take(False, (), None)
             self.look = self.search.look(np.zeros(len(self.these)), (), True)
@@ -79,7 +88,7 @@ class Descent:
 
     def _take(self, near: bool, inside: Sequence[Wave], floor) -> None:
         self.near, self.inside = near, tuple(inside)
-        robot = with_ripple(alike(self.robot, self.these), inside)
+        robot = alike(self.robot, inside)
         orders = [o for o, _ in inside]
         # Laws of friction that turn over some speed of their own tell it together with the robot's.
         turns = near and not any(isinstance(e, AbstractFriction) for e in robot.effects)
@@ -91,8 +100,8 @@ class Descent:
         self._before = kept.done[-1].round.misfit if kept.done else None
         self.settled = self._settles()
         round = Round(look.misfit, look.left, look.posterior.effect)
-        floor, torque = look.evidence.floor, missed(look.evidence, self.record)
-        kept.keep(Kept(look.x, look.orders, floor, round, self.near, self.inside, torque))
+        torque = missed(look.evidence, self.record)
+        kept.keep(Kept(look.x, look.orders, look.begun, round, self.near, self.inside, torque))
         self.say(
             f"round {len(kept.done)}: {look.misfit**0.5:.3g} times the floor, {look.left**0.5:.3g} after its step; "
             f"{len(look.orders)} orders of ripple"

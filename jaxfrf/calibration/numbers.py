@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -211,14 +210,6 @@ def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "nu
     return _with_drives(robot, drives)
 
 
-def alike(robot: Robot, these: Sequence[Number]) -> Robot:
-    """The same robot, with an error of nothing of every torque constant that may have one, and its numbers as arrays:
-    all robots on the way of a fit then share what is compiled."""
-    had = {robot.axis_names[axis_of(robot, e.joint)] for e in robot.effects if isinstance(e, TorqueConstant)}
-    more = [TorqueConstant(n.joint, 0.0) for n in these if n.kind == "torque_constant" and n.joint not in had]
-    return jax.tree.map(lambda x: jnp.asarray(x, jnp.asarray(x).dtype), robot.with_effects(*more))
-
-
 def _with_parameter(robot: Robot, name: str, value: float) -> Robot:
     """The robot with another value of an effect's parameter."""
     joint, effect, parameter = name.split(".")
@@ -238,8 +229,12 @@ def _with_drives(robot: Robot, values) -> Robot:
         effect, _ = _DRIVE[kind]
         axis = robot.axis_names.index(joint)
         had = [e for e in kept if isinstance(e, effect) and axis_of(robot, e.joint) == axis]
+        if kind == "torque_constant" and had and (value != 0.0 or float(had[0].error) == 0.0):
+            now = TorqueConstant(joint, jnp.asarray(value, float))
+            kept = [now if e is had[0] else e for e in kept if not any(e is other for other in had[1:])]
+            continue
         kept = [e for e in kept if not any(e is other for other in had)]
-        if kind == "torque_constant" and (value != 0.0 or any(float(e.error) == 0.0 for e in had)):
+        if kind == "torque_constant" and value != 0.0:
             kept.append(TorqueConstant(joint, jnp.asarray(value, float)))
         elif kind == "delay" and value > 0.0:
             kept.append(TorqueDelay(joint, jnp.asarray(value, float)))

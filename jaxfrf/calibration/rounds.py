@@ -21,12 +21,13 @@ PART_FILES = ("[0-9]" * 3 + ".json",)
 
 @dataclasses.dataclass(frozen=True)
 class Kept:
-    """A finished round: where the numbers were, the orders of ripple beside them, the floor, what was left, whether the
-    robot was near the truth, the ripple that was simulated, and the part of every axis' torque that it missed."""
+    """A finished round: where the numbers were, the orders of ripple beside them, the floor that it began with (`None`:
+    the plain one), what was left, whether the robot was near the truth, the ripple that was simulated, and the part of
+    every axis' torque that it missed."""
 
     x: np.ndarray
     orders: tuple[Order, ...]
-    floor: np.ndarray
+    floor: np.ndarray | None
     round: Round
     near: bool
     inside: tuple[Wave, ...]
@@ -52,7 +53,7 @@ class Rounds:
         said = {
             "x": round.x.tolist(),
             "orders": [[o.kind, o.axis, o.order] for o in round.orders],
-            "floor": round.floor.tolist(),
+            "floor": None if round.floor is None else round.floor.tolist(),
             "round": [round.round.misfit, round.round.left, round.round.design_effect],
             "inside": [[[o.kind, o.axis, o.order], wave] for o, wave in round.inside],
             "near": round.near,
@@ -70,7 +71,8 @@ def _read(path: pathlib.Path) -> Kept:
     said = json.loads(path.read_text(encoding="utf-8"))
     orders = tuple(_order(*order) for order in said["orders"])
     inside = tuple((_order(*order), (float(sine), float(cosine))) for order, (sine, cosine) in said["inside"])
-    x, floor, missed = (np.array(said[name], float) for name in ("x", "floor", "missed"))
+    x, missed = (np.array(said[name], float) for name in ("x", "missed"))
+    floor = None if said["floor"] is None else np.array(said["floor"], float)
     return Kept(x, orders, floor, Round(*said["round"]), bool(said["near"]), inside, missed)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
+from .._threads import lapack_threads, shared
 from ..robot import Robot
 from ..simulation import finest_smoothing
 from ..trajectory.evidence import Column, Evidence, Weighed, placed, precise, refloored, weigh
@@ -41,6 +42,7 @@ class Look(eqx.Module):
     """One simulation of the robot at x, and the step that it asks for.
 
     **Fields:** `misfit`: mean square over the plain floor that ripple alone leaves. `left`: what all columns leave.
+    `begun`: the floor that it began with, and with which it can be made again; `None`: the plain one.
     """
 
     x: Float[np.ndarray, "number"]
@@ -50,6 +52,7 @@ class Look(eqx.Module):
     posterior: Posterior = eqx.field(static=True)
     misfit: float
     left: float
+    begun: Float[np.ndarray, "line axis"] | None
 
 
 class Search:
@@ -85,13 +88,17 @@ class Search:
     def look(self, x, orders: tuple[Order, ...], more: bool) -> Look:
         """Simulate, differentiate, solve; `more`: whether to look for more orders of ripple."""
         x = self.followed(x)
-        now = with_numbers(self.robot, self.these, x)
-        evidence = Evidence(now, self.record)
-        if self.floor is not None:
-            evidence.floor = self.floor
+        evidence, *turned = shared(
+            lambda x: Evidence(with_numbers(self.robot, self.these, x), self.record),
+            [x, *self._to_turn(x)],
+            lapack_threads(),
+        )
+        begun = self.floor
+        if begun is not None:
+            evidence.floor = begun
         own = number_columns(self.robot, self.these, x)
         if self.turns:
-            own[self.smoothing] = self._turning(x, evidence)
+            own[self.smoothing] = self._turning(x, evidence, turned)
         weighed = weigh(evidence, [*own, *self.beside, *order_columns(orders)])
         posterior = solve(weighed.gram, self.these, x)
         if more:
@@ -112,9 +119,8 @@ class Search:
             posterior = with_bands(posterior, weighed, _FINE_BANDS)
         self.floor = evidence.floor
         left = remainder(evidence, weighed, posterior.change)
-        return Look(
-            np.asarray(x, float), evidence, weighed, orders, posterior, misfit, mean_square(left / evidence.plain)
-        )
+        left_square = mean_square(left / evidence.plain)
+        return Look(np.asarray(x, float), evidence, weighed, orders, posterior, misfit, left_square, begun)
 
     def further(self, look: Look, more: bool) -> Look | None:
         """The next robot, by a step that is short enough to leave less."""
@@ -172,15 +178,24 @@ class Search:
             return np.array([self.smoothing])
         return np.array([], int)
 
-    def _turning(self, x, evidence: Evidence) -> Column:
-        """The column of the friction's smoothing, by another simulation; that of another round where it was the same,
-        nearly."""
-        number, at = self.these[self.smoothing], float(x[self.smoothing])
-        if self._turned is None or abs(at - self._turned[0]) * number.size > _SAME_TURN:
-            more = x.copy()
-            more[self.smoothing] += _TURN / number.size
-            turned = Evidence(with_numbers(self.robot, self.these, more), self.record).residual
-            self._turned = at, (evidence.residual - turned) * (number.size / _TURN)
+    def _to_turn(self, x) -> list[np.ndarray]:
+        """Where the robot is simulated, too, for the column of its friction's smoothing; nowhere, where another round
+        had nearly the same."""
+        if not self.turns:
+            return []
+        size, at = self.these[self.smoothing].size, float(x[self.smoothing])
+        if self._turned is not None and abs(at - self._turned[0]) * size <= _SAME_TURN:
+            return []
+        more = x.copy()
+        more[self.smoothing] += _TURN / size
+        return [more]
+
+    def _turning(self, x, evidence: Evidence, turned: Sequence[Evidence]) -> Column:
+        """The column of the friction's smoothing, by this other simulation or that of another round."""
+        for other in turned:
+            slope = (evidence.residual - other.residual) * (self.these[self.smoothing].size / _TURN)
+            self._turned = float(x[self.smoothing]), slope
+        assert self._turned is not None
         columns = {id(scene): column for scene, column in zip(evidence.scenes, self._turned[1], strict=True)}
         return lambda scene: columns[id(scene)]
 

@@ -33,6 +33,7 @@ from .effect import (
     AbstractStatelessActuator as AbstractStatelessActuator,
     AbstractStructure as AbstractStructure,
     Candidate as Candidate,
+    OwnNumber as OwnNumber,
     Reach as Reach,
 )
 from .friction import (

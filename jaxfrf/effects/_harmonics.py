@@ -50,9 +50,16 @@ def checked(name: str, amplitude, order, phase):
     return amplitude, order, phase
 
 
-def harmonics(amplitude, order: tuple[int, ...], phase, angle):
-    """sum_h amplitude_h sin(order_h angle + phase_h), by powers of e^{j angle}: one sine for all whole orders."""
+_BITS = 6  # of an order that a program learns when it runs: up to 63
+
+
+def harmonics(amplitude, order, phase, angle):
+    """sum_h amplitude_h sin(order_h angle + phase_h), by powers of e^{j angle}: one sine for all whole orders.
+
+    `order`: a tuple, or whole numbers up to 63 in an array, which are no part of a program then."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    if not isinstance(order, tuple):
+        return _any_harmonics(amplitude, order, phase, cosine, sine)
     powers = {0: (jnp.ones_like(angle), jnp.zeros_like(angle)), 1: (cosine, sine)}
 
     def power(n: int):
@@ -66,3 +73,16 @@ def harmonics(amplitude, order: tuple[int, ...], phase, angle):
         c, s = power(h)
         total = total + amplitude[i] * (s * jnp.cos(phase[i]) + c * jnp.sin(phase[i]))
     return total
+
+
+def _any_harmonics(amplitude, order, phase, cosine, sine):
+    """By the bits of every order."""
+    along = lambda x: jnp.asarray(x).reshape(-1, *[1] * cosine.ndim)
+    whole = along(order).astype(int)
+    c = jnp.broadcast_to(jnp.ones_like(cosine), (len(order), *cosine.shape))
+    s = jnp.zeros_like(c)
+    for bit in range(_BITS):
+        here = (whole >> bit) & 1 == 1
+        c, s = jnp.where(here, c * cosine - s * sine, c), jnp.where(here, c * sine + s * cosine, s)
+        cosine, sine = cosine * cosine - sine * sine, 2.0 * cosine * sine
+    return jnp.sum(along(amplitude) * (s * jnp.cos(along(phase)) + c * jnp.sin(along(phase))), axis=0)

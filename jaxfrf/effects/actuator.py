@@ -15,7 +15,7 @@ from .._text import number
 from .._types import Array
 from ._harmonics import by_order, checked, harmonics
 from ._place import axis_of
-from .effect import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator, Candidate, Joint, Reach
+from .effect import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator, Candidate, Joint, OwnNumber, Reach
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -39,6 +39,7 @@ class TorqueDelay(AbstractActuator):
     bounds: ClassVar = {"delay": (0.0, 2e-3)}
     signature: ClassVar = "phase -omega delay in one column of G"
     confusable: ClassVar = {"current_loop_lag": "above 300 Hz, or a step of torque; one class in 4-80 Hz"}
+    alike: ClassVar = ("current_loop_lag",)
 
     joint: Joint = eqx.field(static=True)
     delay: Number
@@ -53,6 +54,9 @@ class TorqueDelay(AbstractActuator):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 3e-4)
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        return (OwnNumber(f"{robot.axis_names[axis_of(robot, self.joint)]}.delay", "delay"),)
 
     def start(self, torque, step):
         kept = math.ceil(self.longest / step) + 1
@@ -87,6 +91,7 @@ class CurrentLoopLag(AbstractActuator):
     bounds: ClassVar = {"time_constant": (0.0, 2e-3)}
     signature: ClassVar = "phase -omega time_constant in one column of G"
     confusable: ClassVar = {"torque_delay": "above 300 Hz, or a step of torque; one class in 4-80 Hz"}
+    alike: ClassVar = ("torque_delay",)
 
     joint: Joint = eqx.field(static=True)
     time_constant: Number
@@ -125,6 +130,7 @@ class TorqueConstant(AbstractStatelessActuator):
     bounds: ClassVar = {"error": (-0.1, 0.1)}
     signature: ClassVar = "a flat gain of one column of G, without phase"
     confusable: ClassVar = {"motor_inertia": "high against low frequencies"}
+    is_error: ClassVar = True
 
     joint: Joint = eqx.field(static=True)
     error: Number
@@ -132,6 +138,9 @@ class TorqueConstant(AbstractStatelessActuator):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.02)
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        return (OwnNumber(f"{robot.axis_names[axis_of(robot, self.joint)]}.{self.name}", "error"),)
 
     def drive(self, torque):
         return (1.0 + self.error) * torque
@@ -161,6 +170,7 @@ class TorqueSaturation(AbstractStatelessActuator):
     bounds: ClassVar = {"limit": (0.0, math.inf)}
     signature: ClassVar = "at high amplitude only: flat tops"
     confusable: ClassVar = {"backlash": "another amplitude"}
+    grows: ClassVar = False
 
     joint: Joint = eqx.field(static=True)
     limit: Number
@@ -237,7 +247,10 @@ class TorqueRipple(AbstractMotorTorque):
 
 _STARTS = 7  # antiresonances over the band
 _APART = 1.3  # resonance over antiresonance, at the start
-_DAMPED = 0.03  # damping ratio there
+_APART_WITHIN = 0.1, 30.0  # sqrt(1 + load/motor), in a search, where another effect may still be missing
+_DAMPED = 0.03  # damping ratio at the start
+_DAMPED_WITHIN = 1e-5, 50.0  # in a search
+_MODE = 1.005, 0.5  # resonance over antiresonance from which on, and damping ratio up to which a pair is a mode
 
 
 class ElasticLoad(AbstractActuator):
@@ -285,16 +298,27 @@ class ElasticLoad(AbstractActuator):
 
     @classmethod
     def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple[Candidate, ...]:
-        """From antiresonances all over the band, fitted in logarithms."""
+        """From antiresonances all over the band, fitted in logarithms: of the antiresonance, of the resonance over it,
+        and of both dampings."""
         if robot.n_axes > 1:
             return ()
         found = []
+        least, most = (
+            tuple(float(np.log(x)) for x in (f, apart, z, z))
+            for f, apart, z in zip((low, high), _APART_WITHIN, _DAMPED_WITHIN, strict=True)
+        )
+        make = functools.partial(_of_logarithms, joint)
         for f in np.geomspace(_APART * low, high / _APART, _STARTS):
-            start = tuple(np.log([f, _APART * f, _DAMPED, _DAMPED]))
-            make, free = functools.partial(_of_logarithms, joint), (np.inf,) * 4
-            least = tuple(-x for x in free)
-            found.append(Candidate(cls.name, str(joint), (), make, least, free, 1.0, f"from {number(f)} Hz", start))
+            start = tuple(float(np.log(x)) for x in (f, _APART, _DAMPED, _DAMPED))
+            found.append(Candidate(cls.name, str(joint), (), make, least, most, 1.0, f"from {number(f)} Hz", start))
         return tuple(found)
+
+    @property
+    def believable(self) -> bool:
+        """A pair that is damped more, or whose resonance comes first, shapes phases, and is no mode."""
+        apart, damping = _MODE
+        damped = max(float(self.antiresonance_damping), float(self.resonance_damping))
+        return float(self.resonance) > apart * float(self.antiresonance) and damped < damping
 
     def start(self, torque, step):
         return torque, jnp.zeros_like(torque)
@@ -328,4 +352,5 @@ class ElasticLoad(AbstractActuator):
 
 
 def _of_logarithms(joint, c):
-    return ElasticLoad(joint, *(float(x) for x in np.exp(c)))
+    antiresonance, apart, *damping = (float(x) for x in np.exp(c))
+    return ElasticLoad(joint, antiresonance, apart * antiresonance, *damping)

@@ -63,6 +63,12 @@ class AbstractEffect(eqx.Module):
       its allowed sign.
     - `signature`: what it does to data. `confusable`: names of effects that look alike, each with what separates
       the two.
+    - `shapes`: parameters that say how a law turns over, which no diagnosis tells a value of.
+    - `nothing`: value of the first parameter with which it is none. `grows`: whether it is more where that is larger.
+    - `alike`: names of effects that most data cannot tell from it. `same_law`: names of effects with its law, which
+      are told apart by their joint.
+    - `imitated`: whether a robot's own numbers imitate it to first order, so that a fit alone tells it.
+    - `is_error`: whether it is no term of its own, but an error of one number that every robot has.
 
     `joint` is a driven joint's name, or its number counted from 0; "" where the effect has none.
     """
@@ -72,6 +78,13 @@ class AbstractEffect(eqx.Module):
     bounds: ClassVar[dict[str, tuple[float, float]]]
     signature: ClassVar[str]
     confusable: ClassVar[dict[str, str]]
+    shapes: ClassVar[tuple[str, ...]] = ("smoothing",)
+    nothing: ClassVar[float] = 0.0
+    grows: ClassVar[bool] = True
+    alike: ClassVar[tuple[str, ...]] = ()
+    same_law: ClassVar[tuple[str, ...]] = ()
+    imitated: ClassVar[bool] = False
+    is_error: ClassVar[bool] = False
 
     joint: eqx.AbstractVar[Joint]
 
@@ -114,6 +127,11 @@ class AbstractEffect(eqx.Module):
         """
         return cls.candidates(robot, joint, reach.torque)
 
+    @property
+    def believable(self) -> bool:
+        """Whether fitted parameters are still what the effect is called; by default they always are."""
+        return True
+
     @classmethod
     def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple["Candidate", ...]:
         """What is tried of the effect on an FRF from `low` to `high`, Hz: by default its `candidates`.
@@ -129,6 +147,21 @@ class AbstractEffect(eqx.Module):
         bounds = sorted((low / value, high / value))
         make = functools.partial(_times, self, first, value)
         return Candidate(self.name, str(self.joint), (self,), make, (bounds[0],), (bounds[1],), 1.0, variant)
+
+    def own_numbers(self, robot: "Robot") -> tuple["OwnNumber", ...]:
+        """What this effect's parameters are among the numbers of a robot that has it; `robot`: the one without.
+
+        By default numbers of its own, one for each parameter that is a plain number; none for waves, whose amplitudes
+        and phases belong together."""
+        if hasattr(self, "amplitude"):
+            return ()
+        joint = robot.axis_names[axis_of(robot, self.joint)]
+        fitted = [p for p in self.units if p not in self.shapes and np.ndim(getattr(self, p)) == 0]
+        return tuple(OwnNumber(f"{joint}.{self.name}.{p}", p) for p in fitted)
+
+    def unknown_beside(self, robot: "Robot") -> dict[str, float]:
+        """Numbers of a robot that has it of which little is known then, with their relative standard deviations."""
+        return {}
 
     def check(self, robot: "Robot") -> None:
         """**Raises:** `jaxfrf.InputError` where the effect cannot act on its joint of this robot."""
@@ -163,8 +196,19 @@ class Candidate(eqx.Module):
         return self.name, self.joint
 
 
+class OwnNumber(eqx.Module):
+    """A parameter of an effect as a number of the robot that has it: parameter = number - `minus`."""
+
+    number: str = eqx.field(static=True)
+    parameter: str = eqx.field(static=True)
+    minus: float = eqx.field(static=True, default=0.0)
+
+
 class AbstractStructure(AbstractEffect):
-    """An effect that changes the robot's own numbers or joints."""
+    """An effect that changes the robot's own numbers or joints; each says which (`own_numbers`)."""
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        return ()
 
     @abc.abstractmethod
     def apply(self, robot: "Robot"):

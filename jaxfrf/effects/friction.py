@@ -9,7 +9,7 @@ from jaxtyping import Float
 from .._text import number
 from .._types import Array
 from ._place import axis_of, changed, coulomb, own
-from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint, Reach
+from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint, OwnNumber, Reach
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -47,6 +47,7 @@ class CoulombFriction(AbstractStructure):
     bounds: ClassVar = {"level": (-1.0, 2.0)}
     signature: ClassVar = "the torque residual steps with the sign of the speed; odd distortion"
     confusable: ClassVar = {"viscous_friction": "another amplitude of the slow motion"}
+    is_error: ClassVar = True
 
     joint: Joint = eqx.field(static=True)
     level: Number
@@ -61,6 +62,10 @@ class CoulombFriction(AbstractStructure):
         stated = getattr(robot.drives.friction, "coulomb", None)
         least = cls.bounds["level"][0] if stated is None else -float(stated[axis_of(robot, joint)])
         return least, cls.bounds["level"][1]
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        axis = axis_of(robot, self.joint)
+        return (OwnNumber(f"{robot.axis_names[axis]}.{self.name}", "level", float(coulomb(robot)[axis])),)
 
     def apply(self, robot: "Robot"):
         axis = axis_of(robot, self.joint)
@@ -84,6 +89,7 @@ class ViscousFriction(AbstractStructure):
         "arm_viscous_friction": "depth of the antiresonances; more positions",
         "coulomb_friction": "another amplitude of the slow motion",
     }
+    is_error: ClassVar = True
 
     joint: Joint = eqx.field(static=True)
     coefficient: Number
@@ -91,6 +97,11 @@ class ViscousFriction(AbstractStructure):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.5 * own(robot, joint, robot.drives.friction.viscous, 1e-3))
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        axis = axis_of(robot, self.joint)
+        own = float(robot.drives.friction.viscous[axis])
+        return (OwnNumber(f"{robot.axis_names[axis]}.{self.name}", "coefficient", own),)
 
     def apply(self, robot: "Robot"):
         axis = axis_of(robot, self.joint)
@@ -194,6 +205,7 @@ class FrictionAsymmetry(AbstractFriction):
     bounds: ClassVar = {"offset": (-0.5, 0.5), "level": (-0.5, 0.5), "smoothing": (0.01, 1.0)}
     signature: ClassVar = "a constant torque residual; even distortion"
     confusable: ClassVar = {"counterbalance": "positions: gravity varies with the arm angle"}
+    shapes: ClassVar = ("level", "smoothing")
 
     joint: Joint = eqx.field(static=True)
     offset: Number

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from .._errors import input_error
 from .._types import Array
 from ._place import axis_of, changed, spring_of
-from .effect import AbstractArmTorque, AbstractStructure, Candidate, Joint, Reach
+from .effect import AbstractArmTorque, AbstractStructure, Candidate, Joint, OwnNumber, Reach
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -43,6 +43,8 @@ class StiffnessHardening(AbstractStructure):
     bounds: ClassVar = {"ratio": (0.1, 1.0), "knee": (3e-5, 3e-3)}
     signature: ClassVar = "mode frequencies rise with load and amplitude"
     confusable: ClassVar = {"backlash": "positions with preload", "payload": "another amplitude"}
+    nothing: ClassVar = 1.0
+    imitated: ClassVar = True
 
     joint: Joint = eqx.field(static=True)
     ratio: Number
@@ -66,6 +68,10 @@ class StiffnessHardening(AbstractStructure):
             most = (cls.bounds["ratio"][0] - own) / change
             found.append(Candidate(cls.name, str(joint), (basis,), make, (0.0,), (most,), 1.0, f"knee {this:g} rad"))
         return tuple(found)
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        joint = robot.axis_names[axis_of(robot, self.joint)]
+        return OwnNumber(f"{joint}.stiffness_ratio", "ratio"), OwnNumber(f"{joint}.stiffness_knee", "knee")
 
     def apply(self, robot: "Robot"):
         spring = spring_of(robot, self.joint)
@@ -91,6 +97,7 @@ class Backlash(AbstractStructure):
     bounds: ClassVar = {"gap": (0.0, 9e-4)}
     signature: ClassVar = "unloaded joints and positions only: the resonance falls at low amplitude; odd distortion"
     confusable: ClassVar = {"stiffness_hardening": "positions with preload, where it vanishes"}
+    imitated: ClassVar = True
 
     joint: Joint = eqx.field(static=True)
     gap: Number
@@ -107,6 +114,9 @@ class Backlash(AbstractStructure):
         if own is not None and float(own[spring_of(robot, joint)]) > 0:
             return ()
         return tuple(cls(joint, gap).candidate(0.2 * gap, 3.0 * gap, f"gap {gap:g} rad") for gap in _GAPS)
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        return (OwnNumber(f"{robot.axis_names[axis_of(robot, self.joint)]}.backlash", "gap"),)
 
     def apply(self, robot: "Robot"):
         spring = spring_of(robot, self.joint)
@@ -130,6 +140,7 @@ class MotorInertia(AbstractStructure):
     bounds: ClassVar = {"increase": (-1e-3, 1e-2)}
     signature: ClassVar = "gain at high frequency on one diagonal element"
     confusable: ClassVar = {"torque_constant": "high against low frequencies"}
+    is_error: ClassVar = True
 
     joint: Joint = eqx.field(static=True)
     increase: Number
@@ -143,6 +154,11 @@ class MotorInertia(AbstractStructure):
         """Half to twice the robot's own, or more where motors are small."""
         own = float(robot.drives.motor_inertia[axis_of(robot, joint)])
         return -0.5 * own, max(cls.bounds["increase"][1], own)
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        axis = axis_of(robot, self.joint)
+        own = float(robot.drives.motor_inertia[axis])
+        return (OwnNumber(f"{robot.axis_names[axis]}.{self.name}", "increase", own),)
 
     def apply(self, robot: "Robot"):
         axis = axis_of(robot, self.joint)
@@ -165,6 +181,7 @@ class Payload(AbstractStructure):
     bounds: ClassVar = {"mass": (-20.0, 50.0), "place": (-1.0, 1.0)}
     signature: ClassVar = "coherent over axes and positions; static torque"
     confusable: ClassVar = {"payload": "mass against centre of mass: several positions"}
+    is_error: ClassVar = True
 
     mass: Number
     place: Float[Array, "3"] | None = None
@@ -184,6 +201,15 @@ class Payload(AbstractStructure):
         visible = float(cls.typical(robot).mass)
         return (Candidate(cls.name, "", (cls(1.0),), _carried, (low,), (high,), visible),)
 
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        link = _link_of(robot, self.joint)
+        return (OwnNumber(f"{robot.joint_names[link]}.mass", "mass", float(robot.chain.mass[link])),)
+
+    def unknown_beside(self, robot: "Robot") -> dict[str, float]:
+        """Where it sits, and how far it reaches from there."""
+        name = robot.joint_names[_link_of(robot, self.joint)]
+        return {f"{name}.com": math.inf, f"{name}.inertia": _AROUND}
+
     def apply(self, robot: "Robot"):
         chain = robot.chain
         link = _link_of(robot, self.joint)
@@ -197,6 +223,7 @@ class Payload(AbstractStructure):
 
 
 _OF_A_LINK = 0.9  # that a payload may take away
+_AROUND = 0.3  # of the tensor of the link that carries it, by its own extent
 
 
 def _carried(c):
@@ -269,6 +296,10 @@ class ExtraFlexibility(AbstractStructure):
     def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple[Candidate, ...]:
         raise input_error(cls.name, "a single drive", "a robot: it bends across the axis", "See `ElasticLoad`.")
 
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        name = f"{robot.joint_names[robot.driven_joints[axis_of(robot, self.joint)]]}_flexibility"
+        return OwnNumber(f"{name}.stiffness", "stiffness"), OwnNumber(f"{name}.damping", "damping")
+
     def apply(self, robot: "Robot"):
         at = robot.driven_joints[axis_of(robot, self.joint)]
         name = f"{robot.joint_names[at]}_flexibility"
@@ -331,6 +362,7 @@ class Counterbalance(AbstractArmTorque):
     bounds: ClassVar = {"stiffness": (-500.0, 2000.0), "rest": (-math.pi, math.pi)}
     signature: ClassVar = "static torque against position, little change of G"
     confusable: ClassVar = {"friction_asymmetry": "positions", "dress_pack": "which joints"}
+    same_law: ClassVar = ("dress_pack",)
 
     joint: Joint = eqx.field(static=True)
     stiffness: Number
@@ -367,6 +399,7 @@ class DressPack(AbstractArmTorque):
     bounds: ClassVar = {"stiffness": (0.0, 500.0), "rest": (-math.pi, math.pi), "damping": (0.0, 100.0)}
     signature: ClassVar = "static torque linear in the angles of joints 1, 4 and 6"
     confusable: ClassVar = {"counterbalance": "which joints; a damping of its own"}
+    same_law: ClassVar = ("counterbalance",)
 
     joint: Joint = eqx.field(static=True)
     stiffness: Number

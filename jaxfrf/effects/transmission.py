@@ -1,6 +1,8 @@
 """What happens inside a transmission, beside its spring."""
 
+import functools
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
@@ -9,9 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import input_error
+from .._text import number
 from .._types import Array
 from ._harmonics import checked, harmonics
-from ._place import axis_of, spring_of
+from ._place import axis_of, own_spring, spring_of
 from .effect import AbstractGearCoupling, AbstractGearError, AbstractGearTorque, Candidate, Joint, Reach
 
 if TYPE_CHECKING:
@@ -64,8 +67,29 @@ class TransmissionError(AbstractGearError):
         """None: the orders are found in the data."""
         return ()
 
+    @classmethod
+    def candidates_at(cls, robot: "Robot", joint: Joint, orders: Iterable[float]) -> tuple[Candidate, ...]:
+        """An error of the teeth at each of these orders of the motor's turn."""
+        own_spring(robot, joint)
+        ratio = abs(float(robot.drives.gear_ratio[axis_of(robot, joint)]))
+        return tuple(cls(joint, [3e-5], order * ratio, (1,))._waves() for order in orders)
+
+    def _waves(self) -> Candidate:
+        """Sine and cosine of the first order, in parts of its amplitude."""
+        size = float(self.amplitude[0])
+        make = functools.partial(_geared, self.joint, self.teeth, size)
+        basis = tuple(TransmissionError(self.joint, [size], self.teeth, (1,), [phase]) for phase in (0.0, np.pi / 2))
+        wide = (math.inf, math.inf)
+        low = (-math.inf, -math.inf)
+        return Candidate(self.name, str(self.joint), basis, make, low, wide, 1.0, f"{number(self.teeth, 4)} a turn")
+
     def lead(self, angle):
         return harmonics(self.amplitude, self.order, self.phase, self.teeth * angle)
+
+
+def _geared(joint: Joint, teeth: Number, size: float, c) -> TransmissionError:
+    amplitude, phase = size * np.hypot(c[0], c[1]), np.arctan2(c[1], c[0])
+    return TransmissionError(joint, [float(amplitude)], teeth, (1,), [float(phase)])
 
 
 _CORNERS = np.array([3.0, 17.3, 100.0])  # Hz, of the Maxwell elements

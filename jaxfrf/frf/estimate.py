@@ -4,7 +4,6 @@ import concurrent.futures
 import dataclasses
 import os
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import jax
 import numpy as np
@@ -13,6 +12,7 @@ from .. import __version__
 from .._arguments import wrong_kind
 from .._errors import input_error
 from .._status import SERIOUS, Status, describe
+from .._threads import lapack_threads, with_settings
 from .._types import require_x64
 from ..experiment import Experiment
 from ..spectra import Spectra, select_positions
@@ -25,7 +25,6 @@ from .select import Auto
 
 _BLOCK_BYTES = 4e8  # operating points are estimated in groups that need about this much memory
 _SHARED = 1000  # lines of all operating points, from which on more than one core takes part
-_CALLS = 8  # batched LAPACK calls of one program that may run at the same time: fewer do
 _compiled: set = set()  # programs that the first group has compiled for the others
 _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
@@ -134,7 +133,7 @@ def _groups(spectra: Spectra) -> list[np.ndarray]:
     bytes_each = 16 * len(spectra.lines) * (4 * vec**2 + spectra.n_exp * 8 * (spectra.n_in + spectra.n_out) ** 2)
     n_group = -(-spectra.n_pos // max(1, int(_BLOCK_BYTES / bytes_each)))
     if spectra.n_pos * len(spectra.lines) > _SHARED:
-        n_group = -(-n_group // _threads()) * _threads()
+        n_group = -(-n_group // lapack_threads()) * lapack_threads()
     size = -(-spectra.n_pos // n_group)
     last = spectra.n_pos - 1
     return [np.minimum(np.arange(i, i + size), last) for i in range(0, spectra.n_pos, size)]
@@ -143,12 +142,8 @@ def _groups(spectra: Spectra) -> list[np.ndarray]:
 def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray]) -> Iterator[Estimate]:
     """The estimate of every group of operating points, in threads of their own once the program is compiled."""
 
-    settings: Any = jax.config  # its types know no flags
-    device = settings.jax_default_device
-
     def estimated(group):
-        with jax.enable_x64(True), jax.default_device(device):  # settings of a thread are not those of the next
-            return method.estimate(spectra if len(groups) == 1 else select_positions(spectra, group))
+        return method.estimate(spectra if len(groups) == 1 else select_positions(spectra, group))
 
     program = describe_method(method), spectra.U.shape[1:], len(groups[0])
     first = 0 if program in _compiled and len(groups) > 1 else 1
@@ -156,19 +151,8 @@ def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray
     _compiled.add(program)
     if len(groups) == first:
         return
-    with concurrent.futures.ThreadPoolExecutor(_threads()) as pool:
-        yield from pool.map(estimated, groups[first:])
-
-
-def _threads() -> int:
-    """Groups that may be estimated at the same time: one for every core, while XLA's pool has threads for all of them.
-
-    A batched LAPACK call waits in a thread of the pool for others of the pool, and estimates that run at the same time
-    can have some calls each: where there are as many as threads, they wait for ever."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    stated = os.environ.get("NPROC", "")
-    pool = int(stated) if stated.isdigit() else os.cpu_count() or 1
-    return max(1, min(cores, pool // _CALLS))
+    with concurrent.futures.ThreadPoolExecutor(lapack_threads()) as pool:
+        yield from pool.map(with_settings(estimated), groups[first:])
 
 
 def _stored(whole: Estimate | None, part: Estimate, group, n_pos: int) -> Estimate:

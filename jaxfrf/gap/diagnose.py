@@ -1,11 +1,8 @@
 """Find where a model and its measurement disagree, name what is missing, add it, and see the gap shrink."""
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .._arguments import expect
@@ -15,19 +12,18 @@ from ..effects import AbstractEffect, library
 from ..experiment import Experiment
 from ..frf import FRF
 from ..parts import Parts
-from ..robot import Robot, parameters
+from ..robot import Robot
 from ..trajectory.following import compared
 from ..trajectory.joined import joined, places
-from ..trajectory.measured import fewer, measured
+from ..trajectory.measured import Measured, fewer, measured
 from ..trajectory.rigid_motion import check_rigid
 from .channels import AbstractChannel, channel_of
 from .channels.conclude import concluded
-from .own_numbers import OwnNumbers, own_numbers
+from .contest import Records, contest
+from .fitted import Say
 from .present import present
 from .result import Diagnosis
-from .search import Say, Search, search
-
-_EXPERIMENTS = 2  # of a position that are used: what limits the search is the model, not the noise
+from .settings import EXPERIMENTS, FEW, JUDGING, SELECT
 
 
 def diagnose(
@@ -42,21 +38,20 @@ def diagnose(
 ) -> Diagnosis:
     """Which effect a robot's model lacks, from periodic records at several positions.
 
-    First all numbers of the robot that are not exactly known are fitted, as `jaxfrf.calibrate` does: where they explain
-    the record, each within what is known of it, nothing is missing, and those that are off are told. Otherwise the
-    robot is simulated through the experiment; what the measured torque is beyond what the robot would have asked,
-    referred to its motors, is the residual, at every line from 0 to the highest excited one, unexcited ones and the
-    slow motion included. Its own parameters give way first: stiffness and damping freely, friction, masses and rotors
-    near their tolerances, ripple below what is visible. Every effect of the library on every joint is then scored by
-    what its law, evaluated along the simulated motion, takes off the residual, where the gap is large from the robot
-    as it was given, too; the best are refined, simulated, corrected and compared; this repeats with the effect in the
-    model. Positions that are sealed are opened once, at the end.
+    A contest of robots. First all numbers of the robot that are not exactly known are fitted, as `jaxfrf.calibrate`
+    does, each within what is known of it: where they explain the record, nothing is missing, and those that are off
+    are told. Otherwise every effect of the library on every joint is scored beside these numbers by what its law,
+    evaluated along the simulated motion, takes off the residual (torque, at every line from 0 to the highest excited
+    one, unexcited ones and the slow motion included); those that promise most become robots in which the effect's
+    parameters are numbers of which nothing is known, and all numbers are fitted again. The one that costs least is
+    taken if it is better, simulated as it would be written, on positions that chose nothing, and this repeats with the
+    effect in the robot. The sealed positions are opened once, at the end: an effect with which their gap does not
+    shrink is taken back.
 
-    Thresholds are those of `search`; they were set on simulated records. Wrong where several effects of a similar
-    signature act at once, and where an effect that the library does not hold looks like one that it does: then the
-    remaining misfit tells, and nothing is named. Nothing is looked for where all that is left is within its floor, and
-    no effect is named whose interval holds none of it, or whose robot, simulated as it would be written, does not make
-    the gap on the sealed positions smaller (`verify`).
+    A number that the robot has, with a tolerance, may be what is wrong: it is set free like an effect, and told to be a
+    number. Thresholds stand in `settings`. Wrong where several effects of a similar signature act at once, and where an
+    effect that the library does not hold looks like one that it does: then the remaining misfit tells, and nothing is
+    named.
 
     Data that need no simulation are compared as they are (`jaxfrf.gap.channels`): the torque that a rigid robot needs
     for a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
@@ -91,25 +86,10 @@ def diagnose(
         if not one.period:
             check_rigid(robot)
     require_x64("A diagnosis")
-    record, say = joined(records), say or (lambda text: None)
-    explained = _by_own_numbers(robot, record, sealed, say)
-    begin = robot if explained is None else explained.robot
-    found = investigate(begin, record, own=own, sealed=sealed, say=say, progress=progress, parts=parts)
-    result = present(found, compared(robot, record))
-    return result if explained is None else _from(robot, result, explained)
-
-
-def _by_own_numbers(robot: Robot, record: Experiment, sealed: int | None, say: Say) -> OwnNumbers | None:
-    """As `own_numbers`, on the positions that are not sealed."""
-    opened = np.flatnonzero(opened_positions(record, sealed))
-    return own_numbers(robot, measured(fewer(record, _EXPERIMENTS)).at(opened), say)
-
-
-def _from(given: Robot, result: Diagnosis, explained: OwnNumbers) -> Diagnosis:
-    """A diagnosis of the robot with its numbers fitted, told of the robot that was given."""
-    begun = parameters(given)
-    changed = {name: x.value / float(begun[name]) - 1.0 for name, x in result.parameters.items()}
-    return dataclasses.replace(result, says=result.says + explained.says(), given=given, changed=changed)
+    record, say = joined([x for x in records if isinstance(x, Experiment)]), say or (lambda text: None)
+    parts_of = split(measured(fewer(record, EXPERIMENTS)), measured(fewer(record, JUDGING)), sealed)
+    found = contest(robot, parts_of, tuple(own), say, progress or (lambda part: None), parts)
+    return present(found, parts_of, robot, compared(robot, record))
 
 
 def _by_channel(
@@ -130,21 +110,18 @@ def _by_channel(
     return concluded(channel, channel.of(judge) if judge else None, (*library().values(), *own), sources)
 
 
-def investigate(
-    robot: Robot,
-    record: Experiment,
-    *,
-    own: Sequence[type[AbstractEffect]] = (),
-    sealed: int | None = None,
-    say: Say | None = None,
-    progress: Callable[[float], None] | None = None,
-    parts: Parts | None = None,
-) -> Search:
-    """The search of `diagnose`, with all that was simulated, on one record with references."""
-    require_x64("A diagnosis")
-    robot = jax.tree.map(jnp.asarray, robot)
-    some = measured(fewer(record, _EXPERIMENTS))
-    return search(robot, some, opened_positions(record, sealed), tuple(own), say, progress, parts)
+def split(record: Measured, every: Measured, sealed: int | None) -> Records:
+    """Positions that are fitted, that decide and that are sealed; few are fitted and decide. `every`: the same
+    positions, with the experiments that judge."""
+    opened = opened_positions(record.data, sealed)
+    place = places(record.data)
+    left = list(dict.fromkeys(place[opened].tolist()))
+    count = len(left) // SELECT if len(left) >= FEW else 0
+    chosen = {left[int(i)] for i in np.round((np.arange(count) + 0.5) * len(left) / max(count, 1))}
+    select = opened & np.array([p in chosen for p in place])
+    fit = opened & ~select
+    numbers = [np.flatnonzero(x) for x in (fit, select if count else fit, ~opened)]
+    return Records(record, every, *numbers)
 
 
 def opened_positions(record: Experiment, sealed: int | None) -> np.ndarray:

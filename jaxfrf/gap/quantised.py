@@ -31,8 +31,8 @@ def resolution(position: np.ndarray, noise: float) -> float:
     while first + 1 < len(level) and level[first + 1] > level[first]:
         first += 1
     fine = tried[first] + np.linspace(-step, step, 41)
-    level = [np.abs(np.mean(np.exp(2j * np.pi * f * increments))) for f in fine]
-    return float(1.0 / fine[int(np.argmax(level))])
+    finer = [np.abs(np.mean(np.exp(2j * np.pi * f * increments))) for f in fine]
+    return float(1.0 / fine[int(np.argmax(finer))])
 
 
 def _levels(increments, first: float, step: float, count: int) -> np.ndarray:

@@ -25,7 +25,8 @@ class Named(eqx.Module):
     **Fields:** `effect`: with its fitted parameters; `joint`: name of the joint, "" where it has none. `parameters`: by
     name. `p_value`: family-wise, of the null that nothing is missing. `equivalent`: names of effects that the data
     cannot tell from it. `separating_experiment`: what would. `explains`: part of the misfit above the floor that it
-    removes, on the positions of the fit. `visible`: its size over the just visible one.
+    removes, on positions that chose nothing. `visible`: its size over the just visible one. `is_number`: no term is
+    missing, but a number of the robot is wrong by this.
     """
 
     effect: AbstractEffect
@@ -36,6 +37,7 @@ class Named(eqx.Module):
     separating_experiment: str = eqx.field(static=True)
     explains: float = eqx.field(static=True)
     visible: float = eqx.field(static=True)
+    is_number: bool = eqx.field(static=True, default=False)
 
     @property
     def name(self) -> str:

@@ -1,28 +1,42 @@
-"""Rounds of a search that were finished, kept, so that an interrupted run need not simulate them again."""
+"""Rounds of a contest that were finished, kept, so that an interrupted run need not simulate them again."""
 
+import dataclasses
 import json
 import pathlib
 
-import equinox as eqx
 import numpy as np
 
 from .._files import replacing
 from ..effects import AbstractEffect, library
 from ..effects.catalogue import effect_from_table, effect_to_table
 from ..parts import Parts
+from ..trajectory.ripple import Order, Wave
+from .fitted import Fitted
 
 PART_FILES = ("round-[0-9]*.json",)
 
 
-class Round(eqx.Module):
-    """What one round found: an effect, standard deviations of its parameters, the knobs' changes, and of each rival the
-    name, joint, misfit and whether it is near. `None` for an effect: nothing more was found."""
+@dataclasses.dataclass(frozen=True)
+class Round:
+    """Where a round ended: the effect as its fit began, `None` where nothing more was found, or of the base; the
+    numbers by name, orders of ripple beside them, the floor, whether the robot was near the truth and the ripple that
+    was simulated then; what else was told of it; why nothing was taken."""
 
-    effect: AbstractEffect | None
-    joint: str = eqx.field(static=True)
-    std: tuple[float, ...] = eqx.field(static=True)
-    turns: np.ndarray
-    rivals: tuple[tuple, ...] = eqx.field(static=True)
+    effect: AbstractEffect | None = None
+    joint: str = ""
+    values: dict[str, float] = dataclasses.field(default_factory=dict)
+    orders: tuple[Order, ...] = ()
+    floor: np.ndarray | None = None
+    near: bool = False
+    inside: tuple[Wave, ...] = ()
+    told: dict = dataclasses.field(default_factory=dict)
+    refused: str = ""
+
+    @classmethod
+    def of(cls, found: Fitted, effect=None, joint: str = "", told=None) -> "Round":
+        at = zip(found.these, found.look.x, strict=True)
+        values = {n.name: n.value(float(x)) for n, x in at}
+        return cls(effect, joint, values, found.look.orders, found.look.begun, found.near, found.inside, told or {})
 
 
 def read_round(parts: Parts | None, number: int) -> Round | None:
@@ -37,16 +51,31 @@ def _name(number: int) -> str:
 def _read(path: pathlib.Path) -> Round:
     said = json.loads(path.read_text(encoding="utf-8"))
     effect = effect_from_table(said["effect"]) if said["effect"] else None
-    rivals = tuple(tuple(row) for row in said["rivals"])
-    return Round(effect, said["joint"], tuple(said["std"]), np.array(said["turns"], float), rivals)
+    orders = tuple(_order(*order) for order in said["orders"])
+    inside = tuple((_order(*order), (float(sine), float(cosine))) for order, (sine, cosine) in said["inside"])
+    floor = None if said["floor"] is None else np.array(said["floor"], float)
+    where = said["joint"], said["values"], orders, floor, bool(said["near"]), inside
+    return Round(effect, *where, said["told"], said["refused"])
+
+
+def _order(kind: str, axis: float, order: float) -> Order:
+    return Order(kind, int(axis), float(order))
 
 
 def keep_round(parts: Parts | None, number: int, found: Round) -> None:
     """Keep a round, whole or not at all; one that found an effect of the user's own is found again instead."""
     if parts is None or (found.effect is not None and type(found.effect) is not library().get(found.effect.name)):
         return
-    table = None if found.effect is None else effect_to_table(found.effect, found.joint)
-    said = {"effect": table, "joint": found.joint, "std": list(found.std), "rivals": found.rivals}
-    said["turns"] = np.asarray(found.turns).tolist()
+    said = {
+        "effect": None if found.effect is None else effect_to_table(found.effect, found.joint),
+        "joint": found.joint,
+        "values": found.values,
+        "orders": [[o.kind, o.axis, o.order] for o in found.orders],
+        "floor": None if found.floor is None else np.asarray(found.floor).tolist(),
+        "near": found.near,
+        "inside": [[[o.kind, o.axis, o.order], wave] for o, wave in found.inside],
+        "told": found.told,
+        "refused": found.refused,
+    }
     with replacing(parts.path(_name(number))) as draft:
         draft.write_text(json.dumps(said), encoding="utf-8")

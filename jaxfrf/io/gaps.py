@@ -2,7 +2,8 @@
 
     verdict, says  one of sufficient, named, ambiguous, unexplained, inconclusive; the same in a sentence or two
     effects        [{name, joint, parameters: {name: {value, std, unit, interval95}}, p_value, equivalent,
-                   separating_experiment, explains, visible, equation}], in the order in which they were found
+                   separating_experiment, explains, visible, kind, equation}], in the order in which they were found;
+                   kind: "a term is missing", or "a number is wrong" that the robot has
     ranking        [{name, joint, score, p_value, expected, visible, why}]: candidates by what each explains alone
     where          [{position, channel, band_hz, z, says}], position null: at all
     gap            {before, after, floor, shrink, unit, on, torque_before, torque_after: {axis: part}}
@@ -102,6 +103,7 @@ def _named(x) -> dict[str, Any]:
         "separating_experiment": x.separating_experiment,
         "explains": x.explains,
         "visible": x.visible,
+        "kind": "a number is wrong" if x.is_number else "a term is missing",
         "equation": equation(x.effect),
     }
 

@@ -3,8 +3,6 @@
 import math
 from collections.abc import Sequence
 
-from ..effects import ResolverRipple, TorqueRipple
-
 _Z = 1.959964  # of a 95 % interval
 _FAR = 0.3  # of the largest misfit: less is not what a diagnosis is about
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -19,7 +17,11 @@ def headline(diagnosis) -> str:
     if diagnosis.verdict == "unexplained":
         where = joined(axes_of(diagnosis))
         return f"Something is missing{f' at {where}' if where else ''} that no known effect explains."
-    return f"Missing: {joined([what(x, diagnosis.verdict) for x in diagnosis.effects])}."
+    told = lambda number: [what(x, diagnosis.verdict) for x in diagnosis.effects if x.is_number == number]
+    missing, wrong = joined(told(False)), joined(told(True))
+    return " ".join(
+        f"{begins}: {names}." for begins, names in (("Missing", missing), ("A number is wrong", wrong)) if names
+    )
 
 
 def what(named, verdict: str) -> str:
@@ -122,11 +124,10 @@ def closed(gap) -> str:
 
 def ripple_written(diagnosis) -> str:
     """Ripple of the motors that is written with the robot though nobody misses it, in a sentence; "" for none."""
-    given = len(diagnosis.given.effects)
+    ripple = lambda robot: [effect for effect in robot.effects if hasattr(effect, "order")]
+    given = len(ripple(diagnosis.given))
     orders: dict[str, list[int]] = {}
-    for effect in diagnosis.base.effects[given:]:
-        if not isinstance(effect, TorqueRipple | ResolverRipple):
-            continue  # a torque constant that was calibrated
+    for effect in ripple(diagnosis.base)[given:]:
         orders.setdefault(str(effect.joint), []).extend(effect.order)
     if not orders:
         return ""

@@ -3,7 +3,6 @@
 import concurrent.futures
 import itertools
 import math
-import os
 from collections.abc import Callable, Iterator
 
 import equinox as eqx
@@ -15,6 +14,7 @@ from jaxtyping import Float, PRNGKeyArray
 
 from .._errors import InputError, input_error
 from .._text import number
+from .._threads import cores, with_settings
 from ..robot import OperatingPoint
 from .closed_loop import ClosedLoop, LoopState, Runs, play
 from .imposed import Imposed, ImposedState
@@ -93,10 +93,6 @@ def _blocks(n_runs: int, chunk: int) -> list[np.ndarray]:
     return [np.minimum(np.arange(first, first + size), n_runs - 1) for first in range(0, n_runs, size)]
 
 
-def cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 _END = object()
 
 
@@ -104,8 +100,13 @@ def _share(jobs: list[Iterator], advanced: Callable[[], None]) -> None:
     """Exhaust all jobs, one thread per core, each with its own: a block's arrays stay in its core's cache."""
     if next(jobs[0], _END) is not _END:  # compiled once, before the threads start
         advanced()
+
+    @with_settings
+    def further(job: Iterator) -> object:
+        return next(job, _END)
+
     with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
-        waiting = {pool.submit(next, job, _END): job for job in jobs[: cores()]}
+        waiting = {pool.submit(further, job): job for job in jobs[: cores()]}
         queue = jobs[cores() :]
         while waiting:
             finished, _ = concurrent.futures.wait(waiting, return_when=concurrent.futures.FIRST_COMPLETED)
@@ -117,7 +118,7 @@ def _share(jobs: list[Iterator], advanced: Callable[[], None]) -> None:
                     job = queue.pop(0)
                 else:
                     continue
-                waiting[pool.submit(next, job, _END)] = job
+                waiting[pool.submit(further, job)] = job
 
 
 def _segments(study: Study, block: np.ndarray, lost: dict[int, float], player: Player) -> Iterator:

@@ -1,15 +1,15 @@
 """What a record says against a robot: the torque that its motors gave beyond what the robot asks of them."""
 
-import concurrent.futures
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import numpy as np
 import scipy.ndimage
 from jaxtyping import Complex, Float
 
+from .._threads import shared
 from ..robot import Robot
-from ..simulation.runs import Progress, cores
+from ..simulation.runs import Progress
 from .following import moved, torque_rate
 from .frozen import frozen
 from .measured import Measured, mean_period
@@ -96,21 +96,11 @@ def by_band(left, floor, frequency) -> Float[np.ndarray, "pos exp axis band"]:
     return np.swapaxes(power / count[:, None], 2, 3)
 
 
-def inflated(floor, left) -> Float[np.ndarray, "line axis"]:
-    """The floor with the usual size of a remainder, (pos, exp, line, axis), around every line: where a model is far
-    off, no few resonances shall rule. The steady torque is not usual: its floor rises as that of the lines beside it.
-    """
-    power = np.median(np.abs(left[:, :, 1:]) ** 2, axis=(0, 1))
-    smooth = scipy.ndimage.median_filter(power, size=(2 * _AROUND + 1, 1), mode="nearest")
-    wide = np.sqrt(floor[1:] ** 2 + smooth / np.log(2.0))
-    return np.concatenate([floor[:1] * wide[:1] / floor[1:2], wide])
-
-
 def refloored(weighed: "Weighed", old, new) -> "Weighed":
     """The same columns over another floor."""
     factor = np.concatenate([(old / new).ravel()] * 2).astype(np.float32)
     parts = tuple(part * factor for part in weighed.parts)
-    every = np.concatenate(_shared(lambda X: _products(X, X), parts))
+    every = np.concatenate(shared(lambda X: _products(X, X), parts))
     return Weighed(parts, _gram(every, parts))
 
 
@@ -156,7 +146,7 @@ def weigh(evidence: Evidence, columns: Sequence[Column], base: Weighed | None = 
         old = base.parts[pos]
         return np.concatenate([old[:, :-1], X, old[:, -1:]], axis=1), (_products(old, X), _products(X, X))
 
-    found = _shared(one, range(len(evidence.scenes)))
+    found = shared(one, range(len(evidence.scenes)))
     parts = tuple(part for part, _ in found)
     if base is None:
         every = np.concatenate([products for _, products in found])
@@ -166,12 +156,6 @@ def weigh(evidence: Evidence, columns: Sequence[Column], base: Weighed | None = 
     g = base.gram
     A = np.block([[g.A, across[:, :-1]], [across[:, :-1].swapaxes(1, 2), own]])
     return Weighed(parts, Gram(A, np.concatenate([g.b, across[:, -1]], axis=1), g.rr, g.position, g.count))
-
-
-def _shared(work, items) -> list:
-    """Every item's result; the cores share them."""
-    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
-        return list(pool.map(work, items))
 
 
 def _products(X, Y):
@@ -195,7 +179,7 @@ def precise(weighed: Weighed, bands: int = 1) -> Weighed:
         wide = [halves[..., cut].reshape(*X.shape[:2], -1).astype(float) for cut in cuts]
         return np.stack([x @ x.swapaxes(1, 2) for x in wide], axis=1).reshape(-1, X.shape[1], X.shape[1])
 
-    gram = _gram(np.concatenate(_shared(one, weighed.parts)), weighed.parts)
+    gram = _gram(np.concatenate(shared(one, weighed.parts)), weighed.parts)
     if bands > 1:
         position = np.arange(len(gram.A))
         gram = Gram(gram.A, gram.b, gram.rr, position, gram.count // bands)
@@ -206,38 +190,3 @@ def placed(weighed: Weighed, place: np.ndarray) -> Weighed:
     """The same columns, runs at positions of the same place taken together; `place`: of each position, (pos,)."""
     g = weighed.gram
     return Weighed(weighed.parts, Gram(g.A, g.b, g.rr, np.asarray(place)[g.position], g.count))
-
-
-def renewed(weighed: Weighed, evidence: Evidence, columns: Mapping[int, Column]) -> Weighed:
-    """The same columns, but for these, beside the residual of another simulation, over the floor that they have."""
-
-    def one(pos):
-        scene, floor = evidence.scenes[pos], evidence.floor
-        X = weighed.parts[pos].copy()
-        X[:, -1] = _row(evidence.residual[pos] / floor)
-        for place, column in columns.items():
-            X[:, place] = _row(column(scene) / floor)
-        return X, _products(X, X)
-
-    found = _shared(one, range(len(weighed.parts)))
-    parts = tuple(X for X, _ in found)
-    return Weighed(parts, _gram(np.concatenate([products for _, products in found]), parts))
-
-
-def _row(x):
-    x = x.reshape(len(x), -1)
-    return np.concatenate([x.real, x.imag], axis=-1).astype(np.float32)
-
-
-def rebased(table: Weighed, base: Weighed) -> Weighed:
-    """Columns of a table behind those of another base, and its residual, over the same floor."""
-    count = base.parts[0].shape[1] - 1
-
-    def one(pos):
-        X = table.parts[pos].copy()
-        X[:, :count], X[:, -1] = base.parts[pos][:, :-1], base.parts[pos][:, -1]
-        return X, _products(X, X)
-
-    found = _shared(one, range(len(table.parts)))
-    parts = tuple(X for X, _ in found)
-    return Weighed(parts, _gram(np.concatenate([products for _, products in found]), parts))

@@ -46,8 +46,8 @@ def needed_torque(robot: Robot, motion: MeasuredMotion) -> Torque:
     for effects that have no inverse (saturation, quantisation).
     """
     plain = dataclasses.replace(robot, effects=())
-    for effect in (x for x in robot.effects if isinstance(x, AbstractSensor)):
-        motion = _true_motion(robot, effect, motion)
+    for sensor in (x for x in robot.effects if isinstance(x, AbstractSensor)):
+        motion = _true_motion(robot, sensor, motion)
     torque = np.asarray(_inertial(plain, motion.angle, motion.speed, motion.acceleration))
     for kind in (AbstractArmTorque, AbstractFriction, AbstractMotorTorque, AbstractActuator):
         for acting in (x for x in robot.effects if isinstance(x, kind)):

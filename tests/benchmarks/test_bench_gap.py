@@ -311,7 +311,7 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
             if len(seen) == 2:
                 raise ValueError("no")
             self.found = types.SimpleNamespace(effects=(), gap=types.SimpleNamespace(shrink=0.0))
-            self.search = types.SimpleNamespace(given=None)
+            self.robot = None
 
         def shrink(self, effects):
             return 0.5

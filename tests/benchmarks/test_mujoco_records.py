@@ -51,6 +51,7 @@ def smooth():
     return changed(jf.robot.r3x(), 0.0, "coulomb_friction")
 
 
+@pytest.mark.slow
 def test_linear_springs(smooth):
     """What MuJoCo does alone; `u`, `y`, `r` and the rest of the record stand for the same."""
     found, ours = both(changed(smooth, 1.0, "stiffness_ratio"))

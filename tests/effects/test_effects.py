@@ -89,6 +89,7 @@ class TestInTheSimulation:
         data = record(robot)
         close(data, replay(data, forces), 1e-5)
 
+    @pytest.mark.slow
     def test_actuator(self):
         """Gain, clipping, delay and lag of the torque, one after the other."""
         robot = one_joint().with_effects(
@@ -146,6 +147,7 @@ class TestInTheSimulation:
         np.testing.assert_allclose(y / 1e-3, np.round(y / 1e-3), atol=1e-6)
         assert np.abs(y - rippled).max() < 5.1e-4
 
+    @pytest.mark.slow
     def test_structure(self):
         robot = one_joint(viscous_friction=0.0, coulomb_friction=0.0).with_effects(
             ef.StiffnessHardening(0, 0.6, 2e-4),

@@ -283,6 +283,7 @@ class TestInTheLinearisation:
         more = bare.with_effects(ef.TransmissionError(0, [1e-4], 120.0, (1,), [0.5]), ef.GearHysteresis(0, 5.0))
         np.testing.assert_allclose(G(more), G(bare), rtol=1e-9)
 
+    @pytest.mark.slow
     def test_gradients(self):
         """Of the linearised robot in loss and ratio, against differences."""
         frequency = jnp.array([5.0, 20.0, 60.0])

@@ -155,8 +155,9 @@ def test_common_denominator_of_small_noise():
     assert_covers(found, (Ny @ np.linalg.inv(Nu))[CENTRE])
 
 
-@pytest.mark.parametrize("width", [10, slow(14)])
-@pytest.mark.parametrize("mean", [slow(jf.ArithmeticMean), jf.LogMean])
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [10, 14])
+@pytest.mark.parametrize("mean", [jf.ArithmeticMean, jf.LogMean])
 def test_means_over_single_experiments(mean, width):
     G = plants.matrix_polynomial(np.random.default_rng(5), 2, 2, local_offset(), 2)
     found = jf.estimate(open_loop(G, 4, 1e-3), mean(jf.LPM(order=2, width=width, variable="index")))

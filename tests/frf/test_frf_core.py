@@ -54,7 +54,7 @@ def row_wise(U, Y, R, width, order=2):
     [
         jf.JointInputOutput(jf.LRM(width=12)),
         slow(jf.MisoLRM(width=10)),
-        jf.LogMean(),
+        slow(jf.LogMean()),
         slow(jf.LogMean(jf.JointInputOutput(jf.LPM(width=10)))),
     ],
     ids=["jio-lrm", "miso", "log", "log-jio-lpm"],
@@ -193,7 +193,7 @@ def test_positions_in_threads_are_those_one_by_one(monkeypatch):
 
     module = importlib.import_module("jaxfrf.frf.estimate")
     monkeypatch.setattr(module, "_SHARED", 1)
-    monkeypatch.setattr(module, "_threads", lambda: 2)
+    monkeypatch.setattr(module, "lapack_threads", lambda: 2)
     spectra, told = records(n_pos=3).spectra(), []
     for _ in range(2):  # compiled by the first group, then by none
         together = jf.estimate(spectra, jf.H1(), progress=lambda *now: told.append(now))

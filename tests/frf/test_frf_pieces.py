@@ -436,6 +436,7 @@ def auto_window(G, noise, seed=0):
     return frf.window[0], *(np.sqrt(np.mean(np.abs(x - G) ** 2)) for x in (frf.G[0], *fixed))
 
 
+@pytest.mark.slow
 def test_auto_widens_where_the_plant_is_smooth():
     """A nearly constant response under noise: most of what the narrowest window lets through is averaged away."""
     G = (1 + 0.02 * np.linspace(-1, 1, 150))[:, None, None] + 0j

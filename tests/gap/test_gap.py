@@ -11,28 +11,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.optimize
-import scipy.stats
 from marks import slow
-from small_arm import FS, PERIOD, STEPS, Q, record, small_robot
+from small_arm import FS, PERIOD, STEPS, Q, made_up, record, small_robot
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
 from jaxfrf.gap.diagnose import opened_positions
-from jaxfrf.gap.knobs import knobs
 from jaxfrf.gap.quantised import resolution
 from jaxfrf.gap.rounds import PART_FILES
-from jaxfrf.gap.score import Limits, drop, family_wise, fit_base, variance
-from jaxfrf.gap.stage import limits
 from jaxfrf.parts import Parts
 from jaxfrf.robot import linearise, motor_directions, operating_point, parameters, with_parameters
 from jaxfrf.simulation import Motion, replay_motion
-from jaxfrf.trajectory.evidence import Evidence, Gram, inflated
+from jaxfrf.trajectory.evidence import Evidence
 from jaxfrf.trajectory.frozen import frozen, other_impedance
 from jaxfrf.trajectory.joined import joined
 from jaxfrf.trajectory.measured import fewer, measured
-from jaxfrf.trajectory.ripple import Order
 from jaxfrf.trajectory.scene import Scene
 from jaxfrf.trajectory.signature import signature
 
@@ -121,6 +115,7 @@ class TestFrozen:
             ours, theirs = signature(effect, scene), scene.by_impedance(other)
             np.testing.assert_allclose(ours, theirs, atol=1e-6 * np.abs(theirs).max())
 
+    @pytest.mark.slow
     def test_hinge_that_the_robot_has(self):
         """Its spring is another then; there is no second hinge."""
         effect = fx.ExtraFlexibility("elbow", [0.0, 1.0, 0.0], 8e4, 30.0)
@@ -201,9 +196,9 @@ class TestSignatures:
             ("shoulder.stiffness", 1.01, 0.0),
             slow("elbow.damping", 1.05, 0.0),
             slow("elbow.viscous_friction", 1.1, 0.0),
-            ("shoulder.coulomb_friction", 1.0, 0.002),
+            slow("shoulder.coulomb_friction", 1.0, 0.002),
             slow("elbow.motor_inertia", 1.02, 0.0),
-            ("elbow.mass", 1.01, 0.0),
+            slow("elbow.mass", 1.01, 0.0),
             slow("shoulder.inertia", 1.02, 0.0),
         ],
     )
@@ -230,7 +225,7 @@ class TestSignatures:
             slow(fx.CurrentLoopLag, {"time_constant": 2e-5}),
             slow(fx.TorqueConstant, {"error": 2e-3}),
             slow(fx.ResolverRipple, {"amplitude": [2e-5]}),
-            (fx.TransmissionError, {"amplitude": [1e-6]}),
+            slow(fx.TransmissionError, {"amplitude": [1e-6]}),
             slow(fx.WristCoupling, {"ratio": 1e-3}),
             slow(fx.GearHysteresis, {"torque": 0.2}),
         ],
@@ -238,174 +233,6 @@ class TestSignatures:
     def test_effects(self, carrier, quiet, kind, values):
         effect, other = with_value(carrier, kind, **values)
         self.compare(lambda scene: signature(effect, scene), other, quiet)
-
-
-def products(X, r, position=None):
-    """Of columns (run, number, column) and a residual (run, number)."""
-    A, b, rr = np.einsum("rni,rnj->rij", X, X), np.einsum("rni,rn->ri", X, r), np.einsum("rn,rn->r", r, r)
-    return Gram(A, b, rr, np.zeros(len(X), int) if position is None else position, X.shape[1])
-
-
-class TestLeastSquares:
-    """From products alone, against NumPy and SciPy on the columns themselves."""
-
-    X: ClassVar = np.random.default_rng(1).standard_normal((5, 60, 7))
-    r: ClassVar = np.random.default_rng(2).standard_normal((5, 60)) + X @ [1.0, -2.0, 0.5, 0.1, 0.0, 0.8, -0.6]
-    runs: ClassVar = np.array([True, True, False, True, True])
-
-    @property
-    def flat(self):
-        return self.X[self.runs].reshape(-1, 7), self.r[self.runs].ravel()
-
-    def test_base(self):
-        X, r = self.flat
-        gram, free, columns = products(self.X, self.r), np.full(5, np.inf), [0, 1, 2, 3, 4]
-        fit = fit_base(gram, columns, Limits.between(-free, free), self.runs)
-        x, left = np.linalg.lstsq(X[:, columns], r)[:2]
-        np.testing.assert_allclose(fit.x, x, rtol=1e-8)
-        assert fit.inside.all()
-        np.testing.assert_allclose([fit.squares, fit.misfit], [left[0], left[0] / len(r)], rtol=1e-8)
-        np.testing.assert_allclose(fit.before, np.mean(r**2), rtol=1e-12)
-        low, high = np.full(5, -0.7), np.full(5, 0.7)
-        fit = fit_base(gram, columns, Limits.between(low, high), self.runs)
-        np.testing.assert_allclose(fit.x, scipy.optimize.lsq_linear(X[:, columns], r, (low, high)).x, atol=1e-6)
-        assert fit.inside.tolist() == [False, False, True, True, True]
-
-    def test_numbers_that_are_known(self):
-        """As if they had been measured: rows of their own below the columns."""
-        X, r = self.flat
-        gram, free, columns = products(self.X, self.r), np.full(5, np.inf), [0, 1, 2, 3, 4]
-        expected, weight = np.array([0.0, 0.5, 0.0, 0.0, 0.0]), np.array([0.3, 0.1, 0.0, 0.0, 0.2])
-        fit = fit_base(gram, columns, Limits(-free, free, expected, weight), self.runs)
-        root = np.sqrt(weight * len(r))
-        known = np.column_stack([np.diag(root), np.zeros((5, 2))])
-        below, right = np.concatenate([X, known]), np.concatenate([r, root * expected])
-        x, left = np.linalg.lstsq(below[:, columns], right)[:2]
-        np.testing.assert_allclose(fit.x, x, rtol=1e-8)
-        np.testing.assert_allclose(fit.squares, left[0], rtol=1e-8)
-        np.testing.assert_allclose(fit.misfit, np.mean((r - X[:, columns] @ x) ** 2), rtol=1e-8)
-        both = np.linalg.lstsq(below[:, :6], right)[1][0]
-        np.testing.assert_allclose(drop(gram, fit, [5], [-9.0], [9.0]).drop, fit.squares - both, rtol=1e-5)
-
-    def test_more_columns(self):
-        X, r = self.flat
-        gram, free = products(self.X, self.r), np.full(5, np.inf)
-        fit = fit_base(gram, range(5), Limits.between(-free, free), self.runs)
-        found = drop(gram, fit, [5, 6], [-np.inf] * 2, [np.inf] * 2)
-        x, left = np.linalg.lstsq(X, r)[:2]
-        np.testing.assert_allclose(found.x, x[5:], rtol=1e-5)
-        np.testing.assert_allclose(found.drop, fit.squares - left[0], rtol=1e-5)
-        one_sided = drop(gram, fit, [6], [0.0], [np.inf])  # the column wants to be negative
-        assert one_sided.x == [0.0] and one_sided.drop == 0.0
-        again = np.linalg.lstsq(X[:, [0, 1, 2, 3, 4, 5]], r)[1][0]
-        np.testing.assert_allclose(drop(gram, fit, [5], [0.0], [9.0]).drop, fit.squares - again, rtol=1e-5)
-
-    def test_a_column_that_is_held(self):
-        """It takes nothing of another that says the same."""
-        X = np.concatenate([self.X[..., :5], self.X[..., 4:5]], axis=-1)
-        gram, width = products(X, self.r), np.array([np.inf] * 4 + [1e-9])
-        fit = fit_base(gram, range(5), Limits.between(-width, width), self.runs)
-        assert fit.inside.tolist() == [True] * 4 + [False]
-        flat, r = self.flat
-        both = np.linalg.lstsq(flat[:, :5], r)[1][0]
-        found = drop(gram, fit, [5], [-9.0], [9.0])
-        np.testing.assert_allclose(found.drop, fit.squares - both, rtol=1e-5)
-
-    def test_variance(self):
-        """Noise of few numbers as textbooks have it; many lines are worth four hundred numbers."""
-        gram, free = products(self.X, self.r), np.full(5, np.inf)
-        fit = fit_base(gram, range(5), Limits.between(-free, free), self.runs)
-        np.testing.assert_allclose(variance(gram, fit), max(fit.misfit, 1.0))
-        many = dataclasses.replace(gram, count=40_000)
-        np.testing.assert_allclose(variance(many, fit), max(fit.misfit, 1.0) * 4 * 40_000 / 400)
-
-    def test_a_column_that_the_base_has(self):
-        X = self.X.copy()
-        X[..., 6] = X[..., 0] + 1e-4 * X[..., 6]
-        gram, free = products(X, self.r), np.full(5, np.inf)
-        fit = fit_base(gram, range(5), Limits.between(-free, free), self.runs)
-        assert drop(gram, fit, [6], [-np.inf], [np.inf]).drop == 0.0
-
-    def test_base_columns_that_say_the_same(self):
-        """Products in single precision are then not positive definite; what another column explains is as without."""
-        X = np.concatenate([self.X[..., [0, 0, 1, 1]] * [1.0, 3.0, 1.0, 1 / 3], self.X], axis=-1)
-        exact = products(X, self.r)
-        gram = eqx.tree_at(lambda g: g.A, exact, _raised(exact.A))
-        free = np.full(9, np.inf)
-        fit = fit_base(gram, range(9), Limits.between(-free, free), self.runs)
-        flat, r = self.flat
-        both = [np.linalg.lstsq(flat[:, :n], r)[1][0] for n in (5, 6)]
-        np.testing.assert_allclose(drop(gram, fit, [9], [-9.0], [9.0]).drop, both[0] - both[1], rtol=1e-3)
-
-    def test_scatter_over_the_runs(self):
-        """Beside a base that shares nothing with the column: Student's t of the scores of the runs."""
-        X = np.zeros((5, 60, 2))
-        X[:, :30, 0], X[:, 30:, 1] = self.X[:, :30, 0], self.X[:, 30:, 1]
-        r = np.where(np.arange(60) < 30, 0.0, self.r)
-        every = np.ones(5, bool)
-        gram = products(X, r)
-        fit = fit_base(gram, [0], Limits.between([-np.inf], [np.inf]), every)
-        found = drop(gram, fit, [1], [-np.inf], [np.inf])
-        scores = np.einsum("rn,rn->r", X[..., 1], r)
-        expected = scipy.stats.ttest_1samp(scores, 0.0).statistic * np.sign(found.x[0])
-        np.testing.assert_allclose(found.t, expected, rtol=1e-6)
-
-
-def _raised(A):
-    """The first two columns' product a millionth too large: no columns have such products."""
-    A = A.copy()
-    A[:, 0, 1] *= 1 + 1e-6
-    A[:, 1, 0] *= 1 + 1e-6
-    return A
-
-
-def test_limits_of_numbers():
-    """All changes together stay within the bounds and near none; one tolerance away costs the same for each."""
-    robot = small_robot()
-    these, orders = knobs(robot), (Order("torque", 0, 2.0), Order("resolver", 1, 3.0))
-    turns = np.where([knob.free for knob in these], 0.5, 0.01)
-    known = limits(robot, these, turns, orders, False)
-    assert len(known) == len(these) + 4
-    np.testing.assert_allclose((1 + turns) * (1 + known.expected[: len(these)]), 1.0, rtol=1e-12)
-    assert np.all(known.expected[len(these) :] == 0.0) and np.all(np.isinf(known.high[len(these) :]))
-    for i, knob in enumerate(these):
-        x = (1 + knob.tolerance) / (1 + turns[i]) - 1
-        cost = known.weight[i] * (x - known.expected[i]) ** 2
-        np.testing.assert_allclose(cost, 1e-3, rtol=1e-9)
-        assert known.low[i] < 0 < known.high[i]
-        if not knob.free:
-            total = (1 + turns[i]) * (1 + known.high[i]) - 1
-            np.testing.assert_allclose(total, 2.5 * knob.tolerance, rtol=1e-9)
-    near = limits(robot, these, turns, orders, True)
-    for i, knob in enumerate(these):
-        reach = {"stiffness": (-0.15, 0.2), "damping": (-0.4, 0.7)}.get(knob.kind, (known.low[i], known.high[i]))
-        np.testing.assert_allclose((near.low[i], near.high[i]), reach, rtol=1e-12)
-    held = [dataclasses.replace(knob, tolerance=0.0) for knob in these]
-    free = np.array([knob.free for knob in these])
-    still = limits(robot, held, 0.0 * turns, orders, False)
-    assert np.all(still.weight[: len(these)] == 0.0) and np.all(still.high[: len(these)][~free] < 1e-8)
-
-
-def test_floor_far_from_the_truth():
-    """It rises to the usual size of what is left: no resonance rules, and the steady torque keeps its weight."""
-    rng = np.random.default_rng(0)
-    floor = np.full((101, 1), 0.1)
-    left = 3.0 * (rng.standard_normal((4, 6, 101, 1)) + 1j * rng.standard_normal((4, 6, 101, 1))) / np.sqrt(2)
-    left[:, :, 50] *= 100.0
-    left[:, :, 0] = 1e4
-    found = inflated(floor, left)
-    np.testing.assert_allclose(rms(found), 3.0, rtol=0.05)  # the median of 24 squares is some .03 below its limit
-    assert found.max() < 4.0
-    np.testing.assert_allclose(found[0], found[1])
-
-
-def test_family_wise():
-    part = np.array([0.003, 0.005, 0.01, 0.02])
-    by_part = [family_wise(p, 0.0, 8, 300) for p in part]
-    np.testing.assert_allclose(by_part, scipy.stats.gumbel_r.sf(part, 0.004, 0.002), rtol=1e-10)
-    np.testing.assert_allclose(family_wise(0.003, 30.0, 8, 300), 600 * scipy.stats.t.sf(30.0, 7), rtol=1e-10)
-    assert family_wise(0.001, 30.0, 8, 300) == pytest.approx(scipy.stats.gumbel_r.sf(0.001, 0.004, 0.002))
-    assert family_wise(0.5, 100.0, 12, 300) < 1e-9
 
 
 class TestResolution:
@@ -431,13 +258,6 @@ class TestResolution:
         noisy = short + 1e-4 * np.random.default_rng(0).standard_normal(short.shape)
         assert resolution(noisy, 0.0) == 0.0
         assert resolution(1e-4 * np.round(noisy / 1e-4), 1e-3) == 0.0  # finer than the noise: not looked for
-
-
-def made_up(n_pos=3, n_exp=4, fs=100.0, seed=0, **fields):
-    rng = np.random.default_rng(seed)
-    signal = lambda: rng.standard_normal((n_pos, n_exp, 50, 2))
-    known = {"u": signal(), "y": signal(), "r": signal(), "q": np.arange(2.0 * n_pos).reshape(n_pos, 2) + 10 * seed}
-    return jf.Experiment(**(known | {"fs": fs, "period": 50, "y_quantity": "position"} | fields))
 
 
 class TestRecords:
@@ -536,13 +356,14 @@ class TestDiagnosis:
         named = first(rubbing[1])
         assert (named.name, named.joint) == ("coulomb_friction", "shoulder")
         assert named.parameters["level"].value == pytest.approx(0.15, rel=0.15)
-        assert named.p_value < 1e-3 and named.visible > 1 and named.explains > 0.9
+        assert named.p_value == 2.0**-8 and named.visible > 1 and named.explains > 0.9
+        assert named.is_number and "number of the robot is wrong" in rubbing[1].says
 
     @pytest.mark.slow
     def test_torque_delay(self, machine):
         found = diagnose(small_robot(), record(machine.with_effects(fx.TorqueDelay("elbow", 6e-4))))
         named = first(found)
-        assert {named.name, *named.equivalent} >= {"torque_delay", "current_loop_lag"}
+        assert "torque_delay" in (named.name, *named.equivalent)
         assert named.joint == "elbow"
         (late,) = named.parameters.values()
         assert late.value == pytest.approx(6e-4, rel=0.15)
@@ -561,9 +382,11 @@ class TestDiagnosis:
         """Nothing is tried again, and it ends alike."""
         (data, found, parts), told = rubbing, []
         again = diagnose(small_robot(), data, parts=parts, say=told.append)
-        assert not any("simulated" in text for text in told)
+        assert not any("tries" in text for text in told)
         assert (again.verdict, again.says) == (found.verdict, found.says)
-        assert again.effects[0].parameters == found.effects[0].parameters
+        for name, value in found.effects[0].parameters.items():  # numbers are kept, coordinates made from them
+            assert again.effects[0].parameters[name].value == pytest.approx(value.value, rel=1e-6)
+            assert again.effects[0].parameters[name].std == pytest.approx(value.std, rel=1e-4)
         assert again.effects[0].equivalent == found.effects[0].equivalent
         assert again.gap.after == pytest.approx(found.gap.after, rel=0.01)
 

@@ -15,7 +15,7 @@ from uncertain_arm import design, machine as off, model
 import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
-from jaxfrf.gap.verify import over_floor
+from jaxfrf.gap.judge import over_floor
 from jaxfrf.robot import Tolerances, parameters, with_parameters
 from jaxfrf.trajectory.evidence import Evidence
 from jaxfrf.trajectory.measured import measured
@@ -81,8 +81,9 @@ def test_a_delay_is_still_found(quantity, tmp_path):
     assert np.all(found.gap.torque_after < found.gap.torque_before)
 
     jf.io.write_robot(found.extended, tmp_path / "extended.toml")
-    evidence = Evidence(jf.io.read_robot(tmp_path / "extended.toml"), measured(data))
-    axes = over_floor(evidence.residual, evidence.plain, np.array(found.sealed))
+    record = measured(data).at(found.sealed)
+    evidence = Evidence(jf.io.read_robot(tmp_path / "extended.toml"), record)
+    axes = over_floor(evidence.residual, Evidence(found.base, record).plain)
     np.testing.assert_allclose(np.sqrt(np.mean(axes**2)), found.gap.after, rtol=0.02)
 
 

@@ -233,6 +233,7 @@ def drives(measured):
     return {y: diagnose(None, frfs(y), sealed=1) for y in ("theta_mx", "omega_max")}
 
 
+@pytest.mark.slow
 def test_bench_misses_a_mode(drives):
     """One inertia with a free gain leaves more than 10 dB (rms over both parts of log G); a mode is named first, at
     the antiresonance (53-54 Hz) and the resonance (76-77 Hz) of the record, and the held-out record agrees."""
@@ -253,6 +254,7 @@ def test_bench_misses_a_mode(drives):
     }
 
 
+@pytest.mark.slow
 def test_bench_recorded_speed_is_filtered(drives):
     """The recorded speed has a lag that the encoder has not; both come with a delay of a fraction of a sample."""
     speed, angle = ([e.name for e in drives[y].effects] for y in ("omega_max", "theta_mx"))

@@ -319,12 +319,14 @@ class TestPage:
         assert bad not in page and "<b>&amp;" not in page
         assert read(page).count(bad) >= 12
 
+    @pytest.mark.slow
     def test_a_large_shift_is_remarked(self):
         page = read(gap_page(dataclasses.replace(example("two"), frf=None)))
         assert "joint3.damping moved by more than 20 %" in page and "-31 %" in page
         quiet = read(gap_page(dataclasses.replace(example("coulomb"), frf=None)))
         assert "No parameter of the given model moved by more than 20 %" in quiet
 
+    @pytest.mark.slow
     def test_sparse(self):
         """What another way of comparing may leave out: reasons, sizes, strength of a cell."""
         d, nan = example("coulomb"), float("nan")

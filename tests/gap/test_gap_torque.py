@@ -387,6 +387,7 @@ def test_a_late_link_encoder_is_named():
     assert viscous.expected["coefficient"] < 0 and "a sign or size that no such effect has" in viscous.why
 
 
+@pytest.mark.slow
 def test_a_linear_spring_needs_nothing():
     rng = np.random.default_rng(0)
     found = diagnose(None, deflection_runs(lambda u, v: 1e-6 * rng.standard_normal(u.shape)))
@@ -425,7 +426,7 @@ def drive_frf(effects, seed=0, noise=0.01):
     [
         ({}, []),
         slow({"friction": 40.0}, ["viscous_friction"]),
-        ({"lag": 2e-3}, ["current_loop_lag"]),
+        slow({"lag": 2e-3}, ["current_loop_lag"]),
         slow({"delay": 1e-3}, ["torque_delay"]),
         slow({"mode": (50.0, 75.0), "lag": 3e-3}, ["current_loop_lag", "elastic_load"]),
     ],
@@ -464,6 +465,57 @@ def test_a_drive_by_the_command(tmp_path):
     assert [e.name for e in drive.effects] == ["current_loop_lag"]
     assert main(["diagnose", files[1], "--robot", out[2], "-o", out[0]]) == 0
     assert jf.io.read_gap(out[0])["verdict"] == "sufficient"
+
+
+@pytest.mark.slow
+def test_deflections_by_the_command(tmp_path):
+    """Text files of motor and link positions, one held out, as the guide has it; no robot."""
+    rng, files = np.random.default_rng(0), []
+    for i, run in enumerate(deflection_runs(lambda u, v: -256 * 2 * np.tanh(v / 0.02) / 5e6)):
+        files.append(str(tmp_path / f"sides{i}.csv"))
+        sides = run.y[0, 0] + 1e-5 * rng.standard_normal(run.y[0, 0].shape)
+        np.savetxt(
+            files[-1], np.column_stack([run.u[0, 0], sides]), delimiter=",", header="torque,motor,link", comments=""
+        )
+    out = str(tmp_path / "gap.json")
+    named = ["--map", "u=torque,y=[motor;link]", "--set", "fs=250,y_quantity=position"]
+    assert main(["diagnose", *files, *named, "--heldout-count", "1", "-o", out]) == 0
+    found = jf.io.read_gap(out)
+    assert found["verdict"] == "named" and [e["name"] for e in found["effects"]] == ["coulomb_friction"]
+    assert abs(found["effects"][0]["parameters"]["level"]["value"] / 2 - 1) < 0.05
+
+
+def driven(seed, fs=1000.0, period=2000, fine=20):
+    """Three periods of an inertia of .01 kg m^2 with viscous friction of .02 N m s/rad, its torque held: explicit Euler
+    steps. Odd lines, of which a quarter is left out."""
+    rng = np.random.default_rng(seed)
+    lines = np.arange(11, 180, 2)
+    lines = lines[rng.uniform(size=len(lines)) > 0.25]
+    U = np.zeros(period // 2 + 1, complex)
+    U[lines] = np.exp(2j * np.pi * rng.uniform(size=len(lines)))
+    u = np.fft.irfft(U)
+    u *= 2.0 / u.std()
+    speed, y = 0.0, []
+    for torque in np.tile(u, 4):
+        y.append(speed)
+        for _ in range(fine):
+            speed += (torque - 0.02 * speed) / 0.01 / (fs * fine)
+    y = np.array(y)[period:] + 1e-3 * rng.standard_normal(3 * period)
+    return jf.Experiment(np.tile(u, 3)[:, None], y[:, None], fs, period=period, lines=lines, y_quantity="velocity")
+
+
+@pytest.mark.slow
+def test_a_drive_s_records_by_the_command(tmp_path):
+    """A torque that is held acts half a sample late; friction of a linear kind distorts nothing."""
+    files = [str(tmp_path / name) for name in ("a.nc", "b.nc")]
+    for seed, path in enumerate(files):
+        jf.io.write(path, driven(seed))
+    assert main(["diagnose", *files, "--heldout-count", "1", "-o", str(tmp_path / "gap.json")]) == 0
+    found = jf.io.read_gap(tmp_path / "gap.json")
+    values = {e["name"]: next(iter(e["parameters"].values()))["value"] for e in found["effects"]}
+    assert sorted(values) == ["torque_delay", "viscous_friction"]
+    assert abs(values["torque_delay"] / 5e-4 - 1) < 0.01 and abs(values["viscous_friction"] / 0.02 - 1) < 0.02
+    assert "Distortion: none stands clear of the noise" in found["says"]
 
 
 def test_one_kind_of_data_at_a_time(tmp_path, capsys):

@@ -1,22 +1,30 @@
-"""What keeps a diagnosis from naming what is not there: intervals, sealed positions, rivals that are named too."""
+"""What keeps a diagnosis from naming what is not there: positions that choose nothing, and sealed ones."""
 
 import itertools
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
+import scipy.stats
+from small_arm import made_up, small_robot
 from two_axes import ROBOT
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
-from jaxfrf.gap import verify
-from jaxfrf.gap.present import _close_rivals
-from jaxfrf.gap.refine import absent
-from jaxfrf.gap.search import _Trial
-from jaxfrf.gap.verify import _against, motors_ripple, over_floor
+from jaxfrf.calibration.numbers import numbers
+from jaxfrf.gap.conclude import against_it, close_rivals
+from jaxfrf.gap.diagnose import split
+from jaxfrf.gap.fitted import Fitted
+from jaxfrf.gap.hypothesis import hypothesis
+from jaxfrf.gap.judge import compared, over_floor
+from jaxfrf.robot import Tolerances
+from jaxfrf.trajectory.alike import alike, alike_as_written
 from jaxfrf.trajectory.evidence import band_edges, by_band
+from jaxfrf.trajectory.ripple import Order, with_ripple
 
 FLOOR = np.full((41, 2), 0.1)
+TOLD = SimpleNamespace(U=np.ones((2, 2, 41, 2), complex), frequency=np.arange(41.0))  # a torque of 1 N m in every line
 
 
 @pytest.fixture(scope="module")
@@ -26,115 +34,198 @@ def robot(tmp_path_factory):
     return jf.io.read_robot(path)
 
 
-def made_search(sealed=(False, True, True)):
-    """Of a record with a torque of 1 N m in every line."""
-    opened = ~np.array(sealed)
-    base = SimpleNamespace(evidence=SimpleNamespace(plain=FLOOR))
-    record = SimpleNamespace(U=np.ones((3, 2, 41, 2), complex))
-    given = SimpleNamespace(axis_names=("shoulder", "elbow"))
-    return SimpleNamespace(opened=opened, base=base, record=record, given=given)
-
-
-def leaving(opened, sealed):
-    """A robot that leaves so many floors on the fitted and on the sealed positions, one number for each axis."""
-    one = lambda times: np.sqrt(2) * FLOOR * np.asarray(times) * np.ones((1, 2, 41, 2))
-    return SimpleNamespace(residual=np.concatenate([one(opened), one(sealed), one(sealed)]).astype(complex))
+def leaving(*times):
+    """A robot that leaves so many floors, one number for each axis."""
+    size = np.sqrt(2) * FLOOR * np.asarray(times)
+    return SimpleNamespace(
+        residual=(size * np.ones((2, 2, 41, 2))).astype(complex),
+        evidence=SimpleNamespace(plain=FLOOR),
+        robot=SimpleNamespace(axis_names=("shoulder", "elbow")),
+    )
 
 
 class TestSealedPositions:
     @pytest.mark.parametrize(
         ("joint", "sealed", "says"),
         [
-            ("shoulder", [1.0, 1.1], None),  # both axes gain
-            ("shoulder", [1.0, 2.0], None),  # one does, the other stays
-            ("shoulder", [1.0, 2.1], None),  # or loses little beside that
-            ("", [1.0, 1.9], None),
-            ("shoulder", [3.0, 2.0], "the gap is 2.55 times the floor, 2.55 without"),  # nothing gained
+            ("shoulder", [1.0, 1.1], ""),  # both axes gain
+            ("shoulder", [1.0, 2.0], ""),  # one does, the other stays
+            ("shoulder", [1.0, 2.1], ""),  # or loses little beside that
+            ("", [1.0, 1.9], ""),
+            ("shoulder", [3.0, 2.0], "takes away 0% of what is beyond the floor"),  # nothing gained
+            ("shoulder", [2.9, 2.0], "takes away 5% of what"),  # or too little
             ("shoulder", [1.0, 2.5], "elbow rises from 2 to 2.5"),  # one pays for the other
-            ("shoulder", [4.0, 2.0], "the gap is 3.16"),
+            ("shoulder", [4.0, 2.0], "takes away -64%"),
             ("elbow", [1.0, 2.1], "the torque of elbow itself"),  # its own joint loses
         ],
     )
     def test_gap_of_every_axis(self, joint, sealed, says):
-        """Whatever the fitted positions say."""
-        base, extended = leaving([9.0, 9.0], [3.0, 2.0]), leaving([0.1, 0.1], sealed)
-        against = _against(made_search(), base, extended, joint)
-        assert (against is None) if says is None else (says in against)
+        against = against_it(TOLD, leaving(3.0, 2.0), leaving(*sealed), joint)
+        assert (says in against) if says else against == ""
 
     def test_an_axis_within_its_floor_may_move(self):
         """But not that of the effect itself."""
-        base, extended = leaving([9.0, 9.0], [3.0, 0.3]), leaving([0.1, 0.1], [1.0, 0.6])
-        assert _against(made_search(), base, extended, "shoulder") is None
-        assert "torque of elbow itself" in _against(made_search(), base, extended, "elbow")
+        base, extended = leaving(3.0, 0.3), leaving(1.0, 0.6)
+        assert against_it(TOLD, base, extended, "shoulder") == ""
+        assert "torque of elbow itself" in against_it(TOLD, base, extended, "elbow")
 
-    def test_none_are_sealed(self):
-        search = made_search((False, False, False))
-        base, extended = leaving([3.0, 3.0], [3.0, 3.0]), leaving([1.0, 1.0], [1.0, 1.0])
-        assert _against(search, base, extended, "elbow") is None
-        np.testing.assert_allclose(over_floor(base.residual, FLOOR, verify.judged_positions(search)), 3.0)
+    def test_nothing_beyond_the_floor(self):
+        """Whatever an effect takes away within it is no effect's."""
+        assert "nowhere beyond its floor" in against_it(TOLD, leaving(0.9, 0.9), leaving(0.1, 0.1), "elbow")
+
+    def test_rms_over_the_floor(self):
+        np.testing.assert_allclose(over_floor(leaving(3.0, 2.0).residual, FLOOR), [3.0, 2.0])
+
+
+class TestPositionsThatChooseNothing:
+    @staticmethod
+    def left(size, positions, seed=0):
+        rng = np.random.default_rng(seed)
+        shape = (positions, 2, 41, 2)
+        noise = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+        return np.asarray(size).reshape(-1, 1, 1, 1) * 0.1 * noise
+
+    def test_against_a_loop(self):
+        """What is beyond the floor run by run and band by band; the interval of the share against the jackknife."""
+        before, after = self.left([3, 2, 3, 4, 3, 2], 6), self.left([1, 2, 1, 2, 1, 1], 6, 1)
+        frequency = np.arange(41.0)
+        found = compared(before, after, FLOOR, frequency)
+        edges = band_edges(frequency)
+
+        def beyond(x):
+            runs = []
+            for run in 0.5 * np.abs(x / 0.1).reshape(12, 41, 2) ** 2:
+                more = 0.0
+                for low, high in itertools.pairwise(edges):
+                    here = run[(frequency >= low) & ((frequency < high) | (high == edges[-1]))]
+                    more += np.maximum(here.sum(axis=0) - len(here), 0.0).sum()
+                runs.append(more / 82)
+            return np.array(runs)
+
+        one, two = beyond(before), beyond(after)
+        np.testing.assert_allclose([found.before, found.after], [one.mean(), two.mean()], rtol=1e-12)
+        np.testing.assert_allclose(found.gain, 1 - two.sum() / one.sum(), rtol=1e-12)
+        left_out = [1 - np.delete(two, i).sum() / np.delete(one, i).sum() for i in range(12)]
+        std = np.sqrt(11 / 12 * np.sum((left_out - np.mean(left_out)) ** 2))
+        half = scipy.stats.t.ppf(0.95, 11) * std
+        np.testing.assert_allclose([found.gain - found.least, found.most - found.gain], half, rtol=0.25)
+        drops = one - two
+        signs = itertools.product([1, -1], repeat=12)
+        assert found.p_value == np.mean([np.dot(s, drops) >= drops.sum() - 1e-9 for s in signs])
+
+    def test_a_p_value_is_what_the_blocks_can_tell(self):
+        found = compared(self.left(9.0, 5), self.left(1e-3, 5), FLOOR, np.arange(41.0))
+        assert found.p_value == found.finest == 2.0**-10
+        few = compared(self.left(9.0, 2), self.left(1e-3, 2), FLOOR, np.arange(41.0))  # by combs of lines, too
+        assert few.p_value == few.finest == 2.0**-8
+
+    def test_two_that_are_alike(self):
+        found = compared(self.left(2.0, 6), self.left(2.0, 6, 1), FLOOR, np.arange(41.0))
+        assert found.least < 0 < found.most and found.p_value > 0.05
+        within = compared(self.left(0.3, 6), self.left(0.1, 6, 1), FLOOR, np.arange(41.0))
+        assert (within.before, within.gain, within.p_value) == (0.0, 0.0, 1.0)
+
+    def test_who_they_are(self):
+        """None where there are few; then what is fitted decides."""
+        parts = lambda n: split(*(SimpleNamespace(data=made_up(n)),) * 2, None)
+        few = parts(3)
+        assert [x.tolist() for x in (few.fit, few.select, few.sealed)] == [[0, 1], [0, 1], [2]]
+        many = parts(9)
+        assert sorted([*many.fit, *many.select, *many.sealed]) == list(range(9))
+        assert (len(many.fit), len(many.select), len(many.sealed)) == (4, 2, 3)
+
+
+class TestStrain:
+    """Numbers that are off by more than is known, against Pope's test with all covariances written out."""
+
+    @staticmethod
+    def found(robot, x, told=1e-4):
+        these = numbers(robot)
+        normal = np.diag(np.where([n.prior > 0 for n in these], 1.0 / told, 1.0))
+        look = SimpleNamespace(posterior=SimpleNamespace(normal=normal))
+        return Fitted(robot, Tolerances(), these, np.asarray(x, float), look, False, (), True)
+
+    def test_against_the_formula(self, robot):
+        these = numbers(robot)
+        x = np.random.default_rng(0).standard_normal(len(these))
+        found = self.found(robot, x)
+        known = np.array([n.prior > 0 and n.kind != "smoothing" for n in these])
+        for i in np.flatnonzero(known):
+            other = known & (np.arange(len(x)) != i)
+            factor = min(1.0, np.sum(x[other] ** 2) / (np.sum(other) * (1 - 1e-4)))
+            assert found.strain[i] == pytest.approx(x[i] / np.sqrt((1 - 1e-4) * factor))
+        assert found.strained == ()
+
+    def test_one_that_stands_out(self, robot):
+        """Two tolerances are much where all others are known better than was said."""
+        these = numbers(robot)
+        place = [n.name for n in these].index("elbow.torque_constant")
+        x = np.full(len(these), 0.3)
+        x[place] = 2.5
+        found = self.found(robot, x)
+        assert found.strained == (place,) and found.strain_p_value(place) < 1e-10
+        assert self.found(robot, 2.5 * np.sign(x)).strained == ()  # all are off: none stands out
+
+
+class TestHypotheses:
+    @staticmethod
+    def view(robot):
+        these = numbers(robot)
+        return Fitted(robot, Tolerances(), these, np.zeros(len(these)), None, False, (), False)
+
+    def unknown(self, robot, effect):
+        found = hypothesis(self.view(robot), effect, effect.joint)
+        these = numbers(found.robot.with_tolerances(found.unknown))
+        own = {o.number for o in found.own}
+        return found, {n.name: n.given for n in these if n.name in own}
 
     @pytest.mark.parametrize(
-        ("first", "both", "kept"),
+        ("effect", "own"),
         [
-            ([1.5, 1.5], [1.0, 1.0], 2),
-            ([1.0, 1.0], [1.0, 1.0], 1),  # the second one is imaginary: smaller than the base's, no smaller than that
-            ([1.0, 1.0], [0.2, 4.0], 1),
-            ([3.5, 1.0], [1.0, 1.0], 2),  # the first one shows only beside the second
-            ([3.5, 1.0], [4.0, 1.0], 0),
+            (fx.TorqueDelay("elbow", 3e-4), {"elbow.delay": 3e-4}),
+            (fx.Backlash("elbow", 2e-4), {"elbow.backlash": 2e-4}),
+            (fx.StiffnessHardening("elbow", 0.6, 3e-4), {"elbow.stiffness_ratio": 0.6, "elbow.stiffness_knee": 3e-4}),
+            (
+                fx.ExtraFlexibility("elbow", [0.0, 1.0, 0.0], 5e5, 90.0),
+                {"elbow_flexibility.stiffness": 5e5, "elbow_flexibility.damping": 90.0},
+            ),
+            (
+                fx.GearHysteresis("elbow", 5.0, 1e-4),
+                {"elbow.gear_hysteresis.torque": 5.0, "elbow.gear_hysteresis.slip": 1e-4},
+            ),
+            (fx.WristCoupling("elbow", 0.02), {"elbow.wrist_coupling.ratio": 0.02}),
         ],
     )
-    def test_every_effect_must_gain(self, monkeypatch, first, both, kept):
-        key = lambda name: SimpleNamespace(option=SimpleNamespace(key=(name, "elbow")), effect=name, stage=name)
-        steps = (key("torque_delay"), key("backlash"))
-        leaves = [leaving([9, 9], [3, 3]), leaving([1, 1], first), leaving([0.5, 0.5], both)]
-        monkeypatch.setattr(verify, "written", lambda setting, stage, effects: leaves[len(effects)])
-        monkeypatch.setattr(verify, "Verified", lambda *fields: fields)
-        search = made_search()
-        search.setting, search.steps = None, steps
-        base, stands, extended, refused = verify.verified(search)
-        assert (base, stands, extended) == (leaves[0], steps[:kept], leaves[kept])
-        assert len(refused) == 2 - kept
-        assert all("was taken back" in text for text in refused)
+    def test_parameters_are_numbers(self, effect, own):
+        found, given = self.unknown(small_robot(), effect)
+        assert given == pytest.approx(own)
+        assert found.key == (effect.name, "elbow")
 
+    def test_a_number_that_the_robot_has_is_set_free(self):
+        """What it is off by is the effect's."""
+        found, given = self.unknown(small_robot(), fx.CoulombFriction("elbow", 0.05))
+        assert given == pytest.approx({"elbow.coulomb_friction": 0.1}) and found.own[0].minus == 0.1
+        assert numbers(found.robot) == numbers(small_robot())
 
-class TestIntervals:
-    @staticmethod
-    def sure(robot, effect, std):
-        option = SimpleNamespace(key=(effect.name, effect.joint))
-        trial = SimpleNamespace(
-            fitted=SimpleNamespace(effect=effect, std=std), view=SimpleNamespace(robot=robot), option=option
-        )
-        return _Trial.is_sure(trial, lambda text: None)
+    def test_what_is_nothing_before(self, robot):
+        smooth = jf.robot.with_parameters(robot, {"elbow.coulomb_friction": 0.0})
+        found, given = self.unknown(smooth, fx.CoulombFriction("elbow", 0.05))
+        assert given == pytest.approx({"elbow.coulomb_friction": 0.05}) and found.own[0].minus == 0.0
 
-    def test_a_level_of_none(self, robot):
-        assert self.sure(robot, fx.CoulombFriction("elbow", -0.1), (0.05,))
-        assert not self.sure(robot, fx.CoulombFriction("elbow", 0.1), (0.06,))
-
-    def test_a_stiffness_that_may_be_infinite(self, robot):
-        """The case that was named once: 3.7e6 +- 5.8e6 N m/rad (95 %)."""
-        assert not self.sure(robot, fx.ExtraFlexibility("elbow", [0, 0, 1], 3.7e6, 700.0), (5.8e6 / 1.96, 1.0))
-        assert self.sure(robot, fx.ExtraFlexibility("elbow", [0, 0, 1], 3.7e5, 70.0), (5e4, 1.0))
-
-    def test_a_spring_that_is_as_it_was(self, robot):
-        """A ratio of one is no hardening, not a ratio of zero."""
-        hard = lambda ratio: fx.StiffnessHardening("elbow", ratio, 1e-4)
-        assert absent(hard(0.5), robot) == 1.0
-        assert not self.sure(robot, hard(0.9), (0.06, 1e-5))
-        assert self.sure(robot, hard(0.6), (0.1, 1e-5))
-        bent = robot.with_effects(hard(0.7))
-        assert not self.sure(bent, hard(0.6), (0.06, 1e-5))
+    def test_what_cannot_be(self):
+        assert hypothesis(self.view(small_robot(stiffness=np.inf)), fx.Backlash("elbow", 1e-4), "elbow") is None
 
 
 def test_rivals_that_are_named_too():
-    """Two effects that both act are no alternatives."""
-    rival = lambda name, near: SimpleNamespace(option=SimpleNamespace(key=(name, "elbow")), near=near)
-    step = lambda name, *rivals: SimpleNamespace(
-        option=SimpleNamespace(key=(name, "elbow")), effect=SimpleNamespace(name=name), rivals=rivals
+    """Two effects that both act are no alternatives, nor are two names of one law."""
+    rival = lambda name, near: SimpleNamespace(key=(name, "elbow"), near=near)
+    step = lambda effect, *rivals: SimpleNamespace(
+        key=(effect.name, "elbow"), hypothesis=SimpleNamespace(effect=effect), rivals=rivals
     )
-    rivals = (rival("backlash", True), rival("stiffness_hardening", False), rival("current_loop_lag", True))
-    first = step("torque_delay", *rivals)
-    assert _close_rivals((first,), first) == [("backlash", "elbow")]
-    assert _close_rivals((first, step("backlash")), first) == []
+    balance, play = fx.Counterbalance("elbow", 20.0), fx.Backlash("elbow", 1e-4)
+    first = step(balance, rival("backlash", True), rival("torque_delay", False), rival("dress_pack", True))
+    assert close_rivals((first,)) == [("backlash", "elbow")]
+    assert close_rivals((first, step(play))) == []
 
 
 def test_bands_against_a_loop():
@@ -152,31 +243,40 @@ def test_bands_against_a_loop():
     assert np.all(np.diff(few) > 0) and by_band(left[:, :, :4], floor[:4], np.array([0.0, 7, 14, 21])).shape[-1] == 3
 
 
-def test_ripple_that_is_written_is_what_was_fitted(robot):
-    """A cos, b sin of the columns as amplitude and phase of the effect; what is unsure is left out."""
-    from jaxfrf.gap.score import BaseFit, Gram, Limits
-    from jaxfrf.trajectory.ripple import Order
-
-    orders = (Order("torque", 1, 6.0), Order("resolver", 0, 2.0), Order("torque", 1, 9.0))
-    c = np.array([3.0, 4.0, -5.0, 12.0, 1e-3, 0.0])
-    gram = Gram(np.eye(6)[None] * 1e2, c[None] * 1e2, np.array([1.0]), np.zeros(1, int), 100)
-    free = np.full(6, np.inf)
-    fit = BaseFit(np.arange(6), Limits.between(-free, free), c, free > 0, 1.0, 1.0, 1.0, np.array([True]))
-    stage = SimpleNamespace(fit=fit, knobs=(), orders=orders, weighed=SimpleNamespace(gram=gram), robot=robot)
-    torque, resolver = sorted(motors_ripple(stage), key=lambda effect: effect.name, reverse=True)
-    assert (torque.joint, torque.order) == ("elbow", (6,)) and (resolver.joint, resolver.order) == ("shoulder", (2,))
-    angle = np.linspace(0.0, 6.0, 7)
-    np.testing.assert_allclose(torque.torque(angle), 3.0 * np.sin(6 * angle) + 4.0 * np.cos(6 * angle), atol=1e-12)
-    expected = angle - 5.0 * np.sin(2 * angle) + 12.0 * np.cos(2 * angle)
-    np.testing.assert_allclose(resolver.measured(angle), expected, atol=1e-12)
-
-
 def test_gears_that_are_rigid_take_no_effect_of_a_spring():
     """A wrist's coupling too, which a robot with rigid gears may have but which no simulation of it knows."""
-    from small_arm import small_robot
-
     from jaxfrf.gap.candidates import candidates
 
     names = {(c.name, c.joint) for c in candidates(small_robot(stiffness=np.inf), np.ones(2))}
     assert ("wrist_coupling", "elbow") not in names and ("gear_hysteresis", "elbow") not in names
     assert ("wrist_coupling", "elbow") in {(c.name, c.joint) for c in candidates(small_robot(), np.ones(2))}
+
+
+class TestAlike:
+    """Robots whose ripple differs share what is compiled, and are what they were."""
+
+    WAVES = (
+        ((Order("torque", 0, 6.0), (3.0, 4.0)), (Order("resolver", 1, 2.0), (-5e-4, 1e-3))),
+        ((Order("torque", 1, 41.0), (0.1, 0.2)), (Order("torque", 1, 3.0), (-0.1, 0.0))),
+        (),
+    )
+
+    def test_one_structure(self):
+        robots = [alike(small_robot(), waves) for waves in self.WAVES]
+        robots += [alike_as_written(with_ripple(small_robot(), waves)) for waves in self.WAVES]
+        assert len({jax.tree.structure(robot) for robot in robots}) == 1
+        shapes = [[np.shape(x) for x in jax.tree.leaves(robot)] for robot in robots]
+        assert all(shape == shapes[0] for shape in shapes)
+
+    @pytest.mark.parametrize("waves", WAVES)
+    def test_the_same_ripple(self, waves):
+        angle = np.linspace(-4.0, 9.0, 50)
+        stated = with_ripple(small_robot(), waves)
+        laws = {fx.TorqueRipple: lambda e: e.torque(angle), fx.ResolverRipple: lambda e: e.measured(angle) - angle}
+        for robot in (alike(small_robot(), waves), alike_as_written(stated)):
+            for kind, law in laws.items():
+                for joint in robot.axis_names:
+                    mine, theirs = (
+                        [law(e) for e in r.effects if isinstance(e, kind) and e.joint == joint] for r in (robot, stated)
+                    )
+                    np.testing.assert_allclose(mine, theirs or [0.0 * angle], atol=1e-12)

@@ -245,6 +245,7 @@ class TestCost:
             np.testing.assert_allclose(found.values["f"], 0.5, rtol=1e-9)
             assert np.isfinite(found.uncertainty.cov).all()
 
+    @pytest.mark.slow
     def test_channels_in_another_order(self, measured):
         """Swapping the channels of data and model changes nothing, with any weights."""
 
@@ -277,6 +278,7 @@ class TestCost:
         left = gram(drive(), coordinates, shifted(tg, shift, ARMS), X)
         np.testing.assert_allclose(left[-1, -1], np.sum(W * np.abs(e) ** 2) - (W * np.abs(e) ** 2)[0, 3, 1], rtol=1e-9)
 
+    @pytest.mark.slow
     def test_parts_of_a_target_add_up(self, measured):
         tg = target(measured, jf.Weights(correlated=True), ARMS)
         model, coordinates = drive(), Coordinates(drive().parameters)
@@ -499,6 +501,7 @@ class TestFit:
         np.testing.assert_allclose(found.values["tau"], 0.01, rtol=1e-6)
         assert any("only 1 of 5 starts" in text for text in found.explain())
 
+    @pytest.mark.slow
     def test_bound_that_the_data_ask_to_cross(self):
         held = jf.Parameter(100.0, bounds=(90.0, 110.0))
         frf = frf_of(true_response())
@@ -523,6 +526,7 @@ class TestFit:
         assert -3.0 < at < 5.0
         np.testing.assert_allclose(at, start, atol=1e-12 if -2.9 < start < 4.9 else 0.1)
 
+    @pytest.mark.slow
     def test_parameter_without_effect(self, measured):
         model = drive(colour=jf.Parameter(3.0))
         found = jf.fit(model, measured, starts=2)
@@ -583,6 +587,7 @@ class TestFit:
         low, high = found.interval()["tau"]
         np.testing.assert_allclose([low, high], -4e-3, rtol=1e-8)  # no noise: no width
 
+    @pytest.mark.slow
     def test_evaluate_on_other_positions(self, measured):
         """1 where the errors are as large as noise and floor say, whatever the user's weights are."""
         rng = np.random.default_rng(3)

@@ -130,6 +130,7 @@ class TestKnownCovariance:
         frfs = [frf_of(noisy(rng, G, cov), cov, LINES, None) for _ in range(400)]
         assert_honest(trials(model, frfs, LIKELIHOOD, SMALL))
 
+    @pytest.mark.slow
     def test_two_channels(self):
         rng = np.random.default_rng(1)
         G = np.asarray(two_by_two(2 * np.pi * LINES, TWO))[None]
@@ -225,6 +226,7 @@ class TestThroughRecords:
 
 
 class TestMisfit:
+    @pytest.mark.slow
     def test_wrong_model(self):
         """A ripple of 5 % that the model cannot follow, in an FRF good to 1 %."""
         G = np.asarray(motor(2 * np.pi * LINES, SMALL))[None, :, None, None]

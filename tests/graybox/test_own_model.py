@@ -140,6 +140,7 @@ def test_a_model_with_a_response():
     assert cost(fit.x) < 1e-12 * cost(x)
 
 
+@pytest.mark.slow
 def test_common_factor_is_named():
     """Without friction: kt, both inertias, stiffness and damping times the same number leave G as it is."""
     free_of_friction = TRUTH | {"f1": 0.0, "f2": 0.0}
@@ -156,6 +157,7 @@ def test_common_factor_is_named():
     assert max(abs(x - 1) for x in ratio.values()) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_bench(measured):
     """The bench of `test_real_data.py`: antiresonance between its lines at 53 and 54 Hz (|G| is as small at both),

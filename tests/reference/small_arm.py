@@ -64,3 +64,11 @@ def record(robot, positions=Q, noise=1e-4, slow=30.0, highest=240):
     slow = jf.SlowSine([3, 5], [slow, slow])
     plan = jf.Multisine(FS, PERIOD, np.arange(17, highest, 2), rms=[2.0, 3.0], slow=slow, seed=4)
     return jf.simulate(robot, plan, positions, key=jr.key(1), run_in=3.0, noise=noise, steps=STEPS)
+
+
+def made_up(n_pos=3, n_exp=4, fs=100.0, seed=0, **fields):
+    """A record of noise, whose shapes are right."""
+    rng = np.random.default_rng(seed)
+    signal = lambda: rng.standard_normal((n_pos, n_exp, 50, 2))
+    known = {"u": signal(), "y": signal(), "r": signal(), "q": np.arange(2.0 * n_pos).reshape(n_pos, 2) + 10 * seed}
+    return jf.Experiment(**(known | {"fs": fs, "period": 50, "y_quantity": "position"} | fields))

@@ -269,6 +269,7 @@ class TestMechanics:
 
 
 class TestCalculus:
+    @pytest.mark.slow
     def test_every_parameter_is_differentiable(self):
         """Derivative of the inverse dynamics in every number of the chain, against central differences."""
         chain, (q, v, a) = random_chain(4), (x[:3] for x in random_motion(4))

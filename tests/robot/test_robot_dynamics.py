@@ -64,6 +64,7 @@ class TestEnergy:
         assert drift[1] < 1e-6 * kinetic
         assert drift[0] > 8 * drift[1]
 
+    @pytest.mark.slow
     def test_never_gained_with_losses(self):
         robot = jr.r3x()
         state, _ = moving_state(robot)

@@ -267,6 +267,7 @@ class TestResponse:
             errors.append(relative(G, limit).max())
         np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 10.0, rtol=0.05)
 
+    @pytest.mark.slow
     def test_some_transmissions_rigid(self, robot, friction):
         table = jr.table_from_robot(robot)
         names = ("joint1", "joint4", "upper_arm_torsion")
@@ -447,6 +448,7 @@ class TestJacobian:
         np.testing.assert_array_less(np.abs(ours.jacobian - expected), np.broadcast_to(1e-8 * size, expected.shape))
         assert ours.names == jr.parameter_names(robot) and len(ours.names) == 22
 
+    @pytest.mark.slow
     def test_finite_differences(self, friction):
         robot, frequency = jr.r3x(), LINES[::60]
         ours = jr.frf_and_jacobian(robot, FEW, frequency, friction=friction)

@@ -78,6 +78,7 @@ def record():
     return jf.Experiment(**signals, q=REST[None], fs=FS, period=PERIOD, lines=LINES, y_quantity="position")
 
 
+@pytest.mark.slow
 def test_the_equations_written_out_are_the_robots():
     from jaxfrf.robot import discretise, linearise, operating_point, state_space, state_space_frf
 

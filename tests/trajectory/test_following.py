@@ -61,6 +61,7 @@ def test_torque_of_a_measured_motion(name):
     assert np.all(missed(unknown(robot), data) < 2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [slow(1), 2])
 def test_logs_of_speeds_and_accelerations(order):
     robot, data = simulated("springs")

@@ -34,6 +34,16 @@ class State(eqx.Module):
         """All that is free: own numbers, then the coefficients of every effect."""
         return np.array([*self.own.values(), *(v for _, values in self.chosen for v in values)])
 
+    @property
+    def bounds(self) -> tuple[Float[np.ndarray, "free"], Float[np.ndarray, "free"]]:
+        """Lowest and highest values, of coefficients that an effect is not linear in: the others tell by themselves
+        what makes no sense."""
+        low, high = [-np.inf] * len(self.own), [np.inf] * len(self.own)
+        for candidate, values in self.chosen:
+            low += candidate.low if candidate.start else [-np.inf] * len(values)
+            high += candidate.high if candidate.start else [np.inf] * len(values)
+        return np.array(low), np.array(high)
+
     def at(self, values: Iterable[float]) -> "State":
         left = [float(v) for v in values]
         own = {name: left.pop(0) for name in self.own}
@@ -45,6 +55,11 @@ class State(eqx.Module):
 
     def without(self, i: int) -> "State":
         return State(self.given, self.own, self.chosen[:i] + self.chosen[i + 1 :])
+
+    def replaced(self, i: int, candidate: Candidate, values: Iterable[float]) -> "State":
+        """The same, another effect in the place of the i-th."""
+        new = candidate, tuple(float(v) for v in values)
+        return State(self.given, self.own, (*self.chosen[:i], new, *self.chosen[i + 1 :]))
 
     def place(self, i: int) -> slice:
         """Of the coefficients of the i-th effect among the values."""

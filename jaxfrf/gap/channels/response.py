@@ -22,7 +22,7 @@ from ...trajectory.rigid_motion import check_rigid
 from ..result import Cell
 from .channel import Outcome, Rows, makes_sense
 from .lines import AbstractLines, DriveNumbers, drive_response, folds, one_drive, parts, rigid_drive
-from .settings import ALIKE_RESPONSES, RESPONSE
+from .settings import ALIKE_RESPONSES, AT_BOUND, RESPONSE
 
 _BANDS = 10  # that are told
 
@@ -100,7 +100,9 @@ class ResponseChannel(AbstractLines):
         effect, inside = candidate.make(np.asarray(values)), (self.frequency[0], self.frequency[-1])
         frequencies = [float(getattr(effect, name)) for name, unit in effect.units.items() if unit == "Hz"]
         held = all(inside[0] < f < inside[1] for f in frequencies)
-        return held and makes_sense(self.robot, candidate, values, np.inf, bounded=False)
+        low, high = np.array(candidate.low) + AT_BOUND, np.array(candidate.high) - AT_BOUND
+        free = not candidate.start or bool(np.all((low < values) & (values < high)))
+        return held and free and makes_sense(self.robot, candidate, values, np.inf, bounded=False)
 
     def residual(self, state):
         effects = [candidate.make(np.array(values)) for candidate, values in state.chosen]

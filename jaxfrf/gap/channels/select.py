@@ -1,6 +1,7 @@
 """Which effects a comparison calls for: forward selection judged on held-out folds, and one backward pass."""
 
-from collections.abc import Iterator, Sequence
+import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -100,8 +101,15 @@ def refitted(channel: AbstractChannel, state: State, steps: int = 60) -> FittedS
                 return worst
             return r if np.all(np.isfinite(r)) else worst
 
+        low, high = state.bounds
         found = scipy.optimize.least_squares(
-            left, state.values, lambda x: -channel.slopes(state.at(x)), x_scale="jac", xtol=1e-10, max_nfev=steps
+            left,
+            np.clip(state.values, low, high),
+            lambda x: -channel.slopes(state.at(x)),
+            bounds=(low, high),
+            x_scale="jac",
+            xtol=1e-10,
+            max_nfev=steps,
         )
         state = state.at(found.x)
     r, S = channel.residual(state), channel.slopes(state)
@@ -109,9 +117,22 @@ def refitted(channel: AbstractChannel, state: State, steps: int = 60) -> FittedS
 
 
 def search(channel: AbstractChannel, kinds: Sequence[type[AbstractEffect]]) -> Selection:
-    """Base fit, then effect by effect while one is accepted, `MOST` at most; then needless ones are taken out again."""
+    """Effect by effect, the best first; or, where that takes one on its way that is not what it is called, such ones
+    for want of others only: what leaves less."""
+    found, all_believed = _search(channel, kinds, False)
+    if all_believed:
+        return found
+    other, _ = _search(channel, kinds, True)
+    return min((other, found), key=lambda x: float(np.mean(x.fitted.left**2)))
+
+
+def _search(channel: AbstractChannel, kinds, believed_first: bool) -> tuple[Selection, bool]:
+    """Base fit, then effect by effect while one is accepted, `MOST` at most; then needless ones are taken out again.
+    Also: whether all that were taken were what they are called."""
+    all_believed = True
     now = base = refitted(channel, State(channel.robot, channel.own()))
-    pool, left_out = _pool(channel, kinds)
+    whole, left_out = _pool(channel, kinds)
+    pool = whole
     found: list[Found] = []
     first: tuple[TriedCandidate, ...] = ()
     floor = channel.floor(base.residual)
@@ -124,14 +145,22 @@ def search(channel: AbstractChannel, kinds: Sequence[type[AbstractEffect]]) -> S
         good = [t for t in _best(trials) if t.accepted]
         if not good or step == MOST * channel.n_parts:
             break
-        best = _simplest(good, float(np.mean(now.left**2)), channel.tie)
+        believed = [t for t in good if _effect(t.candidate, t.values).believable]
+        best = _simplest(believed or good if believed_first else good, float(np.mean(now.left**2)), channel.tie)
+        all_believed &= any(best.trial is t for t in believed)
         found.append(best)
         now = refitted(channel, now.state.having(best.trial.candidate, best.trial.values))
-        pool = [c for c in pool if c.key != best.trial.candidate.key]
+        now = _exchanged(channel, now, whole)
+        found = [_called(one, candidate) for one, (candidate, _) in zip(found, now.state.chosen, strict=True)]
+        pool = [c for c in whole if c.key not in {chosen.key for chosen, _ in now.state.chosen}]
     refused = tuple(t for t in _best(trials) if not t.accepted)
     now, kept = _backward(channel, now)
     last_p = min((t.p_value for t in trials), default=1.0)
-    return Selection(base, now, tuple(found[i] for i in kept), first, refused, last_p, floor, left_out)
+    return Selection(base, now, tuple(found[i] for i in kept), first, refused, last_p, floor, left_out), all_believed
+
+
+def _effect(candidate: Candidate, values: Iterable[float]) -> AbstractEffect:
+    return candidate.make(np.array(values))
 
 
 def _pool(channel: AbstractChannel, kinds) -> tuple[list[Candidate], dict[str, str]]:
@@ -255,18 +284,51 @@ def _cosine(a: Rows, b: Rows) -> float:
     return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
 
 
+def _exchanged(channel: AbstractChannel, now: FittedState, pool: Sequence[Candidate]) -> FittedState:
+    """Effects in whose place one that looks like it leaves less, beside those that were found after it."""
+    for i, (chosen, values) in enumerate(now.state.chosen):
+        for other in pool:
+            if other.key == chosen.key or not _one_class(other, chosen) or len(other.basis) != len(chosen.basis):
+                continue
+            fit = refitted(channel, now.state.replaced(i, other, values))
+            sensible = channel.sensible(*fit.state.chosen[i])
+            if sensible and np.mean(fit.left**2) < np.mean(now.left**2):
+                now = fit
+    return now
+
+
+def _called(found: Found, candidate: Candidate) -> Found:
+    """The same, of the candidate that took its place."""
+    old = found.trial.candidate
+    if old.key == candidate.key:
+        return found
+    alike = dict.fromkeys([old.name, *(name for name in found.equivalent if name != candidate.name)])
+    return Found(dataclasses.replace(found.trial, candidate=candidate), tuple(alike), found.ambiguous)
+
+
+def _one_class(candidate: Candidate, other: Candidate) -> bool:
+    """Whether both are one effect, or most data cannot tell them apart, on the same joint."""
+    effect = other.make(np.array(other.start or [1.0] * len(other.basis)))
+    return candidate.joint == other.joint and candidate.name in (other.name, *effect.alike, *effect.same_law)
+
+
 def _backward(channel: AbstractChannel, now: FittedState) -> tuple[FittedState, list[int]]:
-    """Effects that the others have made needless, or whose interval holds none of them, are taken out again."""
+    """Effects that the others have made needless or senseless, or whose interval holds none of them, are taken out
+    again."""
     kept = list(range(len(now.state.chosen)))
     for i in reversed(range(len(now.state.chosen))):
         at = kept.index(i)
         fewer, block = refitted(channel, now.state.without(at)), channel.blocks(now.residual)
         gain = mean_squares(fewer.left, block) - mean_squares(now.left, block)
         needless = len(kept) > 1 and not surely_positive(gain)
-        if needless or _holds_none(channel, now, at):
+        if needless or _holds_none(channel, now, at) or _senseless(channel, *now.state.chosen[at]):
             now = fewer
             kept.remove(i)
     return now, kept
+
+
+def _senseless(channel: AbstractChannel, candidate: Candidate, values) -> bool:
+    return not (channel.sensible(candidate, np.array(values)) and _effect(candidate, values).believable)
 
 
 def _holds_none(channel: AbstractChannel, fit: FittedState, i: int) -> bool:

@@ -85,3 +85,6 @@ WORTH = 0.1
 
 BANDS = 6
 """Of maps, evenly over the logarithm of the frequency."""
+
+AT_BOUND = 1e-3
+"""Of a logarithm: a coefficient so near its bound was stopped by it, and is no finding."""

@@ -1,0 +1,50 @@
+"""Work that the cores share in threads of one process: XLA and NumPy leave Python's lock while they calculate."""
+
+import concurrent.futures
+import os
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+import jax
+
+_CALLS = 8  # batched LAPACK calls of one program that may run at the same time: fewer do
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def lapack_threads() -> int:
+    """Programs with batched LAPACK calls that may run at the same time: one for every core, while XLA's pool has
+    threads for all of their calls.
+
+    Such a call waits in a thread of the pool for others of the pool, and programs that run at the same time can have
+    some calls each: where there are as many as threads, they wait for ever (`jaxfrf._environment`)."""
+    stated = os.environ.get("NPROC", "")
+    pool = int(stated) if stated.isdigit() else os.cpu_count() or 1
+    return max(1, min(cores(), pool // _CALLS))
+
+
+def with_settings(work: Callable[[Item], Result]) -> Callable[[Item], Result]:
+    """The same work in a thread of its own: JAX's settings of a thread are not those of the next."""
+    settings: Any = jax.config  # its types know no flags
+    wide, device = settings.jax_enable_x64, settings.jax_default_device
+
+    def carried(item: Item) -> Result:
+        with jax.enable_x64(wide), jax.default_device(device):
+            return work(item)
+
+    return carried
+
+
+def shared(work: Callable[[Item], Result], items: Iterable[Item], threads: int | None = None) -> list[Result]:
+    """Every item's result, in order; the first error is raised. `threads`: one for every core by default."""
+    items, threads = list(items), threads or cores()
+    if min(len(items), threads) < 2:
+        return [work(item) for item in items]
+    with concurrent.futures.ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(with_settings(work), items))

@@ -1,0 +1,344 @@
+"""What stands of a contest once the sealed positions are opened: verdict, words, effects, and the robot to write."""
+
+import functools
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+
+from .._threads import lapack_threads, shared
+from ..calibration.numbers import Number
+from ..effects import AbstractEffect, EncoderQuantisation, TorqueRipple, library
+from ..robot import Robot
+from ..trajectory.measured import Measured
+from ..trajectory.ripple import Order, ripple_effects
+from .contest import Contest, Records, Step, said, shows_nothing
+from .fitted import Fitted, is_loud
+from .hypothesis import one_class
+from .judge import Comparison, Written, compared, each_written, over_floor, relative_torque, simulated, written
+from .quantised import resolution
+from .result import EstimatedValue, Named
+from .settings import (
+    EXPLAINED,
+    FLOOR,
+    HOPELESS,
+    LEAST_SIZE,
+    OFF,
+    PRICE,
+    RISES,
+    TOLD,
+    TOLERANCE,
+    UNEXPLAINED,
+)
+
+
+class Conclusion(eqx.Module):
+    """What is said. `base`, `extended`: robots that are written, without and with the effects that stand, where the
+    result is told."""
+
+    verdict: str = eqx.field(static=True)
+    says: str = eqx.field(static=True)
+    effects: tuple[Named, ...]
+    base: Written
+    extended: Written
+    last: Fitted
+    steps: tuple[Step, ...]
+
+
+def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
+    """The verdict: effects stand as far as the robot written with each makes the gap on the sealed positions smaller
+    than that of the one before."""
+    told, deciding = records.every.at(records.judged), records.deciding
+    steps, refused, before = _standing(found, told)
+    last = found.last if len(steps) == len(found.steps) else steps[-1].found if steps else found.base
+    end = last.written()
+    extended, there = shared(functools.partial(written, end), (told, deciding), lapack_threads())
+    extended = extended or simulated(given, told)
+    louder = _loud_ripple(last, extended, there, deciding, told)
+    effects = (*(_named(step, last, given) for step in steps), *louder, *_counting(records.whole, given))
+    base = (before if steps else _without(last, louder, extended, told)) or extended
+    worst = _worst(last, extended, there)
+    verdict, says = _verdict(
+        base, found.refused, steps, effects, last, extended, told, worst, bool(len(records.sealed))
+    )
+    if verdict == "unexplained":
+        last, effects, steps = found.base, (), ()
+        base = extended = written(found.base.written(), told) or base
+    if verdict not in ("named", "ambiguous"):
+        taken_back = "".join(f" {text[0].upper() + text[1:]}." for text in (*refused, found.refused) if text)
+        says += taken_back
+    if verdict != "unexplained":  # else numbers imitate what is missing
+        says += _wrong_numbers(last)
+    return Conclusion(verdict, says, effects, base, extended, last, steps)
+
+
+def _worst(last: Fitted, extended: Written, there: Written | None) -> float:
+    """Mean square over the floor that is left of one axis: where it was fitted, or at one position that chose
+    nothing, where what is missing may show alone. `there`: on positions that decide."""
+    sides = [x for x in (there, extended) if x is not None]
+    each = [0.5 * np.mean(np.abs(x.residual / x.evidence.plain) ** 2, axis=(1, 2)) for x in sides]
+    return max(float(np.max(last.of_axes)), *(float(np.max(x)) for x in each))
+
+
+def _without(last: Fitted, louder, extended: Written, told: Measured) -> Written | None:
+    """The robot as it would be written without the ripple that is named."""
+    names = {(type(x.effect), x.joint) for x in louder}
+    if not names:
+        return extended
+    return written(last.written(lambda o, w: _ripple_of(last.robot, o) in names), told)
+
+
+def _standing(found: Contest, told: Measured) -> tuple[tuple[Step, ...], list[str], Written | None]:
+    """Effects that stand, what speaks against others, and the robot without the first."""
+    kept, refused = 0, []
+    played = each_written([r for step in found.steps for r in (step.without, step.found.written())], told)
+    for count, (step, before, after) in enumerate(zip(found.steps, played[::2], played[1::2], strict=True), 1):
+        against = "it cannot be simulated there" if after is None else ""
+        if before is not None and after is not None:
+            against = against_it(told, before, after, step.key[1])
+        if against:
+            refused.append((count, f"{said(step.key)} was taken back: {against}"))
+        else:
+            kept = count
+    first = played[0] if played else None
+    return found.steps[:kept], [text for count, text in refused if count > kept], first
+
+
+def against_it(told: Measured, before: Written, after: Written, joint: str) -> str:
+    """What positions that were opened last say against an effect on this joint, "" for all of them; empty where
+    nothing."""
+    floor, names = before.evidence.plain, before.robot.axis_names
+    nothing = shows_nothing(compared(before.residual, after.residual, floor, told.frequency))
+    if nothing:
+        return nothing
+    old, new = (over_floor(x.residual, floor) for x in (before, after))
+    rise, gain = np.maximum(new**2 - np.maximum(old**2, FLOOR), 0.0), np.maximum(old**2 - new**2, 0.0)
+    worst = int(np.argmax(rise))
+    if np.sum(rise) > PRICE * np.sum(gain):
+        return f"with it the gap of {names[worst]} rises from {old[worst]:.3g} to {new[worst]:.3g} times the floor"
+    if joint not in names:
+        return ""
+    own = names.index(joint)
+    missed = tuple(relative_torque(told, x.residual)[own] for x in (before, after))
+    if new[own] > max(old[own], FLOOR) or (missed[1] > RISES * missed[0] and new[own] > FLOOR / 2):
+        return f"with it the torque of {joint} itself is missed by {missed[1]:.2%}, by {missed[0]:.2%} without"
+    return ""
+
+
+def _verdict(
+    base: Written,
+    refused: str,
+    steps,
+    effects,
+    last: Fitted,
+    extended: Written,
+    told: Measured,
+    worst: float,
+    sealed: bool,
+) -> tuple[str, str]:
+    result = compared(base.residual, extended.residual, base.evidence.plain, told.frequency)
+    if worst > UNEXPLAINED and (not effects or result.after > (1 - EXPLAINED) * result.before):
+        return "unexplained", (
+            f"In one axis the misfit is {worst:.3g} times the floor's, everywhere or at one position, whatever the "
+            "robot's numbers are, and no effect of the library mends that: something is missing that it does not hold. "
+            "The maps show where."
+        )
+    if effects:
+        on = "the held-out positions" if sealed else "the fitted positions, none being held out"
+        return _told(steps, effects, base, extended, on)
+    met = relative_torque(told, extended.residual)
+    looked = "no effect explains more of the rest on positions that chose nothing"
+    if not refused:
+        looked = "what is left is nowhere beyond its floor, so that no effect was looked for"
+    if np.all(met < TOLERANCE) and np.all(np.abs(last.x) < HOPELESS):
+        return "sufficient", (
+            f"Nothing is missing that these data show: the torque is met within {100 * met.max():.1f} % (rms, worst "
+            f"axis), and {looked}."
+        )
+    return "inconclusive", "No effect stands out, but the gap is not bounded below the tolerance either."
+
+
+def _told(steps: Sequence[Step], effects, base: Written, extended: Written, on: str) -> tuple[str, str]:
+    names = lambda some: " and ".join(said((e.name, e.joint)).replace(" of ", " on ") for e in some)
+    rivals = close_rivals(steps)
+    if rivals:
+        others, text = ", ".join(said(key).replace(" of ", " on ") for key in rivals), names(effects)
+        return "ambiguous", f"{text[0].upper() + text[1:]} explains the gap; {others} does so nearly as well."
+    before, after = (float(np.mean(np.abs(x.residual / base.evidence.plain) ** 2)) for x in (base, extended))
+    left = 100 * float(np.clip(after / max(before, 1e-12), 0.0, 1.0))
+    missing, wrong = names(e for e in effects if not e.is_number), names(e for e in effects if e.is_number)
+    texts = [f"Missing: {missing}."] if missing else []
+    texts += [f"A number of the robot is wrong: {wrong}."] if wrong else []
+    kind = "it" if len(effects) == 1 else "them"
+    texts.append(f"The robot that is written with {kind} leaves {left:.0f} % of the misfit on {on}.")
+    return "named", " ".join(texts)
+
+
+def close_rivals(steps: Sequence[Step]) -> list[tuple[str, str]]:
+    """Fitted candidates that were hardly worse than the effect taken, but for those of its class and those named
+    too."""
+    named = {step.key for step in steps}
+    return [
+        rival.key
+        for step in steps[:1]
+        for rival in step.rivals
+        if rival.near and rival.key not in named and not one_class(step.hypothesis.effect, step.key, rival.key)
+    ]
+
+
+def _named(step: Step, last: Fitted, given: Robot) -> Named:
+    effect, joint = step.hypothesis.effect_in(last), step.hypothesis.joint
+    told = step.hypothesis.told(last)
+    near = (r.key[0] for r in step.rivals if r.near and r.key[0] != effect.name)
+    equivalent = tuple(dict.fromkeys([*effect.same_law, *near]))
+    return Named(
+        effect=effect,
+        joint=joint,
+        parameters={n: EstimatedValue(float(v), float(s), effect.units[n]) for n, (v, s) in told.items()}
+        or _waves(effect),
+        p_value=step.on_select.p_value,
+        equivalent=equivalent,
+        separating_experiment="; ".join(f"{o}: {how}" for o, how in effect.confusable.items() if o in equivalent),
+        explains=float(np.clip(step.on_select.gain, 0.0, 1.0)),
+        visible=_visible(effect, given, joint) or step.scored.size,
+        is_number=step.hypothesis.is_number,
+    )
+
+
+def _visible(effect, robot: Robot, joint: str) -> float:
+    """Size over the just visible one, by the first parameter; 0 where that says nothing."""
+    first = next(iter(effect.units))
+    try:
+        typical = np.asarray(getattr(type(effect).typical(robot, joint), first), float)
+    except ValueError:
+        return 0.0
+    value = np.asarray(getattr(effect, first), float)
+    if typical.size != 1 or value.size != 1 or not typical or effect.nothing or not effect.grows:
+        return 0.0
+    return float(abs(value.item() / typical.item()))
+
+
+def _ripple_of(robot: Robot, order: Order) -> tuple[type[AbstractEffect], str]:
+    """Class and joint of the effect that an order of ripple is part of."""
+    (effect,) = ripple_effects(robot.axis_names, [order], np.ones((1, 2)))
+    return type(effect), str(effect.joint)
+
+
+def _loud_ripple(
+    last: Fitted, extended: Written, there: Written | None, deciding: Measured, told: Measured
+) -> tuple[Named, ...]:
+    """Ripple that is more than motors have, and without which more is beyond the floor on positions that chose nothing,
+    `deciding`; `there`: the robot on these."""
+    robot = last.robot
+    loud = [(o, w) for o, w in last.waves if is_loud(robot, o, w)]
+    effects = ripple_effects(robot.axis_names, [o for o, _ in loud], np.array([w for _, w in loud]).reshape(-1, 2))
+    effects = [effect for effect in effects if _loudness(effect, robot) >= LEAST_SIZE]
+    if there is None:
+        return ()
+    found = []
+    for effect in effects:
+        quiet = _quiet(last, (type(effect), str(effect.joint)))
+        before, sealed = shared(functools.partial(written, quiet), (deciding, told), lapack_threads())
+        if before is None or sealed is None:
+            continue
+        against = against_it(deciding, before, there, str(effect.joint))
+        if not against and not against_it(told, sealed, extended, str(effect.joint)):
+            floor, frequency = before.evidence.plain, deciding.frequency
+            found.append(_ripple(effect, last, compared(before.residual, there.residual, floor, frequency)))
+    return tuple(found)
+
+
+def _quiet(last: Fitted, own: tuple[type[AbstractEffect], str]) -> Robot:
+    """The robot as it would be written without the loud ripple of one motor."""
+    return last.written(lambda o, w: _ripple_of(last.robot, o) == own and is_loud(last.robot, o, w))
+
+
+def _waves(effect) -> dict[str, EstimatedValue]:
+    """Amplitudes, orders and phases of ripple, whose intervals are not known."""
+    values = {}
+    for name in ("amplitude", "teeth", "order", "phase"):
+        row = np.ravel(np.asarray(getattr(effect, name, []), float))
+        for i, value in enumerate(row):
+            place = name if len(row) == 1 else f"{name}_{i + 1}"
+            values[place] = EstimatedValue(float(value), float("nan"), effect.units[name])
+    return values
+
+
+def _loudness(effect, robot: Robot) -> float:
+    """Largest amplitude over the just visible one."""
+    typical = type(effect).typical(robot, effect.joint)
+    return float(np.max(np.asarray(effect.amplitude)) / np.max(np.asarray(typical.amplitude)))
+
+
+def _ripple(effect, last: Fitted, gain: Comparison) -> Named:
+    visible = _loudness(effect, last.robot)
+    kind = "torque" if isinstance(effect, TorqueRipple) else "resolver"
+    p_value = last.wave_p_value(kind, last.robot.axis_names.index(effect.joint))
+    explains = float(np.clip(gain.gain, 0.0, 1.0))
+    return Named(effect, effect.joint, _waves(effect), max(p_value, gain.p_value), (), "", explains, visible)
+
+
+def _counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
+    """Encoders that count, seen in the readings themselves."""
+    data, found = record.data, []
+    if data.y_quantity != "position":
+        return ()
+    for axis, joint in enumerate(robot.axis_names):
+        count = resolution(np.asarray(data.y[0, :, :, axis]), 0.0)
+        if count > 0:
+            visible = count / float(EncoderQuantisation.typical(robot, joint).resolution)
+            value = {"resolution": EstimatedValue(count, 1e-3 * count, "rad")}
+            found.append(Named(EncoderQuantisation(joint, count), joint, value, 0.0, (), "", 1.0, visible))
+    return tuple(found)
+
+
+def wrong_numbers(last: Fitted) -> list[tuple[str, str, float]]:
+    """Numbers that are further off than their tolerance, by the record: by how much, and the p-value of that among all
+    numbers. Those that stand out, and those that the data tell."""
+    told, strained = last.look.posterior.told, last.strained
+    return [
+        (n.name, _change(n, float(x)), last.strain_p_value(i))
+        for i, (n, x) in enumerate(zip(last.these, last.x, strict=True))
+        if i in strained or (n.prior > 0 and n.kind != "smoothing" and n.positive and abs(x) > OFF and told[i] > TOLD)
+    ]
+
+
+def _change(number: Number, x: float) -> str:
+    if number.positive:
+        return f"{100 * (number.value(x) / number.given - 1.0):+.0f} %"
+    return f"{number.value(x) - number.given:+.2g} {number.unit.removesuffix('1')}".rstrip()
+
+
+def _wrong_numbers(last: Fitted) -> str:
+    wrong = wrong_numbers(last)
+    if not wrong:
+        return ""
+    changes = [f"{name} by {change} (p = {p:.2g})" for name, change, p in wrong]
+    return f" Numbers of the robot that are off by more than is known of them: {', '.join(changes)}."
+
+
+def next_experiment(verdict: str, effects: Sequence[Named]) -> str:
+    if verdict == "ambiguous":
+        how = [e.separating_experiment for e in effects if e.separating_experiment]
+        if how:
+            return "To separate them: " + "; ".join(how) + "."
+        return (
+            "Measure at another amplitude of the slow motion and with another payload, and diagnose the files together."
+        )
+    if verdict == "named":
+        kinds = library()
+        how = [
+            f"{other}: {what}"
+            for e in effects
+            for other, what in (kinds[e.name].confusable.items() if e.name in kinds else ())
+        ]
+        text = "Measure once more at another amplitude or payload, and see the gap stay closed"
+        return f"{text}. What could look alike: {'; '.join(how)}." if how else f"{text}."
+    if verdict == "unexplained":
+        return (
+            "Repeat the experiment at another amplitude of the slow motion and with another payload: how the map "
+            "changes tells friction from springs and drives. Then write the effect as a class of your own (--effects)."
+        )
+    if verdict == "inconclusive":
+        return "More experiments at these positions, or a larger excitation, would bound the gap."
+    return "None needed for this model at these amplitudes."

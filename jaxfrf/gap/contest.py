@@ -1,0 +1,420 @@
+"""Which effects are missing, as a contest between robots whose numbers were fitted.
+
+The robot as it was given, its numbers fitted, stands first. Candidates that promise most, to first order, become robots
+whose effect's parameters are numbers of which nothing is known; all their numbers are fitted from where those before
+stood. The one that costs least must be better on positions that chose nothing, and takes the place of the robot before;
+and so on, until nothing is beyond the floor or nothing is better.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+
+from .._errors import InputError
+from .._threads import lapack_threads, shared
+from ..effects import AbstractEffect
+from ..parts import Parts
+from ..robot import Robot, Tolerances
+from ..trajectory.evidence import by_band
+from ..trajectory.measured import Measured
+from .fitted import Fit, Fitted, Say, at, fitted, further
+from .hypothesis import Hypothesis, hypothesis, one_class
+from .judge import COMPARED, Comparison, compared, each_written, over_floor, written
+from .rank import Scored, ranked
+from .rounds import Round, keep_round, read_round
+from .settings import (
+    DOUBTFUL,
+    EXPLAINED,
+    FINAL_ROUNDS,
+    FINALISTS,
+    FIRST_HEAT,
+    FLOOR,
+    IN_THE_RACE,
+    LEAST_GAIN,
+    LEAST_PART,
+    LEAST_SIZE,
+    MORE_ROUNDS,
+    MOST,
+    MUCH,
+    NEAR,
+    SHARE,
+    SIGNIFICANT,
+)
+
+
+class Rival(eqx.Module):
+    """A candidate that was fitted, too. `cost`: over that of the robot before. `near`: whether the positions that chose
+    nothing do not tell it from the winner."""
+
+    key: tuple[str, str] = eqx.field(static=True)
+    cost: float = eqx.field(static=True)
+    near: bool = eqx.field(static=True)
+
+
+class Step(eqx.Module):
+    """An effect that was found. `found`: the robot with it. `without`: the last of those that it had to beat
+    (`to_beat`). `on_select`: against that. `cost`: over the cost before."""
+
+    hypothesis: Hypothesis
+    scored: Scored
+    found: Fitted
+    without: Robot
+    on_select: Comparison
+    cost: float = eqx.field(static=True)
+    rivals: tuple[Rival, ...]
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.hypothesis.key
+
+
+class Contest(eqx.Module):
+    """What was found.
+
+    **Fields:** `base`: the robot with its numbers fitted. `steps`: effects. `last`: the robot with them, fitted to all
+    positions that are not sealed. `scored`: the first ranking, empty where nothing was looked for. `refused`: in words,
+    why the last winner was not taken.
+    """
+
+    base: Fitted
+    steps: tuple[Step, ...]
+    last: Fitted
+    scored: tuple[Scored, ...]
+    refused: str = eqx.field(static=True)
+
+
+class Records(eqx.Module):
+    """A record, and its positions that are fitted, that decide which effect is taken, and that are sealed.
+
+    `whole`: with the experiments that are fitted; `every`: with those that judge."""
+
+    whole: Measured
+    every: Measured
+    fit: np.ndarray
+    select: np.ndarray
+    sealed: np.ndarray
+
+    @property
+    def fitted(self) -> Measured:
+        return self.whole.at(self.fit)
+
+    @property
+    def opened(self) -> np.ndarray:
+        return np.union1d(self.fit, self.select)
+
+    @property
+    def deciding(self) -> Measured:
+        return self.every.at(self.select)
+
+    @property
+    def judged(self) -> np.ndarray:
+        """Where the result is told: the sealed ones, or those that were fitted where none are sealed."""
+        return self.sealed if len(self.sealed) else self.opened
+
+
+def contest(
+    robot: Robot,
+    records: Records,
+    own: Sequence[type[AbstractEffect]],
+    say: Say,
+    done,
+    parts: Parts | None,
+) -> Contest:
+    """The effects that a robot lacks, on the positions that are not sealed."""
+    say("fits the robot's own numbers")
+    fit = records.fitted
+    base, given = _base(robot, fit, say, parts)
+    done(0.3)
+    now, refused = base, ""
+    steps: list[Step] = []
+    first: tuple[Scored, ...] = ()
+    while len(steps) < MOST:
+        misses, strained = _misses(now, records, say), _strained(now)
+        if strained:
+            say(f"{', '.join(strained)}: off by more than is known")
+        if not misses and not strained:
+            break
+        kept = read_round(parts, len(steps) + 1)
+        if kept is not None and kept.effect is None:
+            refused = kept.refused
+            break
+        if kept is not None:
+            first = first or tuple(ranked(now, fit, own, misses))
+            step = _remembered(kept, now, records, misses, say)
+        else:
+            views = [now] if given is None or steps or now.look.left <= FLOOR else [now, given]
+            heat = _Heat(now, records, own, misses, say)
+            step, refused = heat.best(views, steps)
+            first = first or heat.scored
+            keep_round(parts, len(steps) + 1, _round(step, refused))
+        if step is None:
+            say(refused)
+            break
+        steps.append(step)
+        now = step.found
+        done(0.3 + 0.6 * len(steps) / MOST)
+    return Contest(base, tuple(steps), _on_all(now, records, say) if steps else now, first, refused)
+
+
+def _misses(now: Fitted, records: Records, say: Say) -> bool:
+    """Whether one axis in one band is beyond the floor, on the fitted positions and on those that decide."""
+    frequency = records.whole.frequency
+    cells = np.mean(by_band(now.left, now.look.evidence.plain, frequency), axis=(0, 1))
+    say(f"at most {cells.max():.3g} times the floor is left")
+    if cells.max() <= FLOOR:
+        return False
+    its = written(now.written(), records.deciding)
+    if its is None:
+        return True
+    there = np.mean(by_band(its.residual, its.evidence.plain, frequency), axis=(0, 1))
+    say(f"at most {np.max(there[cells > FLOOR]):.3g} times there, on positions that decide")
+    return bool(np.any(there[cells > FLOOR] > FLOOR))
+
+
+def _strained(now: Fitted) -> list[str]:
+    return [now.these[i].name for i in now.strained]
+
+
+def _on_all(now: Fitted, records: Records, say: Say) -> Fitted:
+    """The same, fitted to the positions that decided, too."""
+    if len(records.opened) == len(records.fit):
+        return now
+    say("fits it to all positions that are not sealed")
+    return further(now, records.whole.at(records.opened), say, FINAL_ROUNDS)
+
+
+def _base(robot: Robot, record: Measured, say: Say, parts) -> tuple[Fitted, Fitted | None]:
+    kept = read_round(parts, 0)
+    if kept is not None:
+        return _again(kept, robot, Tolerances(), record, say), None
+    base, given = fitted(robot, record, say)
+    keep_round(parts, 0, Round.of(base))
+    return base, given
+
+
+def _again(kept: Round, robot: Robot, unknown: Tolerances, record: Measured, say: Say) -> Fitted:
+    return at(robot, unknown, record, kept.values, kept.orders, kept.floor, kept.near, kept.inside, say)
+
+
+def _round(step: Step | None, refused: str) -> Round:
+    if step is None:
+        return Round(refused=refused)
+    told = {
+        "cost": step.cost,
+        "scored": [step.scored.part, step.scored.t, step.scored.size],
+        "on_select": [getattr(step.on_select, n) for n in COMPARED],
+        "rivals": [[*r.key, r.cost, r.near] for r in step.rivals],
+    }
+    return Round.of(step.found, step.hypothesis.effect, step.hypothesis.joint, told)
+
+
+def _remembered(kept: Round, now: Fitted, records: Records, misses: bool, say: Say) -> Step | None:
+    """The step of a round that an earlier run had finished."""
+    begun = None if kept.effect is None else hypothesis(now, kept.effect, kept.joint)
+    if begun is None:
+        return None
+    found = _again(kept, begun.robot, begun.unknown, records.fitted, say)
+    told = kept.told
+    rivals = tuple(Rival((name, joint), cost, near) for name, joint, cost, near in told["rivals"])
+    scored = Scored(begun.effect, begun.joint, *told["scored"])
+    without = to_beat(now, begun, found, misses)[-1]
+    return Step(begun, scored, found, without, Comparison(*told["on_select"]), told["cost"], rivals)
+
+
+def to_beat(now: Fitted, begun: Hypothesis, found: Fitted, misses: bool) -> list[Robot]:
+    """The robots that an effect must beat: the one before, where something of it is beyond the floor, else the one
+    before with numbers that nobody believes as given; the same robot without it, where the effect is the error of a
+    number: the one before had most of that error already."""
+    if begun.is_number:
+        return [found.written(given=[o.number for o in begun.own])]
+    return [now.written() if misses else now.written(given=_strained(now))]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Runner:
+    """A candidate in the race."""
+
+    scored: Scored
+    hypothesis: Hypothesis
+    fit: Fit
+
+    @property
+    def found(self) -> Fitted:
+        return self.fit.found
+
+
+class _Heat:
+    """One round: candidates for the place of the robot that stands, which `misses` something beyond the floor, or
+    whose numbers are off by what is not believed."""
+
+    def __init__(self, now: Fitted, records: Records, own, misses: bool, say: Say):
+        self.now, self.records, self.own, self.misses, self.say = now, records, own, misses, say
+        self.record, self.deciding = records.fitted, records.deciding
+        self.scored: tuple[Scored, ...] = ()  # from the first view
+
+    def best(self, views: Sequence[Fitted], had: Sequence[Step]) -> tuple[Step | None, str]:
+        runners = self._first_heat(views, had)
+        if not runners:
+            return None, "no candidate explains more than chance"
+        costs = _costs([r.found for r in runners], self.now)
+        runners = [r for r, cost in zip(runners, costs, strict=True) if cost <= IN_THE_RACE * min(costs)]
+        shared(self._finish, runners, lapack_threads())
+        runners, costs, before = self._in_order(runners)
+        after = each_written([r.found.written() for r in runners], self.deciding)
+        running = [(r, c / before, w) for r, c, w in zip(runners, costs, after, strict=True) if w is not None]
+        if not running:
+            return None, "no robot with more can be simulated"
+        return self._judged(running)
+
+    def _judged(self, running) -> tuple[Step | None, str]:
+        running = self._of_one_class(running)
+        winner, cost, its = running[0]
+        name = said(winner.hypothesis.key)
+        others = to_beat(self.now, winner.hypothesis, winner.found, self.misses)
+        before = each_written(others, self.deciding)
+        floor, frequency = its.evidence.plain, self.deciding.frequency
+        versus = lambda one, two: compared(one.residual, two.residual, floor, frequency)
+        results = [versus(one, its) for one in before if one is not None]
+        for result in results:
+            self.say(
+                f"  {name}: {result.before:.3g} -> {result.after:.3g} beyond the floor on positions that decide, gain "
+                f"{result.gain:.1%} (from {result.least:.1%}), p = {result.p_value:.2g}"
+            )
+        against = _against(winner, results)
+        if against:
+            return None, f"{name} was not taken: {against}"
+        near = lambda w: _near(versus(w, its), results[-1].before)
+        rivals = tuple(Rival(r.hypothesis.key, c, near(w)) for r, c, w in running[1:])
+        return Step(winner.hypothesis, winner.scored, winner.found, others[-1], results[-1], cost, rivals), ""
+
+    def _of_one_class(self, running):
+        """The same, the first of them that of its class that leaves least on positions that decide: what the fit tells
+        hardly apart, other positions may."""
+        first, floor = running[0][0].hypothesis, running[0][2].evidence.plain
+        left = [float(np.sum(over_floor(w.residual, floor) ** 2)) for _, _, w in running]
+        alike = [i for i, (r, *_) in enumerate(running) if one_class(first.effect, first.key, r.hypothesis.key)]
+        best = min(alike, key=lambda i: left[i])
+        return [running[best], *(x for i, x in enumerate(running) if i != best)]
+
+    def _first_heat(self, views: Sequence[Fitted], had) -> list[_Runner]:
+        """Candidates of one view after the other, and those that numbers imitate, until one takes much away."""
+        found: list[_Runner] = []
+        seen = []
+        for view in views:
+            scored = ranked(view, self.record, self.own, self.misses)
+            self.scored = self.scored or tuple(scored)
+            seen.append((view, scored))
+            if self._run(view, _chosen(scored, had), found):
+                return found
+        most = max((s.part for _, scored in seen for s in scored[:1]), default=0.0)
+        if most < DOUBTFUL and np.max(self.now.of_axes) > FLOOR:
+            for view, scored in seen:
+                self._run(view, _imitated(view, scored, had), found)
+        return found
+
+    def _run(self, view: Fitted, chosen: Sequence[Scored], found: list[_Runner]) -> bool:
+        """Fit candidates for some rounds; whether one of all takes much away."""
+        starts: dict[tuple[str, str], tuple[Scored, Hypothesis]] = {}
+        for this in chosen:
+            begun = hypothesis(view, this.effect, this.joint)
+            if begun is not None and begun.key not in {r.hypothesis.key for r in found}:
+                starts.setdefault(begun.key, (this, begun))
+        runners = shared(lambda start: self._start(view, *start), starts.values(), lapack_threads())
+        found += [runner for runner in runners if runner is not None]
+        *costs, before = _costs([*(r.found for r in found), self.now], self.now)
+        return bool(costs) and min(costs) < MUCH * before
+
+    def _start(self, view: Fitted, this: Scored, begun: Hypothesis) -> "_Runner | None":
+        self.say(f"  tries {said(this.key)}, which promises {this.part:.1%}")
+        try:
+            fit = Fit.beside(view, begun.robot, begun.unknown, self.record, self.say)
+        except InputError:
+            return None
+        fit.go_on(FIRST_HEAT - 1)
+        return _Runner(this, begun, fit)
+
+    def _finish(self, runner: _Runner) -> None:
+        runner.fit.go_on(MORE_ROUNDS)
+        told = runner.hypothesis.told(runner.found)
+        values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in told.items())
+        self.say(f"  {said(runner.hypothesis.key)}: {values}")
+
+    def _in_order(self, runners: Sequence[_Runner]) -> tuple[list[_Runner], list[float], float]:
+        """Each effect once, the cheapest first, with their costs and that of the robot before."""
+        *costs, before = _costs([*(r.found for r in runners), self.now], self.now)
+        best: dict = {}
+        for cost, runner in sorted(zip(costs, runners, strict=True), key=lambda pair: pair[0]):
+            best.setdefault(runner.hypothesis.key, (runner, cost))
+        return [r for r, _ in best.values()], [c for _, c in best.values()], before
+
+
+def said(key) -> str:
+    return key[0].replace("_", " ") + (f" of {key[1]}" if key[1] else "")
+
+
+def _chosen(scored: Sequence[Scored], had) -> list[Scored]:
+    """The candidates of a ranking that are fitted."""
+    scored = [s for s in scored if not _stands(s, had)]
+    chosen: list[Scored] = []
+    for this in scored:
+        if len(chosen) == FINALISTS or this.part < max(SHARE * scored[0].part, LEAST_PART):
+            break
+        if this.size >= LEAST_SIZE and this.key not in [s.key for s in chosen]:
+            chosen.append(this)
+    return chosen
+
+
+def _stands(this: Scored, had: Sequence[Step]) -> bool:
+    """Whether an effect was taken before, or one that looks like it."""
+    return any(one_class(step.hypothesis.effect, step.key, this.key) for step in had)
+
+
+def _imitated(view: Fitted, scored: Sequence[Scored], had) -> list[Scored]:
+    """Effects of the axis with most left that its numbers imitate to first order."""
+    joint = view.robot.axis_names[int(np.argmax(view.of_axes))]
+    best: dict[tuple[str, str], Scored] = {}
+    for this in scored:
+        if this.effect.imitated and this.joint == joint and not _stands(this, had):
+            best.setdefault(this.key, this)
+    return list(best.values())
+
+
+def _costs(robots: Sequence[Fitted], like: Fitted) -> list[float]:
+    """Squares of what is left over the floor of one of them, so many counting as one, and those of the tolerances.
+
+    How many is told by the robot in which they are fewest: what an effect leaves that is not there repeats from line to
+    line, and would make its robot look as if little were known."""
+    effect = min(found.look.posterior.effect for found in robots)
+    over = lambda found: float(np.sum(np.abs(found.left / like.look.evidence.plain) ** 2))
+    return [over(found) / effect + found.priced for found in robots]
+
+
+def _against(winner: _Runner, results: Sequence[Comparison]) -> str:
+    """What speaks against an effect, in words; empty where nothing does."""
+    told = winner.hypothesis.told(winner.found)
+    name, (value, std) = next(iter(told.items()), ("", (np.inf, 0.0)))
+    if abs(value - winner.hypothesis.effect.nothing) < 1.96 * std:
+        return f"its {name} is {value:.3g} +- {1.96 * std:.2g}, which holds none of it"
+    if not results:
+        return "the robot without it cannot be simulated where it is decided"
+    least = EXPLAINED if winner.hypothesis.is_number else LEAST_GAIN
+    return next((text for text in (shows_nothing(result, least) for result in results) if text), "")
+
+
+def shows_nothing(result: Comparison, least: float = LEAST_GAIN) -> str:
+    """Why a comparison does not speak for an effect that must take away so much, in words; empty where it does."""
+    if not result.before:
+        return "on positions that chose nothing the misfit is nowhere beyond its floor without it"
+    if result.p_value <= max(SIGNIFICANT, result.finest) and result.gain >= least and result.least > 0.0:
+        return ""
+    return (
+        f"on positions that chose nothing it takes away {result.gain:.0%} of what is beyond the floor, p = "
+        f"{result.p_value:.2g}"
+    )
+
+
+def _near(result: Comparison, before: float) -> bool:
+    """Whether a rival leaves hardly more than the winner, where the positions that decide are asked."""
+    return result.p_value > SIGNIFICANT or result.before - result.after < NEAR * before

@@ -1,0 +1,229 @@
+"""A robot whose uncertain numbers were fitted to a record, from its file or from where another was fitted.
+
+The fit is the calibration's (`calibration.descent`): ripple beside the robot first, then simulated with it.
+"""
+
+import dataclasses
+from collections.abc import Callable, Collection, Sequence
+
+import equinox as eqx
+import numpy as np
+import scipy.stats
+from jaxtyping import Float
+
+from ..calibration.descent import Descent
+from ..calibration.numbers import Number, numbers, with_numbers
+from ..calibration.result import Round as Misfit
+from ..calibration.ripple import TRIED, found_waves
+from ..calibration.rounds import Kept, Rounds
+from ..calibration.search import Look
+from ..robot import Robot, Tolerances
+from ..trajectory.measured import Measured
+from ..trajectory.remainder import excess, remainder
+from ..trajectory.ripple import Order, Wave, with_ripple
+from .settings import FAR, FLOOR, ROUNDS, SLOW, STRAINED
+
+Say = Callable[[str], None]
+
+_Z = 1.959964
+
+
+class Fitted(eqx.Module):
+    """A robot as it was given or extended, the numbers of it that are not exact, and where a record puts them.
+
+    **Fields:** `unknown`: numbers of which nothing is known before, whatever the robot says. `x`: where the numbers
+    are, in tolerances. `look`: the last simulation. `near`: whether ripple and the turn of friction were simulated;
+    `inside`: the ripple that was. `settled`: whether another round would hardly change a number.
+    """
+
+    robot: Robot
+    unknown: Tolerances = eqx.field(static=True)
+    these: tuple[Number, ...]
+    x: Float[np.ndarray, "number"]
+    look: Look
+    near: bool = eqx.field(static=True)
+    inside: tuple[Wave, ...] = eqx.field(static=True)
+    settled: bool = eqx.field(static=True)
+
+    @property
+    def priced(self) -> float:
+        """Squares of tolerances that the numbers are off by; how Coulomb friction is smoothed has no true value."""
+        return float(sum(n.prior * x**2 for n, x in zip(self.these, self.x, strict=True) if n.kind != "smoothing"))
+
+    @property
+    def left(self):
+        """What is left of the record behind the next step, N m, (pos, exp, line, axis)."""
+        return remainder(self.look.evidence, self.look.weighed, self.look.posterior.change)
+
+    def excess(self, record: Measured) -> float:
+        """Mean square over the floor where most is left: of one axis in one band."""
+        return excess(self.left, self.look.evidence.plain, record.frequency)
+
+    @property
+    def of_axes(self) -> Float[np.ndarray, "axis"]:
+        """Mean square over the floor that is left of every axis."""
+        return 0.5 * np.mean(np.abs(self.left / self.look.evidence.plain) ** 2, axis=(0, 1, 2))
+
+    def place(self, name: str) -> int:
+        return [n.name for n in self.these].index(name)
+
+    def value(self, name: str) -> float:
+        i = self.place(name)
+        return self.these[i].value(float(self.x[i]))
+
+    def deviation(self, name: str) -> float:
+        """Half of the 95 % interval over 1.96, in the number's unit."""
+        i = self.place(name)
+        return self.these[i].deviation(float(self.x[i]), float(self.look.posterior.half_width()[i]) / _Z)
+
+    @property
+    def strain(self) -> Float[np.ndarray, "number"]:
+        """Of every number's tolerance: what it is off by, over the standard deviation that it would have if all
+        tolerances were true, but for one factor (data snooping: Baarda, A Testing Procedure for Use in Geodetic
+        Networks, 1968; with the factor of all other numbers: Pope, The Statistics of Residuals, NOAA 1976). 0 where
+        nothing is known beforehand. No tolerance is taken to be wider than it is stated."""
+        known = np.array([n.prior > 0 and n.kind != "smoothing" for n in self.these])
+        own = np.diag(np.linalg.inv(self.look.posterior.normal))[: len(self.these)]
+        told, squares = np.where(known, np.clip(1.0 - own, 1e-6, 1.0), 0.0), np.where(known, self.x**2, 0.0)
+        factor = (squares.sum() - squares) / np.maximum(told.sum() - told, 1e-6)
+        return np.where(known, self.x / np.sqrt(np.maximum(told, 1e-6) * np.clip(factor, 1e-6, 1.0)), 0.0)
+
+    def strain_p_value(self, i: int) -> float:
+        """Of a number's strain among those of all numbers, were all tolerances true."""
+        tests = sum(n.prior > 0 for n in self.these)
+        return float(min(1.0, tests * 2.0 * scipy.stats.norm.sf(abs(self.strain[i]))))
+
+    @property
+    def strained(self) -> tuple[int, ...]:
+        """Numbers whose tolerance the record does not let one believe, worst first."""
+        order = np.argsort(-np.abs(self.strain))
+        return tuple(int(i) for i in order if self.strain_p_value(i) < STRAINED and abs(self.x[i]) > FAR)
+
+    @property
+    def waves(self) -> tuple[Wave, ...]:
+        """Ripple that is there beyond chance or was simulated, with the coefficients of sine and cosine."""
+        return found_waves(self.look.orders, self.look.posterior, self.inside)
+
+    def wave_p_value(self, kind: str, axis: int) -> float:
+        """Of the surest order of one motor's ripple of a kind, were there none, among all that were tried."""
+        spread = np.sqrt(np.diag(self.look.posterior.covariance))[-2 * len(self.look.orders) :].reshape(-1, 2)
+        scatter = {(o.kind, o.axis, o.order): s for o, s in zip(self.look.orders, spread, strict=True)}
+        own = [
+            np.sum((np.array(w) / np.maximum(scatter[(o.kind, o.axis, o.order)], 1e-300)) ** 2)
+            for o, w in self.waves
+            if (o.kind, o.axis) == (kind, axis)
+        ]
+        tests = self.robot.n_axes * sum(map(len, TRIED.values()))
+        return float(min(1.0, tests * scipy.stats.chi2.sf(max(own), 2)))
+
+    def written(
+        self, without: Callable[[Order, tuple[float, float]], bool] = lambda o, w: False, given: Collection[str] = ()
+    ) -> Robot:
+        """The robot as it would be written, with its motors' ripple but for that which is left out; numbers of these
+        names as they were given."""
+        waves = [(o, w) for o, w in self.waves if not without(o, w)]
+        x = np.where([n.name in given for n in self.these], 0.0, self.x)
+        return with_numbers(with_ripple(self.robot, waves), self.these, x)
+
+
+def is_loud(robot: Robot, order: Order, wave: Sequence[float]) -> bool:
+    """Whether ripple is more than motors usually have."""
+    return float(np.hypot(wave[0], wave[1])) > order.loud(robot)
+
+
+def fitted(robot: Robot, record: Measured, say: Say, rounds: int = ROUNDS) -> tuple[Fitted, Fitted]:
+    """The robot fitted, and as it was given."""
+    fit = Fit(robot, Tolerances(), record, say)
+    fit.begin(None)
+    given = fit.found
+    fit.go_on(rounds - 1)
+    return fit.found, given
+
+
+def fitted_from(robot: Robot, unknown: Tolerances, record: Measured, start: Fitted, say: Say, rounds: int) -> Fitted:
+    """A robot with other effects or tolerances, its numbers from where those of `start` are."""
+    fit = Fit.beside(start, robot, unknown, record, say)
+    fit.go_on(rounds - 1)
+    return fit.found
+
+
+def further(found: Fitted, record: Measured, say: Say, rounds: int) -> Fitted:
+    """The same robot, fitted for so many rounds to another record."""
+    return fitted_from(found.robot, found.unknown, record, found, say, rounds)
+
+
+def at(robot: Robot, unknown: Tolerances, record: Measured, values, orders, floor, near, inside, say: Say) -> Fitted:
+    """The robot where an earlier run had left it; `values`: of its numbers, by name."""
+    fit = Fit(robot, unknown, record, say)
+    x = np.array([n.coordinate(values[n.name]) if n.name in values else 0.0 for n in fit.these])
+    fit.begin(_kept(x, orders, floor, near, inside))
+    return fit.found
+
+
+class Fit:
+    """A robot's numbers on their way.
+
+    What is not known beforehand stands beside the robot, not in it: robots that differ in that alone share what is
+    compiled."""
+
+    def __init__(self, robot: Robot, unknown: Tolerances, record: Measured, say: Say):
+        self.these = numbers(robot.with_tolerances(unknown))
+        self.robot, self.unknown, self.record, self.say = robot, unknown, record, say
+        self.descent = Descent(robot, record, self.these, lambda text: None)
+        self.kept = Rounds(None, robot, self.these, record, ())
+
+    @classmethod
+    def beside(cls, start: Fitted, robot: Robot, unknown: Tolerances, record: Measured, say: Say) -> "Fit":
+        """A robot with other effects or tolerances, its numbers where those of `start` are.
+
+        **Raises:** `jaxfrf.InputError` where it cannot be simulated there."""
+        fit = cls(robot, unknown, record, say)
+        known = {n.name: (n, float(x)) for n, x in zip(start.these, start.x, strict=True)}
+        x = np.array([_begins(n, known) for n in fit.these])
+        fit.begin(_kept(x, start.look.orders, start.look.evidence.floor, start.near, start.inside))
+        return fit
+
+    @property
+    def found(self) -> Fitted:
+        d = self.descent
+        return Fitted(self.robot, self.unknown, self.these, d.x, d.look, d.near, d.inside, d.settled)
+
+    def begin(self, start: Kept | None) -> None:
+        self.kept.done = [] if start is None else [start]
+        self.descent.begin(self.kept)
+        look = self.descent.look
+        round = Misfit(look.misfit, look.left, look.posterior.effect)
+        self.kept.done[-1] = dataclasses.replace(self.kept.done[-1], round=round)
+
+    def go_on(self, rounds: int) -> None:
+        """So many rounds, fewer where the misfit does not come down to the floor by itself."""
+        left = self._excess()
+        for further in reversed(range(rounds)):
+            was_near, look = self.descent.near, self.descent.look
+            if not self.descent.advance(self.kept):
+                break
+            now, before, left = self.descent.look, left, self._excess()
+            self.say(f"    {now.misfit**0.5:.3g} times the floor, at most {left**0.5:.3g} behind the next step")
+            slow = now.misfit > SLOW * look.misfit and now.left > SLOW * look.left and left > SLOW * before
+            end = left * min(left / before, 1.0) ** further  # where it would come at this pace
+            if slow and was_near and end > FLOOR:
+                break
+
+    def _excess(self) -> float:
+        look = self.descent.look
+        left = remainder(look.evidence, look.weighed, look.posterior.change)
+        return excess(left, look.evidence.plain, self.record.frequency)
+
+
+def _kept(x, orders: Sequence[Order], floor, near: bool, inside: Sequence[Wave]) -> Kept:
+    return Kept(x, tuple(orders), floor, Misfit(np.inf, np.inf, 1.0), near, tuple(inside), np.zeros(0))
+
+
+def _begins(number: Number, known: dict[str, tuple[Number, float]]) -> float:
+    """Where a number stands in another robot; as given where an effect has changed what it is given as."""
+    if number.name not in known:
+        return 0.0
+    old, x = known[number.name]
+    if number.given != old.given:
+        return 0.0
+    return number.coordinate(old.value(x))

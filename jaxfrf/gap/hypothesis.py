@@ -1,0 +1,104 @@
+"""A robot that has one more effect, whose parameters are numbers like its others, of which nothing is known."""
+
+import dataclasses
+import math
+import operator
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .. import effects as fx
+from .._errors import InputError
+from ..calibration.numbers import numbers
+from ..effects import AbstractEffect, OwnNumber
+from ..robot import Robot, Tolerances
+from ..robot.tolerances import Tolerance
+from .fitted import Fitted
+
+_UNKNOWN = Tolerance(math.inf)
+
+
+class Hypothesis(eqx.Module):
+    """An effect that is missing on a joint, where a fit of it begins.
+
+    **Fields:** `robot`: with it. `unknown`: numbers of which nothing is known there. `own`: those of the effect.
+    `is_number`: whether it is the error of a number that the robot has.
+    """
+
+    effect: AbstractEffect
+    joint: str = eqx.field(static=True)
+    robot: Robot
+    unknown: Tolerances = eqx.field(static=True)
+    own: tuple[OwnNumber, ...]
+    is_number: bool = eqx.field(static=True)
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.effect.name, self.joint
+
+    def told(self, found: Fitted) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of every parameter of the effect in a robot that was fitted."""
+        names = {n.name for n in found.these}
+        return {
+            o.parameter: (found.value(o.number) - o.minus, found.deviation(o.number))
+            for o in self.own
+            if o.number in names
+        }
+
+    def effect_in(self, found: Fitted) -> AbstractEffect:
+        """The effect with the parameters of a robot that was fitted."""
+        effect = self.effect
+        for name, (value, _) in self.told(found).items():
+            effect = eqx.tree_at(operator.attrgetter(name), effect, value)
+        if isinstance(effect, fx.Payload):
+            effect = dataclasses.replace(effect, place=_place(self.robot, effect, found, self.own[0].minus))
+        return effect
+
+
+Key = tuple[str, str]  # an effect's name, and its joint
+
+
+def one_class(effect: AbstractEffect, own: Key, other: Key) -> bool:
+    """Whether another effect is one that most data cannot tell from this one, on the same joint."""
+    return own[1] == other[1] and other[0] in (own[0], *effect.alike, *effect.same_law)
+
+
+def hypothesis(view: Fitted, effect: AbstractEffect, joint: str) -> Hypothesis | None:
+    """A robot with an effect as it was scored; `None` where it cannot be, or has nothing that could be fitted.
+
+    A number that the robot has, and that the effect is an error of, is set free instead."""
+    robot, had = view.robot, {n.name for n in view.these}
+    try:
+        own = effect.own_numbers(robot)
+        free = effect.is_error and all(o.number in had for o in own)
+        changed = robot if free else robot.with_effects(effect)
+    except (InputError, ValueError):
+        return None
+    beside = [(name, Tolerance(std)) for name, std in effect.unknown_beside(robot).items()]
+    unknown = Tolerances((*view.unknown.stated, *((o.number, _UNKNOWN) for o in own), *beside))
+    fitted = {n.name: n for n in numbers(changed.with_tolerances(unknown))}
+    if own and not any(o.number in fitted for o in own):
+        return None
+    limited = [(o.number, _range(effect, o)) for o in own if o.number in fitted and not fitted[o.number].positive]
+    return Hypothesis(effect, joint, changed, unknown.updated(Tolerances(tuple(limited))), own, free)
+
+
+def _range(effect: AbstractEffect, own: OwnNumber) -> Tolerance:
+    """Of a parameter that may be nothing or negative: what is plausible."""
+    low, high = effect.bounds.get(own.parameter, (0.0, math.inf))
+    if not math.isfinite(high - low):
+        return _UNKNOWN
+    return Tolerance(high if low >= 0.0 else 0.5 * (high - low), relative=False)
+
+
+def _place(robot: Robot, effect, found: Fitted, mass: float):
+    """Where a payload must be for the centre of its link to be where it was found."""
+    link = robot.joint_names[-1]
+    names = {n.name for n in found.these}
+    given = np.asarray(robot.chain.com[-1], float)
+    centre = np.array(
+        [found.value(n) if (n := f"{link}.com.{e}") in names else at for e, at in zip("xyz", given, strict=True)]
+    )
+    more = float(effect.mass)
+    return jnp.asarray(given + (centre - given) * (mass + more) / more) if abs(more) > 1e-9 else None

@@ -1,0 +1,123 @@
+"""Whether one robot is better than another on positions that neither was fitted to."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+import scipy.stats
+from jaxtyping import Complex, Float
+
+from .._errors import InputError
+from .._threads import lapack_threads, shared
+from ..robot import Robot
+from ..trajectory.alike import alike_as_written
+from ..trajectory.evidence import Evidence, band_edges, by_band
+from ..trajectory.measured import Measured
+from .settings import BLOCKS, FLOOR, TOOTH
+
+_FLIPS = 4096  # of signs; all of them, where there are fewer
+_LEVEL = 0.95  # one-sided, of an interval
+
+
+class Written(eqx.Module):
+    """A robot as it would be written, simulated through the experiment: `residual` is what it leaves of a record, which
+    nothing has corrected, N m, referred to the motors' commands."""
+
+    robot: Robot
+    evidence: Evidence = eqx.field(static=True)
+
+    @property
+    def residual(self) -> Complex[np.ndarray, "pos exp line axis"]:
+        return self.evidence.residual
+
+
+def written(robot: Robot, record: Measured) -> Written | None:
+    """`None` where the robot cannot be simulated."""
+    try:
+        return simulated(robot, record)
+    except InputError:
+        return None
+
+
+def each_written(robots: Sequence[Robot], record: Measured) -> list[Written | None]:
+    """The same of each of them; the cores share them."""
+    return shared(lambda robot: written(robot, record), robots, lapack_threads())
+
+
+def simulated(robot: Robot, record: Measured) -> Written:
+    """**Raises:** `jaxfrf.InputError` where it cannot be."""
+    return Written(robot, Evidence(alike_as_written(robot), record))
+
+
+class Comparison(eqx.Module):
+    """Two robots on the same records, by what they leave beyond the floor.
+
+    **Fields:** `before`, `after`: mean square over the floor that is beyond it. `gain`: part of the first that the
+    second takes away. `least`, `most`: of its interval over blocks. `p_value`: of the gain, where the two were equal:
+    signs of the blocks flipped; `finest`: the least that the blocks in which there is anything can tell.
+    """
+
+    before: float = eqx.field(static=True)
+    after: float = eqx.field(static=True)
+    gain: float = eqx.field(static=True)
+    least: float = eqx.field(static=True)
+    most: float = eqx.field(static=True)
+    p_value: float = eqx.field(static=True)
+    finest: float = eqx.field(static=True)
+
+
+COMPARED = ("before", "after", "gain", "least", "most", "p_value", "finest")
+
+
+def compared(before, after, floor, frequency) -> Comparison:
+    """Of what two robots leave, (pos, exp, line, axis), over the same floor."""
+    one, two = (beyond(x, floor, frequency) for x in (before, after))
+    if not np.any(one):
+        return Comparison(0.0, float(two.mean()), 0.0, -np.inf, np.inf, 1.0, 1.0)
+    drop, count = one - two, len(one)
+    gain = float(drop.sum() / one.sum())
+    apart = drop - gain * one  # of a ratio of sums: Cochran, Sampling Techniques, 1977, chapter 6
+    std = float(np.sqrt(count / (count - 1) * np.sum(apart**2)) / one.sum())
+    half = float(scipy.stats.t.ppf(_LEVEL, count - 1)) * std
+    finest = 2.0 ** -float(np.count_nonzero(drop))
+    return Comparison(float(one.mean()), float(two.mean()), gain, gain - half, gain + half, _p_value(drop), finest)
+
+
+def beyond(left, floor, frequency) -> Float[np.ndarray, "block"]:
+    """Mean square over the floor that is beyond it, of every axis and band, in blocks: runs, or combs of their lines
+    where there are few, so that each block sees all bands."""
+    n_pos, n_exp, n_line, n_axis = left.shape
+    squares = 0.5 * np.abs(left / floor).reshape(n_pos * n_exp, n_line, n_axis) ** 2
+    combs = -(-BLOCKS // len(squares))
+    comb = np.arange(n_line) // TOOTH % combs
+    band = np.searchsorted(band_edges(frequency)[1:-1], frequency, side="right")
+    blocks = []
+    for c in range(combs):
+        cells = [squares[:, (comb == c) & (band == b)] for b in np.unique(band)]
+        more = [np.maximum(x.sum(axis=1) - FLOOR * x.shape[1], 0.0).sum(axis=1) for x in cells]
+        blocks.append(np.sum(more, axis=0) / (np.sum(comb == c) * n_axis))
+    return np.concatenate(blocks)
+
+
+def _p_value(drop) -> float:
+    count = len(drop)
+    if 2**count <= _FLIPS:
+        signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
+        return float(np.mean(signs @ drop >= drop.sum() - 1e-12 * np.abs(drop).sum()))
+    signs = np.random.default_rng(0).choice((-1.0, 1.0), (_FLIPS, count))
+    return float((1 + np.sum(signs @ drop >= drop.sum())) / (_FLIPS + 1))
+
+
+def over_floor(left, floor, positions=slice(None)) -> Float[np.ndarray, "axis"]:
+    """rms over the floor of every axis."""
+    return np.sqrt(0.5 * np.mean(np.abs(left[positions] / floor) ** 2, axis=(0, 1, 2)))
+
+
+def relative_torque(record: Measured, left, positions=slice(None)) -> Float[np.ndarray, "axis"]:
+    """rms residual over rms torque about its mean, per axis."""
+    squares = lambda x: np.sum(np.abs(x) ** 2, axis=(0, 1, 2))
+    return np.sqrt(squares(left[positions]) / squares(record.U[positions][:, :, 1:]))
+
+
+def rms_by_band(left, floor, frequency) -> Float[np.ndarray, "pos axis band"]:
+    return np.sqrt(np.mean(by_band(left, floor, frequency), axis=1))
