@@ -116,6 +116,15 @@ class Fitted(eqx.Module):
         tests = self.robot.n_axes * sum(map(len, TRIED.values()))
         return float(min(1.0, tests * scipy.stats.chi2.sf(max(own), 2)))
 
+    def wave_covariance(self, kind: str, axis: int) -> dict[float, Float[np.ndarray, "2 2"]]:
+        """Of the coefficients of sine and cosine of one motor's ripple, by order, as wide as their intervals are."""
+        orders = self.look.orders
+        wide, covariance = self.look.posterior.half_width() / _Z, self.look.posterior.covariance
+        scale = wide / np.maximum(np.sqrt(np.diag(covariance)), 1e-300)
+        scaled, first = scale[:, None] * covariance * scale, len(covariance) - 2 * len(orders)
+        rows = {o.order: first + 2 * i for i, o in enumerate(orders) if (o.kind, o.axis) == (kind, axis)}
+        return {order: scaled[i : i + 2, i : i + 2] for order, i in rows.items()}
+
     def written(
         self, without: Callable[[Order, tuple[float, float]], bool] = lambda o, w: False, given: Collection[str] = ()
     ) -> Robot:
