@@ -20,7 +20,7 @@ import jaxfrf.identification
 from jaxfrf import _files, parts
 from jaxfrf.__main__ import main
 from jaxfrf.batch import estimated
-from jaxfrf.gap.rounds import PART_FILES, Round, keep_round, read_round
+from jaxfrf.gap.rounds import PART_FILES, KeptRound, keep_round, read_round
 from jaxfrf.graybox import Correction
 from jaxfrf.identification.rounds import kept_rounds
 from jaxfrf.io.robots import read_robot
@@ -289,7 +289,7 @@ class TestDamagedParts:
     def test_rounds_of_a_search(self, tmp_path):
         told = {"rivals": [["torque_delay", "elbow", 1.5, True]]}
         effect, orders = jf.effects.CoulombFriction("elbow", 0.15), (Order("torque", 1, 6.0),)
-        found = Round(effect, "elbow", {"elbow.stiffness": 3e4}, orders, np.array([[0.1, 0.2]]), told=told)
+        found = KeptRound(effect, "elbow", {"elbow.stiffness": 3e4}, orders, np.array([[0.1, 0.2]]), told=told)
         with Parts(tmp_path / "gap.json", "diagnose") as kept:
             kept.begin({}, PART_FILES)
             keep_round(kept, 0, found)

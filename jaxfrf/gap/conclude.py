@@ -1,10 +1,11 @@
 """What stands of a contest once the sealed positions are opened: verdict, words, effects, and the robot to write."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Float
 
 from .._threads import lapack_threads, shared
 from ..calibration.numbers import Number
@@ -253,15 +254,27 @@ def _quiet(last: Fitted, own: tuple[type[AbstractEffect], str]) -> Robot:
     return last.written(lambda o, w: _ripple_of(last.robot, o) == own and is_loud(last.robot, o, w))
 
 
-def _waves(effect) -> dict[str, EstimatedValue]:
-    """Amplitudes, orders and phases of ripple, whose intervals are not known."""
+def _waves(effect, covariance: Mapping[float, np.ndarray] | None = None) -> dict[str, EstimatedValue]:
+    """Amplitudes, orders and phases of ripple. `covariance`: of the coefficients of sine and cosine, by order; without
+    it intervals are not known."""
     values = {}
     for name in ("amplitude", "teeth", "order", "phase"):
         row = np.ravel(np.asarray(getattr(effect, name, []), float))
         for i, value in enumerate(row):
             place = name if len(row) == 1 else f"{name}_{i + 1}"
-            values[place] = EstimatedValue(float(value), float("nan"), effect.units[name])
+            known = (covariance or {}).get(float(effect.order[i])) if name in ("amplitude", "phase") else None
+            std = float("nan") if known is None else polar_deviation(effect.amplitude[i], effect.phase[i], known)[name]
+            values[place] = EstimatedValue(float(value), std, effect.units[name])
     return values
+
+
+def polar_deviation(amplitude, phase, covariance: Float[np.ndarray, "2 2"]) -> dict[str, float]:
+    """Standard deviations of amplitude and phase, to first order, by the covariance of the coefficients of sine and
+    cosine, which are amplitude times cos and sin of the phase."""
+    along = np.array([np.cos(phase), np.sin(phase)])
+    across = np.array([-along[1], along[0]]) / max(float(amplitude), 1e-300)
+    of = lambda slope: float(np.sqrt(slope @ covariance @ slope))
+    return {"amplitude": of(along), "phase": of(across)}
 
 
 def _loudness(effect, robot: Robot) -> float:
@@ -273,9 +286,10 @@ def _loudness(effect, robot: Robot) -> float:
 def _ripple(effect, last: Fitted, gain: Comparison) -> Named:
     visible = _loudness(effect, last.robot)
     kind = "torque" if isinstance(effect, TorqueRipple) else "resolver"
-    p_value = last.wave_p_value(kind, last.robot.axis_names.index(effect.joint))
+    axis = last.robot.axis_names.index(effect.joint)
+    p_value, values = last.wave_p_value(kind, axis), _waves(effect, last.wave_covariance(kind, axis))
     explains = float(np.clip(gain.gain, 0.0, 1.0))
-    return Named(effect, effect.joint, _waves(effect), max(p_value, gain.p_value), (), "", explains, visible)
+    return Named(effect, effect.joint, values, max(p_value, gain.p_value), (), "", explains, visible)
 
 
 def _counting(record: Measured, robot: Robot) -> tuple[Named, ...]:

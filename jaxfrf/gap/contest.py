@@ -19,11 +19,11 @@ from ..parts import Parts
 from ..robot import Robot, Tolerances
 from ..trajectory.evidence import by_band
 from ..trajectory.measured import Measured
-from .fitted import Fit, Fitted, Say, at, fitted, further
+from .fitted import Fitted, RobotFit, Say, at, fitted, further
 from .hypothesis import Hypothesis, hypothesis, one_class
 from .judge import COMPARED, Comparison, compared, each_written, over_floor, written
 from .rank import Scored, ranked
-from .rounds import Round, keep_round, read_round
+from .rounds import KeptRound, keep_round, read_round
 from .settings import (
     DOUBTFUL,
     EXPLAINED,
@@ -190,27 +190,27 @@ def _base(robot: Robot, record: Measured, say: Say, parts) -> tuple[Fitted, Fitt
     if kept is not None:
         return _again(kept, robot, Tolerances(), record, say), None
     base, given = fitted(robot, record, say)
-    keep_round(parts, 0, Round.of(base))
+    keep_round(parts, 0, KeptRound.of(base))
     return base, given
 
 
-def _again(kept: Round, robot: Robot, unknown: Tolerances, record: Measured, say: Say) -> Fitted:
+def _again(kept: KeptRound, robot: Robot, unknown: Tolerances, record: Measured, say: Say) -> Fitted:
     return at(robot, unknown, record, kept.values, kept.orders, kept.floor, kept.near, kept.inside, say)
 
 
-def _round(step: Step | None, refused: str) -> Round:
+def _round(step: Step | None, refused: str) -> KeptRound:
     if step is None:
-        return Round(refused=refused)
+        return KeptRound(refused=refused)
     told = {
         "cost": step.cost,
         "scored": [step.scored.part, step.scored.t, step.scored.size],
         "on_select": [getattr(step.on_select, n) for n in COMPARED],
         "rivals": [[*r.key, r.cost, r.near] for r in step.rivals],
     }
-    return Round.of(step.found, step.hypothesis.effect, step.hypothesis.joint, told)
+    return KeptRound.of(step.found, step.hypothesis.effect, step.hypothesis.joint, told)
 
 
-def _remembered(kept: Round, now: Fitted, records: Records, misses: bool, say: Say) -> Step | None:
+def _remembered(kept: KeptRound, now: Fitted, records: Records, misses: bool, say: Say) -> Step | None:
     """The step of a round that an earlier run had finished."""
     begun = None if kept.effect is None else hypothesis(now, kept.effect, kept.joint)
     if begun is None:
@@ -238,7 +238,7 @@ class _Runner:
 
     scored: Scored
     hypothesis: Hypothesis
-    fit: Fit
+    fit: RobotFit
 
     @property
     def found(self) -> Fitted:
@@ -329,7 +329,7 @@ class _Heat:
     def _start(self, view: Fitted, this: Scored, begun: Hypothesis) -> "_Runner | None":
         self.say(f"  tries {said(this.key)}, which promises {this.part:.1%}")
         try:
-            fit = Fit.beside(view, begun.robot, begun.unknown, self.record, self.say)
+            fit = RobotFit.beside(view, begun.robot, begun.unknown, self.record, self.say)
         except InputError:
             return None
         fit.go_on(FIRST_HEAT - 1)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..calibration.descent import Descent
 from ..calibration.numbers import Number, numbers, with_numbers
-from ..calibration.result import Round as Misfit
+from ..calibration.result import Round
 from ..calibration.ripple import TRIED, found_waves
 from ..calibration.rounds import Kept, Rounds
 from ..calibration.search import Look
@@ -116,6 +116,15 @@ class Fitted(eqx.Module):
         tests = self.robot.n_axes * sum(map(len, TRIED.values()))
         return float(min(1.0, tests * scipy.stats.chi2.sf(max(own), 2)))
 
+    def wave_covariance(self, kind: str, axis: int) -> dict[float, Float[np.ndarray, "2 2"]]:
+        """Of the coefficients of sine and cosine of one motor's ripple, by order, as wide as their intervals are."""
+        orders = self.look.orders
+        wide, covariance = self.look.posterior.half_width() / _Z, self.look.posterior.covariance
+        scale = wide / np.maximum(np.sqrt(np.diag(covariance)), 1e-300)
+        scaled, first = scale[:, None] * covariance * scale, len(covariance) - 2 * len(orders)
+        rows = {o.order: first + 2 * i for i, o in enumerate(orders) if (o.kind, o.axis) == (kind, axis)}
+        return {order: scaled[i : i + 2, i : i + 2] for order, i in rows.items()}
+
     def written(
         self, without: Callable[[Order, tuple[float, float]], bool] = lambda o, w: False, given: Collection[str] = ()
     ) -> Robot:
@@ -133,7 +142,7 @@ def is_loud(robot: Robot, order: Order, wave: Sequence[float]) -> bool:
 
 def fitted(robot: Robot, record: Measured, say: Say, rounds: int = ROUNDS) -> tuple[Fitted, Fitted]:
     """The robot fitted, and as it was given."""
-    fit = Fit(robot, Tolerances(), record, say)
+    fit = RobotFit(robot, Tolerances(), record, say)
     fit.begin(None)
     given = fit.found
     fit.go_on(rounds - 1)
@@ -142,7 +151,7 @@ def fitted(robot: Robot, record: Measured, say: Say, rounds: int = ROUNDS) -> tu
 
 def fitted_from(robot: Robot, unknown: Tolerances, record: Measured, start: Fitted, say: Say, rounds: int) -> Fitted:
     """A robot with other effects or tolerances, its numbers from where those of `start` are."""
-    fit = Fit.beside(start, robot, unknown, record, say)
+    fit = RobotFit.beside(start, robot, unknown, record, say)
     fit.go_on(rounds - 1)
     return fit.found
 
@@ -154,13 +163,13 @@ def further(found: Fitted, record: Measured, say: Say, rounds: int) -> Fitted:
 
 def at(robot: Robot, unknown: Tolerances, record: Measured, values, orders, floor, near, inside, say: Say) -> Fitted:
     """The robot where an earlier run had left it; `values`: of its numbers, by name."""
-    fit = Fit(robot, unknown, record, say)
+    fit = RobotFit(robot, unknown, record, say)
     x = np.array([n.coordinate(values[n.name]) if n.name in values else 0.0 for n in fit.these])
     fit.begin(_kept(x, orders, floor, near, inside))
     return fit.found
 
 
-class Fit:
+class RobotFit:
     """A robot's numbers on their way.
 
     What is not known beforehand stands beside the robot, not in it: robots that differ in that alone share what is
@@ -173,7 +182,7 @@ class Fit:
         self.kept = Rounds(None, robot, self.these, record, ())
 
     @classmethod
-    def beside(cls, start: Fitted, robot: Robot, unknown: Tolerances, record: Measured, say: Say) -> "Fit":
+    def beside(cls, start: Fitted, robot: Robot, unknown: Tolerances, record: Measured, say: Say) -> "RobotFit":
         """A robot with other effects or tolerances, its numbers where those of `start` are.
 
         **Raises:** `jaxfrf.InputError` where it cannot be simulated there."""
@@ -192,7 +201,7 @@ class Fit:
         self.kept.done = [] if start is None else [start]
         self.descent.begin(self.kept)
         look = self.descent.look
-        round = Misfit(look.misfit, look.left, look.posterior.effect)
+        round = Round(look.misfit, look.left, look.posterior.effect)
         self.kept.done[-1] = dataclasses.replace(self.kept.done[-1], round=round)
 
     def go_on(self, rounds: int) -> None:
@@ -216,7 +225,7 @@ class Fit:
 
 
 def _kept(x, orders: Sequence[Order], floor, near: bool, inside: Sequence[Wave]) -> Kept:
-    return Kept(x, tuple(orders), floor, Misfit(np.inf, np.inf, 1.0), near, tuple(inside), np.zeros(0))
+    return Kept(x, tuple(orders), floor, Round(np.inf, np.inf, 1.0), near, tuple(inside), np.zeros(0))
 
 
 def _begins(number: Number, known: dict[str, tuple[Number, float]]) -> float:

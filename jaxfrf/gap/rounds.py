@@ -17,7 +17,7 @@ PART_FILES = ("round-[0-9]*.json",)
 
 
 @dataclasses.dataclass(frozen=True)
-class Round:
+class KeptRound:
     """Where a round ended: the effect as its fit began, `None` where nothing more was found, or of the base; the
     numbers by name, orders of ripple beside them, the floor, whether the robot was near the truth and the ripple that
     was simulated then; what else was told of it; why nothing was taken."""
@@ -33,13 +33,13 @@ class Round:
     refused: str = ""
 
     @classmethod
-    def of(cls, found: Fitted, effect=None, joint: str = "", told=None) -> "Round":
+    def of(cls, found: Fitted, effect=None, joint: str = "", told=None) -> "KeptRound":
         at = zip(found.these, found.look.x, strict=True)
         values = {n.name: n.value(float(x)) for n, x in at}
         return cls(effect, joint, values, found.look.orders, found.look.begun, found.near, found.inside, told or {})
 
 
-def read_round(parts: Parts | None, number: int) -> Round | None:
+def read_round(parts: Parts | None, number: int) -> KeptRound | None:
     """A finished round; `None` where there is none."""
     return None if parts is None else parts.read(_name(number), _read)
 
@@ -48,21 +48,21 @@ def _name(number: int) -> str:
     return f"round-{number}.json"
 
 
-def _read(path: pathlib.Path) -> Round:
+def _read(path: pathlib.Path) -> KeptRound:
     said = json.loads(path.read_text(encoding="utf-8"))
     effect = effect_from_table(said["effect"]) if said["effect"] else None
     orders = tuple(_order(*order) for order in said["orders"])
     inside = tuple((_order(*order), (float(sine), float(cosine))) for order, (sine, cosine) in said["inside"])
     floor = None if said["floor"] is None else np.array(said["floor"], float)
     where = said["joint"], said["values"], orders, floor, bool(said["near"]), inside
-    return Round(effect, *where, said["told"], said["refused"])
+    return KeptRound(effect, *where, said["told"], said["refused"])
 
 
 def _order(kind: str, axis: float, order: float) -> Order:
     return Order(kind, int(axis), float(order))
 
 
-def keep_round(parts: Parts | None, number: int, found: Round) -> None:
+def keep_round(parts: Parts | None, number: int, found: KeptRound) -> None:
     """Keep a round, whole or not at all; one that found an effect of the user's own is found again instead."""
     if parts is None or (found.effect is not None and type(found.effect) is not library().get(found.effect.name)):
         return

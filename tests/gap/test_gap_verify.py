@@ -12,8 +12,9 @@ from two_axes import ROBOT
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
+from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
-from jaxfrf.gap.conclude import against_it, close_rivals
+from jaxfrf.gap.conclude import against_it, close_rivals, polar_deviation
 from jaxfrf.gap.diagnose import split
 from jaxfrf.gap.fitted import Fitted
 from jaxfrf.gap.hypothesis import hypothesis
@@ -165,6 +166,30 @@ class TestStrain:
         found = self.found(robot, x)
         assert found.strained == (place,) and found.strain_p_value(place) < 1e-10
         assert self.found(robot, 2.5 * np.sign(x)).strained == ()  # all are off: none stands out
+
+
+class TestWaves:
+    """How sure the amplitude and phase of ripple are, against draws of its sine and cosine."""
+
+    def test_amplitude_and_phase(self):
+        rng = np.random.default_rng(0)
+        covariance = 1e-6 * np.array([[2.0, 0.9], [0.9, 0.7]])
+        draws = rng.multivariate_normal([0.3, -0.4], covariance, 200_000)
+        amplitude, phase = np.hypot(*draws.T), np.arctan2(draws[:, 1], draws[:, 0])
+        found = polar_deviation(0.5, np.arctan2(-0.4, 0.3), covariance)
+        assert found["amplitude"] == pytest.approx(amplitude.std(), rel=0.01)
+        assert found["phase"] == pytest.approx(phase.std(), rel=0.01)
+
+    def test_of_one_motor(self, robot):
+        """Its own rows of the posterior, each as wide as its interval."""
+        orders = (Order("torque", 0, 2.0), Order("torque", 1, 3.0), Order("torque", 1, 7.0))
+        jackknifed = np.random.default_rng(1).standard_normal((6, 8))  # two numbers before the sines and cosines
+        posterior = Posterior(np.zeros(8), 1.0, np.eye(8), jackknifed, np.zeros(8))
+        look = SimpleNamespace(posterior=posterior, orders=orders)
+        found = Fitted(robot, Tolerances(), (), np.zeros(0), look, False, (), True).wave_covariance("torque", 1)
+        assert sorted(found) == [3.0, 7.0]
+        expected = np.cov(jackknifed[:, 6:], rowvar=False, bias=True) * 5.0  # of a jackknife: (n - 1) mean squares
+        np.testing.assert_allclose(found[7.0], expected * (scipy.stats.t.ppf(0.975, 5) / 1.959964) ** 2, rtol=1e-5)
 
 
 class TestHypotheses:
