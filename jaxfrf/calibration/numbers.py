@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..effects import AbstractEffect, EncoderQuantisation, FrictionAsymmetry, TorqueConstant, TorqueDelay, library
-from ..effects._place import axis_of
+from ..effects._place import axis_of, stated
 from ..robot import PARAMETER_UNITS, Robot, parameter_unit, parameters
 from ..robot.drive import Friction, Spring
 from ..robot.parameters import parameter_field
@@ -180,9 +180,7 @@ def _bent(robot: Robot) -> tuple[str, ...]:
 
 def _of_drive(robot: Robot, kind: str, axis: int) -> float:
     effect, field = _DRIVE[kind]
-    return sum(
-        float(getattr(e, field)) for e in robot.effects if isinstance(e, effect) and axis_of(robot, e.joint) == axis
-    )
+    return stated(robot, effect, axis, field)
 
 
 def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "number"]) -> Robot:
@@ -237,7 +235,8 @@ def _with_drives(robot: Robot, values) -> Robot:
         if kind == "torque_constant" and value != 0.0:
             kept.append(TorqueConstant(joint, jnp.asarray(value, float)))
         elif kind == "delay" and value > 0.0:
-            kept.append(TorqueDelay(joint, jnp.asarray(value, float)))
+            longest = max([TorqueDelay.longest, *(e.longest for e in had if isinstance(e, TorqueDelay))])
+            kept.append(TorqueDelay(joint, jnp.asarray(value, float), longest))
         elif kind == "torque_offset" and value != 0.0:
             level = sum(float(e.level) for e in had if isinstance(e, FrictionAsymmetry))
             kept.append(FrictionAsymmetry(joint, value, level))

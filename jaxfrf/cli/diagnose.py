@@ -127,6 +127,8 @@ def _about(given, data) -> dict:
         "--set": given.set,
         "--scale": given.scale,
         "--heldout-count": given.heldout_count,
+        "--tolerance": given.tolerance,
+        "--anyway": given.anyway,
     }
 
 

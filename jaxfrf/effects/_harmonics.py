@@ -50,7 +50,8 @@ def checked(name: str, amplitude, order, phase):
     return amplitude, order, phase
 
 
-_BITS = 6  # of an order that a program learns when it runs: up to 63
+_BITS = 6  # of an order that a program learns when it runs
+LARGEST_ORDER = 2**_BITS - 1
 
 
 def harmonics(amplitude, order, phase, angle):

@@ -55,6 +55,14 @@ def own_spring(robot: "Robot", joint: int | str):
     return jax.tree.map(lambda x: jnp.asarray(x)[place], robot.springs)
 
 
+def stated(robot: "Robot", kind: type, joint: int | str, field: str) -> float:
+    """Sum of a number over the effects of a kind that the robot has on a joint."""
+    axis = axis_of(robot, joint)
+    return sum(
+        float(getattr(e, field)) for e in robot.effects if isinstance(e, kind) and axis_of(robot, e.joint) == axis
+    )
+
+
 def changed(robot, where, change):
     """The robot with `change` of the array that `where` picks."""
     return eqx.tree_at(where, robot, change(jnp.asarray(where(robot))))

@@ -14,7 +14,7 @@ from .._errors import input_error
 from .._text import number
 from .._types import Array
 from ._harmonics import by_order, checked, harmonics
-from ._place import axis_of
+from ._place import axis_of, stated
 from .effect import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator, Candidate, Joint, OwnNumber, Reach
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ class TorqueDelay(AbstractActuator):
         return cls(joint, 3e-4)
 
     def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
-        return (OwnNumber(f"{robot.axis_names[axis_of(robot, self.joint)]}.delay", "delay"),)
+        had = stated(robot, TorqueDelay, self.joint, "delay")
+        return (OwnNumber(f"{robot.axis_names[axis_of(robot, self.joint)]}.delay", "delay", had),)
 
     def start(self, torque, step):
         kept = math.ceil(self.longest / step) + 1
@@ -65,7 +66,7 @@ class TorqueDelay(AbstractActuator):
     def advance(self, state, torque, step):
         line = jnp.concatenate([state, torque])
         whole = jnp.clip(jnp.floor(self.delay / step + 1e-9), 0, state.shape[0] - 1)
-        part = self.delay / step - whole
+        part = jnp.clip(self.delay / step - whole, 0.0, 1.0)  # beyond what is kept, as late as that
         first = state.shape[0] - 1 - whole.astype(int)
         late = jax.lax.dynamic_slice_in_dim(line, first, torque.shape[0] + 1)
         return (1.0 - part) * late[1:] + part * late[:-1], line[torque.shape[0] :]
@@ -140,7 +141,8 @@ class TorqueConstant(AbstractStatelessActuator):
         return cls(joint, 0.02)
 
     def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
-        return (OwnNumber(f"{robot.axis_names[axis_of(robot, self.joint)]}.{self.name}", "error"),)
+        had = stated(robot, TorqueConstant, self.joint, "error")
+        return (OwnNumber(f"{robot.axis_names[axis_of(robot, self.joint)]}.{self.name}", "error", had),)
 
     def drive(self, torque):
         return (1.0 + self.error) * torque

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from .._errors import input_error
 from .._text import number
 from .._types import Array
 from ._place import axis_of, changed, coulomb, own
@@ -69,6 +70,11 @@ class CoulombFriction(AbstractStructure):
 
     def apply(self, robot: "Robot"):
         axis = axis_of(robot, self.joint)
+        if not hasattr(robot.drives.friction, "coulomb"):
+            law = type(robot.drives.friction).__name__
+            raise input_error(
+                f"friction of {robot.name}", law, "a law with Coulomb friction", "Use jaxfrf.robot.Friction."
+            )
         return changed(robot, lambda r: r.drives.friction.coulomb, lambda x: x.at[axis].add(self.level))
 
 

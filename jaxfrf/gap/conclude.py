@@ -10,6 +10,7 @@ from jaxtyping import Float
 from .._threads import lapack_threads, shared
 from ..calibration.numbers import Number
 from ..effects import AbstractEffect, EncoderQuantisation, TorqueRipple, library
+from ..effects._place import axis_of
 from ..robot import Robot
 from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order, ripple_effects
@@ -56,11 +57,11 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     extended, there = shared(functools.partial(written, end), (told, deciding), lapack_threads())
     extended = extended or simulated(given, told)
     louder = _loud_ripple(last, extended, there, deciding, told)
-    effects = (*(_named(step, last, given) for step in steps), *louder, *_counting(records.whole, given))
+    effects = (*(_named(step, last, given) for step in steps), *louder, *counting(records.whole, given))
     base = (before if steps else _without(last, louder, extended, told)) or extended
     worst = _worst(last, extended, there)
     verdict, says = _verdict(
-        base, found.refused, steps, effects, last, extended, told, worst, bool(len(records.sealed))
+        base, found.refused or bool(found.steps), steps, effects, last, extended, told, worst, bool(len(records.sealed))
     )
     if verdict == "unexplained":
         last, effects, steps = found.base, (), ()
@@ -68,6 +69,8 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     if verdict not in ("named", "ambiguous"):
         taken_back = "".join(f" {text[0].upper() + text[1:]}." for text in (*refused, found.refused) if text)
         says += taken_back
+    if steps and np.array_equal(records.select, records.fit):
+        says += " With so few positions none could choose nothing: p-values are of those that were fitted, too small."
     if verdict != "unexplained":  # else numbers imitate what is missing
         says += _wrong_numbers(last)
     return Conclusion(verdict, says, effects, base, extended, last, steps)
@@ -95,6 +98,8 @@ def _standing(found: Contest, told: Measured) -> tuple[tuple[Step, ...], list[st
     played = each_written([r for step in found.steps for r in (step.without, step.found.written())], told)
     for count, (step, before, after) in enumerate(zip(found.steps, played[::2], played[1::2], strict=True), 1):
         against = "it cannot be simulated there" if after is None else ""
+        if before is None and after is not None:
+            against = "the robot without it cannot be simulated there"
         if before is not None and after is not None:
             against = against_it(told, before, after, step.key[1])
         if against:
@@ -128,7 +133,7 @@ def against_it(told: Measured, before: Written, after: Written, joint: str) -> s
 
 def _verdict(
     base: Written,
-    refused: str,
+    looked_for: bool,
     steps,
     effects,
     last: Fitted,
@@ -149,7 +154,7 @@ def _verdict(
         return _told(steps, effects, base, extended, on)
     met = relative_torque(told, extended.residual)
     looked = "no effect explains more of the rest on positions that chose nothing"
-    if not refused:
+    if not looked_for:
         looked = "what is left is nowhere beyond its floor, so that no effect was looked for"
     if np.all(met < TOLERANCE) and np.all(np.abs(last.x) < HOPELESS):
         return "sufficient", (
@@ -292,15 +297,17 @@ def _ripple(effect, last: Fitted, gain: Comparison) -> Named:
     return Named(effect, effect.joint, values, max(p_value, gain.p_value), (), "", explains, visible)
 
 
-def _counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
-    """Encoders that count, seen in the readings themselves."""
+def counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
+    """Encoders that count so coarsely that it shows, seen in the readings themselves, but for those that the robot
+    states."""
     data, found = record.data, []
     if data.y_quantity != "position":
         return ()
+    stated = {axis_of(robot, e.joint) for e in robot.effects if isinstance(e, EncoderQuantisation)}
     for axis, joint in enumerate(robot.axis_names):
-        count = resolution(np.asarray(data.y[0, :, :, axis]), 0.0)
-        if count > 0:
-            visible = count / float(EncoderQuantisation.typical(robot, joint).resolution)
+        count = 0.0 if axis in stated else resolution(np.asarray(data.y[0, :, :, axis]), 0.0)
+        visible = count / float(EncoderQuantisation.typical(robot, joint).resolution)
+        if visible >= LEAST_SIZE:
             value = {"resolution": EstimatedValue(count, 1e-3 * count, "rad")}
             found.append(Named(EncoderQuantisation(joint, count), joint, value, 0.0, (), "", 1.0, visible))
     return tuple(found)

@@ -19,7 +19,7 @@ from ..parts import Parts
 from ..robot import Robot, Tolerances
 from ..trajectory.evidence import by_band
 from ..trajectory.measured import Measured
-from .fitted import Fitted, RobotFit, Say, at, fitted, further
+from .fitted import Fitted, RobotFit, Say, as_given, at, fitted, further
 from .hypothesis import Hypothesis, hypothesis, one_class
 from .judge import COMPARED, Comparison, compared, each_written, over_floor, written
 from .rank import Scored, ranked
@@ -137,18 +137,21 @@ def contest(
         if not misses and not strained:
             break
         kept = read_round(parts, len(steps) + 1)
+        if kept is not None:
+            first = first or tuple(ranked(now, fit, own, misses))
         if kept is not None and kept.effect is None:
             refused = kept.refused
             break
         if kept is not None:
-            first = first or tuple(ranked(now, fit, own, misses))
             step = _remembered(kept, now, records, misses, say)
         else:
-            views = [now] if given is None or steps or now.look.left <= FLOOR else [now, given]
+            also_given = not steps and now.look.left > FLOOR
+            views = [now, given or as_given(robot, fit, say)] if also_given else [now]
             heat = _Heat(now, records, own, misses, say)
             step, refused = heat.best(views, steps)
             first = first or heat.scored
-            keep_round(parts, len(steps) + 1, _round(step, refused))
+            if not keep_round(parts, len(steps) + 1, _round(step, refused)):
+                parts = None  # rounds behind one that is found again would be those of another robot
         if step is None:
             say(refused)
             break

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Sequence
 import equinox as eqx
 import numpy as np
 import scipy.stats
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..calibration.descent import Descent
 from ..calibration.numbers import Number, numbers, with_numbers
@@ -21,7 +21,7 @@ from ..robot import Robot, Tolerances
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import excess, remainder
 from ..trajectory.ripple import Order, Wave, with_ripple
-from .settings import FAR, FLOOR, ROUNDS, SLOW, STRAINED
+from .settings import FAR, FLOOR, OTHERS, ROUNDS, SLOW, STRAINED
 
 Say = Callable[[str], None]
 
@@ -47,8 +47,10 @@ class Fitted(eqx.Module):
 
     @property
     def priced(self) -> float:
-        """Squares of tolerances that the numbers are off by; how Coulomb friction is smoothed has no true value."""
-        return float(sum(n.prior * x**2 for n, x in zip(self.these, self.x, strict=True) if n.kind != "smoothing"))
+        """Squares of tolerances that the numbers are off by behind the next step, as `left` is; how Coulomb friction is
+        smoothed has no true value."""
+        behind = self.look.x + self.look.posterior.change[: len(self.these)]
+        return float(sum(n.prior * x**2 for n, x in zip(self.these, behind, strict=True) if n.kind != "smoothing"))
 
     @property
     def left(self):
@@ -81,17 +83,30 @@ class Fitted(eqx.Module):
         """Of every number's tolerance: what it is off by, over the standard deviation that it would have if all
         tolerances were true, but for one factor (data snooping: Baarda, A Testing Procedure for Use in Geodetic
         Networks, 1968; with the factor of all other numbers: Pope, The Statistics of Residuals, NOAA 1976). 0 where
-        nothing is known beforehand. No tolerance is taken to be wider than it is stated."""
-        known = np.array([n.prior > 0 and n.kind != "smoothing" for n in self.these])
-        own = np.diag(np.linalg.inv(self.look.posterior.normal))[: len(self.these)]
-        told, squares = np.where(known, np.clip(1.0 - own, 1e-6, 1.0), 0.0), np.where(known, self.x**2, 0.0)
-        factor = (squares.sum() - squares) / np.maximum(told.sum() - told, 1e-6)
+        nothing is known beforehand. No tolerance is taken to be wider than it is stated; the factor is one where fewer
+        than `OTHERS` others tell it."""
+        known, told = self._known, self._told
+        squares, others = np.where(known, self.x**2, 0.0), told.sum() - told
+        factor = np.where(others < OTHERS, 1.0, (squares.sum() - squares) / np.maximum(others, 1e-6))
         return np.where(known, self.x / np.sqrt(np.maximum(told, 1e-6) * np.clip(factor, 1e-6, 1.0)), 0.0)
 
     def strain_p_value(self, i: int) -> float:
-        """Of a number's strain among those of all numbers, were all tolerances true."""
-        tests = sum(n.prior > 0 for n in self.these)
-        return float(min(1.0, tests * 2.0 * scipy.stats.norm.sf(abs(self.strain[i]))))
+        """Of a number's strain among those of all numbers, were all tolerances true: its factor is known as well as so
+        many others tell it."""
+        others = float(self._told.sum() - self._told[i])
+        one = scipy.stats.norm.sf if others < OTHERS else scipy.stats.t(others).sf
+        return float(min(1.0, np.sum(self._known) * 2.0 * one(abs(self.strain[i]))))
+
+    @property
+    def _known(self) -> Bool[np.ndarray, "number"]:
+        """Numbers with a tolerance that is one."""
+        return np.array([n.prior > 0 and n.kind != "smoothing" for n in self.these], bool)
+
+    @property
+    def _told(self) -> Float[np.ndarray, "number"]:
+        """Part of every tolerance that the record tells."""
+        own = np.diag(np.linalg.inv(self.look.posterior.normal))[: len(self.these)]
+        return np.where(self._known, np.clip(1.0 - own, 1e-6, 1.0), 0.0)
 
     @property
     def strained(self) -> tuple[int, ...]:
@@ -147,6 +162,13 @@ def fitted(robot: Robot, record: Measured, say: Say, rounds: int = ROUNDS) -> tu
     given = fit.found
     fit.go_on(rounds - 1)
     return fit.found, given
+
+
+def as_given(robot: Robot, record: Measured, say: Say) -> Fitted:
+    """The robot with its numbers as they are."""
+    fit = RobotFit(robot, Tolerances(), record, say)
+    fit.begin(None)
+    return fit.found
 
 
 def fitted_from(robot: Robot, unknown: Tolerances, record: Measured, start: Fitted, say: Say, rounds: int) -> Fitted:

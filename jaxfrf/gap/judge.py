@@ -11,7 +11,7 @@ from .._errors import InputError
 from .._threads import lapack_threads, shared
 from ..robot import Robot
 from ..trajectory.alike import alike_as_written
-from ..trajectory.evidence import Evidence, band_edges, by_band
+from ..trajectory.evidence import Evidence, band_edges
 from ..trajectory.measured import Measured
 from .settings import BLOCKS, FLOOR, TOOTH
 
@@ -88,7 +88,7 @@ def beyond(left, floor, frequency) -> Float[np.ndarray, "block"]:
     where there are few, so that each block sees all bands."""
     n_pos, n_exp, n_line, n_axis = left.shape
     squares = 0.5 * np.abs(left / floor).reshape(n_pos * n_exp, n_line, n_axis) ** 2
-    combs = -(-BLOCKS // len(squares))
+    combs = min(-(-BLOCKS // len(squares)), -(-n_line // TOOTH))
     comb = np.arange(n_line) // TOOTH % combs
     band = np.searchsorted(band_edges(frequency)[1:-1], frequency, side="right")
     blocks = []
@@ -108,16 +108,12 @@ def _p_value(drop) -> float:
     return float((1 + np.sum(signs @ drop >= drop.sum())) / (_FLIPS + 1))
 
 
-def over_floor(left, floor, positions=slice(None)) -> Float[np.ndarray, "axis"]:
+def over_floor(left, floor) -> Float[np.ndarray, "axis"]:
     """rms over the floor of every axis."""
-    return np.sqrt(0.5 * np.mean(np.abs(left[positions] / floor) ** 2, axis=(0, 1, 2)))
+    return np.sqrt(0.5 * np.mean(np.abs(left / floor) ** 2, axis=(0, 1, 2)))
 
 
-def relative_torque(record: Measured, left, positions=slice(None)) -> Float[np.ndarray, "axis"]:
+def relative_torque(record: Measured, left) -> Float[np.ndarray, "axis"]:
     """rms residual over rms torque about its mean, per axis."""
     squares = lambda x: np.sum(np.abs(x) ** 2, axis=(0, 1, 2))
-    return np.sqrt(squares(left[positions]) / squares(record.U[positions][:, :, 1:]))
-
-
-def rms_by_band(left, floor, frequency) -> Float[np.ndarray, "pos axis band"]:
-    return np.sqrt(np.mean(by_band(left, floor, frequency), axis=1))
+    return np.sqrt(squares(left) / squares(record.U[:, :, 1:]))

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.fft
+from jaxtyping import Int
 
 from ..trajectory.evidence import band_edges, by_band
 from ..trajectory.measured import Measured
@@ -25,9 +26,14 @@ def maps_of(record: Measured, base: Written, extended: Written) -> Maps:
     return Maps(before, after, band_edges(frequency), _courses(base, extended))
 
 
+def shown_samples(period: int) -> Int[np.ndarray, "sample"]:
+    """Of a period: those that signals are shown at."""
+    return np.arange(_SAMPLES) * period // _SAMPLES
+
+
 def _courses(base: Written, extended: Written):
     scenes = base.evidence.scenes
-    some = np.round(np.arange(_SAMPLES) * scenes[0].period / _SAMPLES).astype(int)
+    some = shown_samples(scenes[0].period)
     back = lambda X: scipy.fft.irfft(np.swapaxes(X, 1, 2), n=_SAMPLES, axis=2) * _SAMPLES
     signals: dict[str, list[np.ndarray]] = {"speed": [], "angle": [], "load": []}
     for scene in scenes:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .._errors import InputError
 from ..experiment import Experiment
 from ..frf import LRM
 from ..graybox.indirect import default_method, measured_frf
@@ -42,7 +43,7 @@ def present(found: Contest, records: Records, given: Robot, compared: str) -> Di
         compared=compared,
         fitted=tuple(int(i) for i in records.opened),
         sealed=tuple(int(i) for i in records.sealed),
-        frf=_responses(records, (end.base, end.extended)) if len(records.sealed) else None,
+        frf=_responses(records, (end.base, end.extended)),
         next_experiment=next_experiment(end.verdict, end.effects),
         sources=tuple(records.whole.data.sources),
         settings={"lines": len(records.whole.frequency), "highest_hz": float(records.whole.frequency[-1])},
@@ -95,7 +96,7 @@ def _ranking(found: Contest, end: Conclusion) -> tuple[Ranked, ...]:
         if scored.key in taken:
             why = "taken" if taken[scored.key] == 0 else "taken after the first"
         elif scored.key in taken_back:
-            why = "taken back: the sealed positions speak against it"
+            why = "taken back"
         elif scored.key in fitted:
             why = fitted[scored.key]
         elif scored.size < LEAST_SIZE:
@@ -112,7 +113,17 @@ def _ranking(found: Contest, end: Conclusion) -> tuple[Ranked, ...]:
 
 
 def _responses(records: Records, models: Sequence[Written]):
-    """FRFs of measurement, base and extended model on the sealed positions, estimated alike."""
+    """FRFs of measurement, base and extended model on the sealed positions, estimated alike; `None` where there are
+    none, or too few experiments or lines for an FRF."""
+    if not len(records.sealed):
+        return None
+    try:
+        return _estimated(records, models)
+    except InputError:
+        return None
+
+
+def _estimated(records: Records, models: Sequence[Written]):
     data = records.every.at(records.sealed).data
     method = LRM() if data.r is None else default_method()
     found = [measured_frf(data, method, "acceleration")]

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from .. import effects as fx
 from ..calibration.least_squares import Posterior, solve
 from ..effects import AbstractEffect, OwnNumber
+from ..effects._place import axis_of
 from ..robot import Robot
 from ..trajectory.evidence import Evidence, Gram, placed, precise, refloored, weigh
 from ..trajectory.joined import places
@@ -111,7 +112,7 @@ def _pool(view: Fitted, record: Measured, own) -> list[Candidate]:
     at_its_numbers = view.look.evidence.robot
     found = [*candidates(at_its_numbers, _largest(record), own), *_gear_errors(view)]
     had = {n.name for n in view.these}
-    return [c for c in found if not _is_had(at_its_numbers, c.basis[0], had)]
+    return [c for c in found if not is_had(at_its_numbers, c.basis[0], had)]
 
 
 def _largest(record: Measured) -> Float[np.ndarray, "axis"]:
@@ -119,12 +120,20 @@ def _largest(record: Measured) -> Float[np.ndarray, "axis"]:
     return np.abs(np.asarray(record.data.u)).max(axis=(0, 1, 2))
 
 
-def _is_had(robot, effect: AbstractEffect, had: set[str]) -> bool:
+def is_had(robot, effect: AbstractEffect, had: set[str]) -> bool:
     """Whether the numbers of a robot are fitted that an effect would change."""
     if effect.unknown_beside(robot):
         return False
     own = effect.own_numbers(robot)
-    return bool(own) and own[0].number in had
+    return bool(own) and (own[0].number in had or _is_stated(robot, effect, own[0].number))
+
+
+def _is_stated(robot, effect: AbstractEffect, number: str) -> bool:
+    """Whether a robot has an effect whose number would be taken for that of a second one on the same joint."""
+    if number.count(".") < 2:  # joint.kind: such numbers are the sum of all
+        return False
+    axis = axis_of(robot, effect.joint)
+    return any(e.name == effect.name and axis_of(robot, e.joint) == axis for e in robot.effects)
 
 
 def _gear_errors(view: Fitted) -> list[Candidate]:

@@ -23,8 +23,8 @@ class Named(eqx.Module):
     """An effect that was found missing.
 
     **Fields:** `effect`: with its fitted parameters; `joint`: name of the joint, "" where it has none. `parameters`: by
-    name. `p_value`: family-wise, of the null that nothing is missing. `equivalent`: names of effects that the data
-    cannot tell from it. `separating_experiment`: what would. `explains`: part of the misfit above the floor that it
+    name. `p_value`: of the null that it is not there, on data that chose nothing; where they chose, family-wise.
+    `equivalent`: names of effects that the data cannot tell from it. `separating_experiment`: what would. `explains`: part of the misfit above the floor that it
     removes, on positions that chose nothing. `visible`: its size over the just visible one. `is_number`: no term is
     missing, but a number of the robot is wrong by this.
     """

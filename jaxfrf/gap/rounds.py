@@ -62,10 +62,11 @@ def _order(kind: str, axis: float, order: float) -> Order:
     return Order(kind, int(axis), float(order))
 
 
-def keep_round(parts: Parts | None, number: int, found: KeptRound) -> None:
-    """Keep a round, whole or not at all; one that found an effect of the user's own is found again instead."""
+def keep_round(parts: Parts | None, number: int, found: KeptRound) -> bool:
+    """Keep a round, whole or not at all; one that found an effect of the user's own is found again instead. Whether
+    it was kept."""
     if parts is None or (found.effect is not None and type(found.effect) is not library().get(found.effect.name)):
-        return
+        return False
     said = {
         "effect": None if found.effect is None else effect_to_table(found.effect, found.joint),
         "joint": found.joint,
@@ -79,3 +80,4 @@ def keep_round(parts: Parts | None, number: int, found: KeptRound) -> None:
     }
     with replacing(parts.path(_name(number))) as draft:
         draft.write_text(json.dumps(said), encoding="utf-8")
+    return True

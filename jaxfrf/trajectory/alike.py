@@ -9,11 +9,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..effects import ResolverRipple, TorqueConstant, TorqueRipple
+from ..effects import (
+    AbstractActuator,
+    CurrentLoopLag,
+    ElasticLoad,
+    ResolverRipple,
+    TorqueConstant,
+    TorqueDelay,
+    TorqueRipple,
+)
+from ..effects._harmonics import LARGEST_ORDER
 from ..effects._place import axis_of
 from ..robot import Robot
-from .ripple import Order, Wave, ripple_effects
+from .ripple import Order, Wave, ripple_effects, with_ripple
 
+_LINEAR = (CurrentLoopLag, ElasticLoad, TorqueDelay)
 _ROOM = {TorqueRipple: 8, ResolverRipple: 4}  # orders of a motor, or a multiple of so many
 
 
@@ -42,6 +52,8 @@ def alike(robot: Robot, waves: Sequence[Wave] = ()) -> Robot:
     """The robot with this ripple beside its own: its numbers as arrays, an error of every torque constant, of nothing
     where it states none, and room for ripple of every motor."""
     constants = {axis_of(robot, e.joint): e for e in robot.effects if isinstance(e, TorqueConstant)}
+    if _clips_behind(robot):  # in another order it is another drive
+        return jax.tree.map(lambda x: jnp.asarray(x, jnp.asarray(x).dtype), with_ripple(robot, waves))
     more = [constants.get(axis, TorqueConstant(name, 0.0)) for axis, name in enumerate(robot.axis_names)]
     others = tuple(e for e in robot.effects if not any(e is c for c in constants.values()))
     robot = dataclasses.replace(robot, effects=others).with_effects(*more, *_any_ripple(robot.axis_names, waves))
@@ -66,6 +78,18 @@ def _any_ripple(names: Sequence[str], waves: Sequence[Wave]):
     return more
 
 
+def _clips_behind(robot: Robot) -> bool:
+    """Whether behind an error of a drive's torque constant there is an effect that is not the same before it."""
+    gains: set[int] = set()
+    for effect in robot.effects:
+        if isinstance(effect, TorqueConstant):
+            gains.add(axis_of(robot, effect.joint))
+        elif isinstance(effect, AbstractActuator) and not isinstance(effect, _LINEAR):
+            if axis_of(robot, effect.joint) in gains:
+                return True
+    return False
+
+
 def _apart(waves: Sequence[Wave]):
     return [o for o, _ in waves], np.array([w for _, w in waves]).reshape(-1, 2)
 
@@ -74,7 +98,9 @@ def alike_as_written(robot: Robot) -> Robot:
     """The same, of a robot whose ripple stands in it already, where every motor's stands once."""
     kinds = {TorqueRipple: "torque", ResolverRipple: "resolver"}
     own = [e for e in robot.effects if isinstance(e, TorqueRipple | ResolverRipple)]
-    if len({(type(e), axis_of(robot, e.joint)) for e in own}) < len(own):
+    once = len({(type(e), axis_of(robot, e.joint)) for e in own}) == len(own)
+    plain = all(type(e) in kinds and max(e.order) <= LARGEST_ORDER for e in own)
+    if not (once and plain):
         return alike(robot)
     waves = [
         (Order(kinds[type(e)], axis_of(robot, e.joint), float(h)), (float(a * np.cos(p)), float(a * np.sin(p))))

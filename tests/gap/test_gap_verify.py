@@ -14,11 +14,13 @@ import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
-from jaxfrf.gap.conclude import against_it, close_rivals, polar_deviation
+from jaxfrf.gap.conclude import against_it, close_rivals, counting, polar_deviation
 from jaxfrf.gap.diagnose import split
 from jaxfrf.gap.fitted import Fitted
 from jaxfrf.gap.hypothesis import hypothesis
-from jaxfrf.gap.judge import compared, over_floor
+from jaxfrf.gap.judge import beyond, compared, over_floor
+from jaxfrf.gap.maps import shown_samples
+from jaxfrf.gap.rank import is_had
 from jaxfrf.robot import Tolerances
 from jaxfrf.trajectory.alike import alike, alike_as_written
 from jaxfrf.trajectory.evidence import band_edges, by_band
@@ -164,8 +166,22 @@ class TestStrain:
         x = np.full(len(these), 0.3)
         x[place] = 2.5
         found = self.found(robot, x)
-        assert found.strained == (place,) and found.strain_p_value(place) < 1e-10
+        assert found.strained == (place,)
+        others = sum(n.prior > 0 and n.kind != "smoothing" for n in these) - 1
+        expected = 2 * (others + 1) * scipy.stats.t(others).sf(2.5 / 0.3)
+        assert found.strain_p_value(place) == pytest.approx(expected, rel=0.1)
         assert self.found(robot, 2.5 * np.sign(x)).strained == ()  # all are off: none stands out
+
+    @pytest.mark.parametrize("count", [1, 3, 6, 20])
+    def test_false_alarms(self, robot, count):
+        """Where every tolerance is what is stated, the least p-value of all numbers is as rare as it says."""
+        these = tuple(n for n in numbers(robot) if n.prior > 0 and n.kind != "smoothing")[:count]
+        rng, draws, least = np.random.default_rng(0), 500, []
+        look = SimpleNamespace(posterior=SimpleNamespace(normal=np.eye(count) * 1e4))
+        for _ in range(draws):
+            found = Fitted(robot, Tolerances(), these, rng.standard_normal(count), look, False, (), True)
+            least.append(found.strain_p_value(int(np.argmax(np.abs(found.strain)))))
+        assert scipy.stats.binom.sf(np.sum(np.array(least) < 0.05) - 1, draws, 0.05) > 1e-3
 
 
 class TestWaves:
@@ -237,8 +253,63 @@ class TestHypotheses:
         found, given = self.unknown(smooth, fx.CoulombFriction("elbow", 0.05))
         assert given == pytest.approx({"elbow.coulomb_friction": 0.05}) and found.own[0].minus == 0.0
 
+    @pytest.mark.parametrize(
+        ("stated", "more", "number"),
+        [
+            (fx.TorqueDelay("elbow", 5e-4), fx.TorqueDelay("elbow", 3e-4), "elbow.delay"),
+            (fx.TorqueConstant("elbow", 0.05), fx.TorqueConstant("elbow", -0.02), "elbow.torque_constant"),
+        ],
+    )
+    def test_what_the_robot_states_is_not_missing(self, stated, more, number):
+        """The number is the sum, what is missing is the rest."""
+        found, _ = self.unknown(small_robot().with_effects(stated), more)
+        field = found.own[0].parameter
+        assert [(o.number, o.minus) for o in found.own] == [(number, getattr(stated, field))]
+
+    def test_one_of_a_kind(self):
+        """A second one would be taken for the number of the first."""
+        effect = fx.StribeckFriction("elbow", 0.1, 3.0)
+        assert is_had(small_robot().with_effects(fx.StribeckFriction("elbow", 0.05, 3.0)), effect, set())
+        assert not is_had(small_robot().with_effects(fx.StribeckFriction("shoulder", 0.05, 3.0)), effect, set())
+        assert not is_had(
+            small_robot().with_effects(fx.TorqueDelay("elbow", 5e-4)), fx.TorqueDelay("elbow", 1e-4), set()
+        )
+
     def test_what_cannot_be(self):
         assert hypothesis(self.view(small_robot(stiffness=np.inf)), fx.Backlash("elbow", 1e-4), "elbow") is None
+
+
+class TestCounts:
+    """Encoders whose counts are seen in the readings."""
+
+    @staticmethod
+    def found(robot, count):
+        slow = np.cumsum(np.random.default_rng(0).standard_normal((1, 2, 4000, 2)), axis=2) * 1e-3
+        data = SimpleNamespace(y_quantity="position", y=np.round(slow / count) * count)
+        return [(x.name, x.joint) for x in counting(SimpleNamespace(data=data), robot)]
+
+    def test_coarse_ones_that_the_robot_does_not_state(self):
+        robot = small_robot()
+        size = float(fx.EncoderQuantisation.typical(robot, "elbow").resolution)
+        assert self.found(robot, size) == [("encoder_quantisation", name) for name in robot.axis_names]
+        assert self.found(robot, 0.1 * size) == []  # of no harm
+        assert self.found(robot.with_effects(fx.EncoderQuantisation("elbow", size)), size) == [
+            ("encoder_quantisation", "shoulder")
+        ]
+
+
+@pytest.mark.parametrize(("runs", "lines"), [(1, 12), (1, 40), (2, 9), (6, 5)])
+def test_blocks_of_few_lines(runs, lines):
+    """Each of them holds some: what is beyond the floor is known everywhere."""
+    left = 3.0 * np.ones((1, runs, lines, 2), complex)
+    found = beyond(left, np.ones((lines, 2)), np.arange(lines) * 1.0)
+    assert np.all(np.isfinite(found)) and np.all(found > 0)
+
+
+def test_courses_of_a_short_period():
+    """Samples of a period that is shorter than what is shown stay inside it."""
+    places = shown_samples(500)
+    assert places.min() == 0 and places.max() == 499
 
 
 def test_rivals_that_are_named_too():
@@ -305,3 +376,15 @@ class TestAlike:
                         [law(e) for e in r.effects if isinstance(e, kind) and e.joint == joint] for r in (robot, stated)
                     )
                     np.testing.assert_allclose(mine, theirs or [0.0 * angle], atol=1e-12)
+
+    def test_orders_that_no_program_learns(self):
+        angle = np.linspace(-4.0, 9.0, 50)
+        stated = fx.TorqueRipple("elbow", [0.1], (72,))
+        (found,) = [e for e in alike_as_written(small_robot().with_effects(stated)).effects if np.max(e.order) == 72]
+        np.testing.assert_allclose(found.torque(angle), stated.torque(angle))
+
+    def test_a_gain_before_a_drive_that_clips(self):
+        """Clipped behind its gain, and so it stays."""
+        drive = fx.TorqueConstant("elbow", 0.1), fx.TorqueSaturation("elbow", 3.0)
+        found = alike(small_robot().with_effects(*drive)).effects
+        assert [type(e) for e in found if isinstance(e, type(drive[0]) | type(drive[1]))] == [type(e) for e in drive]

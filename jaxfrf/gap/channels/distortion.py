@@ -73,6 +73,8 @@ class DistortionChannel(AbstractLines):
         return cls._compared(drive, data[0], response.order)
 
     def of(self, data):
+        if len(data) > 1:
+            raise input_error("held-out records of a drive", f"{len(data)}", "at most one", "Leave the others away.")
         return self._compared(self.drive, data[0], self.order)
 
     @classmethod

@@ -23,7 +23,8 @@ class AbstractLines(AbstractChannel):
         return len(self.measured) // 2
 
     def blocks(self, residual):
-        return np.repeat(np.arange(self.n_lines) * LINE_BLOCKS // self.n_lines, 2)
+        count = min(LINE_BLOCKS, self.n_lines)
+        return np.repeat(np.arange(self.n_lines) * count // self.n_lines, 2)
 
 
 def one_drive(x) -> bool:

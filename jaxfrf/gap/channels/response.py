@@ -63,7 +63,7 @@ class ResponseChannel(AbstractLines):
     def opened(cls, robot, data):
         first, *more = data
         if more:
-            raise input_error("FRFs", f"{len(data)}", "one to fit, others held out", "Hold the others out.")
+            raise input_error("FRFs", f"{len(data)}", "one to fit and at most one held out", "Leave the others away.")
         frf = first if isinstance(first, FRF) else estimate(dft(first), LRM(order=2))
         if (frf.n_pos, frf.n_out, frf.n_in) != (1, 1, 1):
             found = f"{frf.n_pos} positions of {frf.n_out} x {frf.n_in}"
