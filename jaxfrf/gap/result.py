@@ -24,9 +24,9 @@ class Named(eqx.Module):
 
     **Fields:** `effect`: with its fitted parameters; `joint`: name of the joint, "" where it has none. `parameters`: by
     name. `p_value`: of the null that it is not there, on data that chose nothing; where they chose, family-wise.
-    `equivalent`: names of effects that the data cannot tell from it. `separating_experiment`: what would. `explains`: part of the misfit above the floor that it
-    removes, on positions that chose nothing. `visible`: its size over the just visible one. `is_number`: no term is
-    missing, but a number of the robot is wrong by this.
+    `equivalent`: names of effects that the data cannot tell from it. `separating_experiment`: what would. `explains`:
+    part of the misfit above the floor that it removes, on positions that chose nothing. `visible`: its size over the
+    just visible one. `is_number`: no term is missing, but a number of the robot is wrong by this.
     """
 
     effect: AbstractEffect
