@@ -21,7 +21,7 @@ _HEAP_SHARE = 0.01
 _HEAP_BESIDE, _HEAP_OF_REFERENCE = 2.5, 1.3  # where the reference has so little; multisines have less than 1
 _HEAP_OF_LINES = 1.5  # over that of the same lines at other phases: a limit has its phases of its own, a slow sine none
 _SURROGATES = 8
-_EDGE, _EDGE_SURE = 2.0, 5.0  # at the end over beside it; standard deviations of the count
+_EDGE, _EDGE_SURE = 2.0, 2.5  # at the end over beside it; standard deviations of the count
 _EDGE_FINE = 1.6  # that ratio over the same at four times the scale: 1 for sines, which crowd at every scale
 _EDGE_LEAST = 0.3  # sample in a bin
 _TWO_LEVELS = 0.9  # a signal with this share of samples at its extremes is a designed two-level signal
@@ -142,7 +142,8 @@ def _sharp_edge(c: Channel) -> tuple[float, float]:
         coarse = side[: first + 8].mean() / max(side[first + 8 : first + 32].mean(), _EDGE_LEAST)
         if ratio > _EDGE and ratio > _EDGE_FINE * coarse:
             low, high = sorted((ends[first], ends[first + 2]))
-            sure = _EDGE_SURE * np.sqrt(max(8 / 3 * beside, 4 / 3) * _stay((x >= low) & (x <= high)))
+            stay = _stay((x >= low) & (x <= high))
+            sure = _EDGE_SURE * np.sqrt(max(8 / 3 * beside * stay, 4 / 3 * stay**2))
             if top - 2 * beside > sure:
                 return float(ratio), float(top / max(len(x) / max(c.n_periods, 1), 1))
     return 0.0, 0.0
