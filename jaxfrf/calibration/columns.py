@@ -8,7 +8,14 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ..effects import TorqueDelay
+from ..effects import (
+    AbstractActuator,
+    AbstractEffect,
+    AbstractLinkSensor,
+    AbstractSensor,
+    AbstractStructure,
+    TorqueDelay,
+)
 from ..robot import Robot, parameters, with_parameters
 from ..robot.drive import Friction
 from ..robot.regressor import PER_LINK, link_parameters
@@ -117,11 +124,18 @@ class _OnceAScene:
 def _given(scene: Scene) -> Signature:
     """Torque that motors give without being asked, where their constants are larger than said.
 
-    What the robot resists with, as the other columns have it: robots that are heavier by one part in all, and whose
-    motors are stronger by as much, move alike, and that must not depend on how a signal was sampled. Nor is it the
-    measured torque: then all of a misfit could be explained by a robot that is nothing on motors that give nothing.
+    What the robot and its effects resist with, as the other columns have it: robots that are heavier by one part in
+    all, and whose motors are stronger by as much, move alike, and that must not depend on how a signal was sampled. Nor
+    is it the measured torque: then all of a misfit could be explained by a robot that is nothing on motors that give
+    nothing.
     """
-    return scene.by_robot(_heavier(scene.robot)) / _STEP
+    own = scene.by_robot(_heavier(scene.robot)) / _STEP
+    return sum((signature(effect, scene) for effect in scene.robot.effects if _resists(effect)), own)
+
+
+def _resists(effect: AbstractEffect) -> bool:
+    """Whether an effect is a torque beside those of the robot: what changes the robot is in its numbers."""
+    return not isinstance(effect, AbstractStructure | AbstractActuator | AbstractSensor | AbstractLinkSensor)
 
 
 class _Links:

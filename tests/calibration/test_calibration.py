@@ -23,6 +23,7 @@ from jaxfrf.calibration.ripple import found_waves
 from jaxfrf.parts import Parts
 from jaxfrf.robot import operating_point, parameters, r3x, tolerances_from
 from jaxfrf.robot.regressor import link_parameters, link_regressor
+from jaxfrf.robot.tolerances import KINDS
 from jaxfrf.simulation import fine_steps, finest_smoothing
 from jaxfrf.trajectory.evidence import Evidence, Gram, Weighed, precise
 from jaxfrf.trajectory.joined import joined, places
@@ -126,14 +127,26 @@ def test_regressor_against_the_dynamics():
 
 @pytest.mark.slow
 def test_columns_against_simulations():
+    check_columns(model())
+
+
+@pytest.mark.slow
+def test_a_motor_gives_more_of_what_effects_ask_too():
+    """Were its column without them, an effect's torque would be known better than the constant of its motor."""
+    beside = fx.DressPack("shoulder", 40.0, -0.3, 2.0), fx.FrictionAsymmetry("elbow", 0.05)
+    check_columns(model().with_effects(*beside), ("torque_constant",))
+
+
+def check_columns(robot, kinds=tuple(KINDS)):
     """A column is the change of the residual between two simulated robots, but for what the robot that is frozen at the
     position and linear about it leaves out; that of the friction's smoothing, of a few samples, is coarse."""
-    robot = model()
     these = numbers(robot)
     record = measured(jf.simulate(robot, design(0), Q[:1], key=jr.key(0), run_in=3.0, noise=0.0))
     x = np.zeros(len(these))
     scene = Evidence(robot, record).scenes[0]
     for i, (number, column) in enumerate(zip(these, number_columns(robot, these, x), strict=True)):
+        if number.kind not in kinds:
+            continue
         h = 0.02 / number.size if number.positive else 0.1
         sides = []
         for sign in (1.0, -1.0):
