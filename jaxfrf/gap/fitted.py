@@ -4,6 +4,7 @@ The fit is the calibration's (`calibration.descent`): ripple beside the robot fi
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Collection, Sequence
 
 import equinox as eqx
@@ -74,9 +75,10 @@ class Fitted(eqx.Module):
         return self.these[i].value(float(self.x[i]))
 
     def deviation(self, name: str) -> float:
-        """Half of the 95 % interval over 1.96, in the number's unit."""
-        i = self.place(name)
-        return self.these[i].deviation(float(self.x[i]), float(self.look.posterior.half_width()[i]) / _Z)
+        """Half of the 95 % interval over 1.96, in the number's unit; with the step that a fit has still ahead."""
+        i, own = self.place(name), self.look.posterior
+        ahead = float(self.look.x[i] + own.change[i] - self.x[i])
+        return self.these[i].deviation(float(self.x[i]), math.hypot(float(own.half_width()[i]) / _Z, ahead))
 
     @property
     def strain(self) -> Float[np.ndarray, "number"]:

@@ -15,6 +15,7 @@ from ..effects import AbstractEffect, OwnNumber
 from ..robot import Robot, Tolerances
 from ..robot.tolerances import Tolerance
 from .fitted import Fitted
+from .settings import TIMING
 
 _UNKNOWN = Tolerance(math.inf)
 
@@ -38,10 +39,15 @@ class Hypothesis(eqx.Module):
         return self.effect.name, self.joint
 
     def told(self, found: Fitted) -> dict[str, tuple[float, float]]:
-        """Value and standard deviation of every parameter of the effect in a robot that was fitted."""
+        """Value and standard deviation of every parameter of the effect in a robot that was fitted; of times, no less
+        than what the sampling leaves open."""
         names = {n.name for n in found.these}
+        least = {"s": TIMING / found.look.evidence.scenes[0].fs}
         return {
-            o.parameter: (found.value(o.number) - o.minus, found.deviation(o.number))
+            o.parameter: (
+                found.value(o.number) - o.minus,
+                math.hypot(found.deviation(o.number), least.get(self.effect.units[o.parameter], 0.0)),
+            )
             for o in self.own
             if o.number in names
         }

@@ -10,7 +10,7 @@ SELECT = 3  # one of so many
 ROUNDS = 10  # simulations of the robot as given, at most
 FIRST_HEAT = 2  # of a candidate, before those that are far behind are given up
 MORE_ROUNDS = 4  # of a candidate that is not: it begins where the robot before was fitted
-FINAL_ROUNDS = 2  # of the robot that is left, on all opened positions: it begins where some of them have put it
+FINAL_ROUNDS = 4  # of the robot that is left, on all opened positions: it begins where some of them have put it
 SLOW = 0.7  # of what a round before left: more, and what is far from the floor will not come down to it by itself
 IN_THE_RACE = 1.5  # times the least cost: more after the first heat is not fitted further
 
@@ -43,6 +43,9 @@ NEAR = 0.05  # of what was beyond the floor: a rival that leaves no more than th
 # What the sealed positions say
 PRICE = 0.1  # of the squares that some axes gain, which others may lose beyond their floor
 RISES = 1.1  # of the torque that the effect's own joint is missed by
+
+# Intervals
+TIMING = 0.01  # of the sampling interval: when within it a torque acts is known no better; .005 between two simulators
 
 # Words
 UNEXPLAINED = 2.0  # mean square over the floor of one axis, which must not be left
