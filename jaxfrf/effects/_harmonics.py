@@ -4,6 +4,7 @@ import functools
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from .._errors import input_error
 from .._text import number
@@ -48,6 +49,15 @@ def checked(name: str, amplitude, order, phase):
             "Complete the shorter list.",
         )
     return amplitude, order, phase
+
+
+def polar_deviation(amplitude, phase, covariance: Float[np.ndarray, "2 2"]) -> dict[str, float]:
+    """Standard deviations of amplitude and phase, to first order, by the covariance of the coefficients of sine and
+    cosine, which are amplitude times cos and sin of the phase."""
+    along = np.array([np.cos(phase), np.sin(phase)])
+    across = np.array([-along[1], along[0]]) / max(float(amplitude), 1e-300)
+    of = lambda slope: float(np.sqrt(slope @ covariance @ slope))
+    return {"amplitude": of(along), "phase": of(across)}
 
 
 _BITS = 6  # of an order that a program learns when it runs

@@ -23,7 +23,7 @@ can be differentiated.
 import abc
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
@@ -159,6 +159,22 @@ class AbstractEffect(eqx.Module):
         fitted = [p for p in self.units if p not in self.shapes and np.ndim(getattr(self, p)) == 0]
         return tuple(OwnNumber(f"{joint}.{self.name}.{p}", p) for p in fitted)
 
+    def in_numbers(self) -> "AbstractEffect":
+        """The same effect, its parameters as plain numbers that a fit can move."""
+        return self
+
+    def stated(self) -> "AbstractEffect":
+        """The same effect as a robot's file states it; the inverse of `in_numbers`."""
+        return self
+
+    def stated_values(
+        self, parameters: Sequence[str], covariance: Float[np.ndarray, "parameter parameter"]
+    ) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of every parameter of what is `stated`, to first order, from the covariance of
+        these parameters."""
+        stds = np.sqrt(np.diag(covariance))
+        return {p: (float(getattr(self, p)), float(std)) for p, std in zip(parameters, stds, strict=True)}
+
     def unknown_beside(self, robot: "Robot") -> dict[str, float]:
         """Numbers of a robot that has it of which little is known then, with their relative standard deviations."""
         return {}
@@ -197,11 +213,14 @@ class Candidate(eqx.Module):
 
 
 class OwnNumber(eqx.Module):
-    """A parameter of an effect as a number of the robot that has it: parameter = number - `minus`."""
+    """A parameter of an effect as a number of the robot that has it: parameter = number - `minus`.
+
+    `known`: relative standard deviation of where a fit of it begins."""
 
     number: str = eqx.field(static=True)
     parameter: str = eqx.field(static=True)
     minus: float = eqx.field(static=True, default=0.0)
+    known: float = eqx.field(static=True, default=math.inf)
 
 
 class AbstractStructure(AbstractEffect):

@@ -121,7 +121,7 @@ class Backlash(AbstractStructure):
     def apply(self, robot: "Robot"):
         spring = spring_of(robot, self.joint)
         play = robot.springs.backlash
-        play = jnp.zeros_like(robot.springs.stiffness) if play is None else play
+        play = jnp.zeros_like(robot.springs.stiffness) if play is None else jnp.asarray(play)
         return eqx.tree_at(
             lambda r: r.springs.backlash, robot, play.at[spring].set(self.gap), is_leaf=lambda x: x is None
         )
@@ -183,13 +183,13 @@ class Payload(AbstractStructure):
     confusable: ClassVar = {"payload": "mass against centre of mass: several positions"}
     is_error: ClassVar = True
 
-    mass: Number
+    mass: Number  # type: ignore[misc]  # equinox orders fields as they stand here
     place: Float[Array, "3"] | None = None
     joint: Joint = eqx.field(static=True, default="")
 
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint = "") -> Self:
-        return cls(0.05 * jnp.maximum(robot.chain.mass[-1], 1.0), None, joint)
+        return cls(mass=0.05 * jnp.maximum(robot.chain.mass[-1], 1.0), joint=joint)
 
     @classmethod
     def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
@@ -199,7 +199,7 @@ class Payload(AbstractStructure):
         low, high = cls.bounds["mass"]
         low = max(low, -_OF_A_LINK * float(robot.chain.mass[-1]))
         visible = float(cls.typical(robot).mass)
-        return (Candidate(cls.name, "", (cls(1.0),), _carried, (low,), (high,), visible),)
+        return (Candidate(cls.name, "", (cls(mass=1.0),), _carried, (low,), (high,), visible),)
 
     def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
         link = _link_of(robot, self.joint)

@@ -13,14 +13,27 @@ from jaxtyping import Float
 from .._errors import input_error
 from .._text import number
 from .._types import Array
-from ._harmonics import checked, harmonics
+from ._harmonics import checked, harmonics, polar_deviation
 from ._place import axis_of, own_spring, spring_of
-from .effect import AbstractGearCoupling, AbstractGearError, AbstractGearTorque, Candidate, Joint, Reach
+from .effect import (
+    AbstractEffect,
+    AbstractGearCoupling,
+    AbstractGearError,
+    AbstractGearTorque,
+    Candidate,
+    Joint,
+    OwnNumber,
+    Reach,
+)
 
 if TYPE_CHECKING:
     from ..robot import Robot
 
 Number = Float[Array, ""] | float
+
+WAVES = ("sine_1", "cosine_1", "sine_2", "cosine_2")  # of `ToothWaves`
+_TEETH = 1e-3  # relative standard deviation
+_NOTHING = 0.02  # of the second order's amplitude
 
 
 class TransmissionError(AbstractGearError):
@@ -75,21 +88,95 @@ class TransmissionError(AbstractGearError):
         return tuple(cls(joint, [3e-5], order * ratio, (1,))._waves() for order in orders)
 
     def _waves(self) -> Candidate:
-        """Sine and cosine of the first order, in parts of its amplitude."""
-        size = float(self.amplitude[0])
+        """Sines and cosines of the first two orders, in parts of the first's amplitude: teeth are no sines, and the
+        second order often meets a mode where the first does not."""
+        size, zeros = float(self.amplitude[0]), dict.fromkeys(WAVES, 0.0)
         make = functools.partial(_geared, self.joint, self.teeth, size)
-        basis = tuple(TransmissionError(self.joint, [size], self.teeth, (1,), [phase]) for phase in (0.0, np.pi / 2))
-        wide = (math.inf, math.inf)
-        low = (-math.inf, -math.inf)
+        basis = tuple(ToothWaves(self.joint, **zeros | {wave: size}, teeth=self.teeth) for wave in WAVES)
+        wide, low = (math.inf,) * len(WAVES), (-math.inf,) * len(WAVES)
         return Candidate(self.name, str(self.joint), basis, make, low, wide, 1.0, f"{number(self.teeth, 4)} a turn")
 
     def lead(self, angle):
         return harmonics(self.amplitude, self.order, self.phase, self.teeth * angle)
 
+    def in_numbers(self) -> AbstractEffect:
+        """Sines and cosines of the first two orders; the effect as it is where it has others."""
+        if not set(self.order) <= {1, 2}:
+            return self
+        waves = {1: (0.0, 0.0), 2: (0.0, 0.0)}
+        for order, amplitude, phase in zip(self.order, self.amplitude, self.phase, strict=True):
+            waves[order] = float(amplitude * np.cos(phase)), float(amplitude * np.sin(phase))
+        return ToothWaves(self.joint, *waves[1], *waves[2], float(self.teeth))
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        now = self.in_numbers()
+        return () if now is self else now.own_numbers(robot)
+
+
+class ToothWaves(AbstractGearError):
+    """`TransmissionError` of the first two orders, as a fit moves it: by sine and cosine, rad, arm side."""
+
+    name: ClassVar = TransmissionError.name
+    units: ClassVar = {"sine_1": "rad", "cosine_1": "rad", "sine_2": "rad", "cosine_2": "rad", "teeth": "1"}
+    bounds: ClassVar = {name: (-3e-4, 3e-4) for name in WAVES} | {"teeth": (1.0, 1000.0)}
+    signature: ClassVar = TransmissionError.signature
+    confusable: ClassVar = TransmissionError.confusable
+
+    joint: Joint = eqx.field(static=True)
+    sine_1: Number
+    cosine_1: Number
+    sine_2: Number
+    cosine_2: Number
+    teeth: Number
+
+    @classmethod
+    def typical(cls, robot: "Robot", joint: Joint) -> Self:
+        sine, teeth = 3e-5, TransmissionError.typical(robot, joint).teeth
+        return cls(joint, sine, 0.0, 0.0, 0.0, teeth)
+
+    def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
+        """The teeth are known from where a residual is in phase at all positions."""
+        return tuple(
+            OwnNumber(own.number, own.parameter, known=_TEETH if own.parameter == "teeth" else math.inf)
+            for own in super().own_numbers(robot)
+        )
+
+    def lead(self, angle):
+        turn = self.teeth * angle
+        first = self.sine_1 * jnp.sin(turn) + self.cosine_1 * jnp.cos(turn)
+        return first + self.sine_2 * jnp.sin(2.0 * turn) + self.cosine_2 * jnp.cos(2.0 * turn)
+
+    def stated(self) -> TransmissionError:
+        return self._stated()[0]
+
+    def stated_values(self, parameters, covariance):
+        error, rows = self._stated()
+        values = {}
+        for i, (amplitude, phase) in enumerate(zip(error.amplitude, error.phase, strict=True)):
+            pair = [parameters.index(wave) for wave in WAVES[rows[i]]]
+            std = polar_deviation(amplitude, phase, covariance[np.ix_(pair, pair)])
+            place = f"_{error.order[i]}" if len(error.order) > 1 else ""
+            values |= {f"amplitude{place}": (float(amplitude), std["amplitude"])}
+            values |= {f"phase{place}": (float(phase), std["phase"])}
+        times, std = (
+            error.teeth / self.teeth,
+            float(np.sqrt(covariance[parameters.index("teeth")][parameters.index("teeth")])),
+        )
+        return values | {"teeth": (float(error.teeth), float(times) * std)}
+
+    def _stated(self) -> tuple[TransmissionError, tuple[slice, ...]]:
+        """With the places of its waves; the second order alone is an error of twice as many teeth."""
+        rows = slice(0, 2), slice(2, 4)
+        waves = np.array([float(getattr(self, wave)) for wave in WAVES]).reshape(2, 2)
+        amplitude, phase = np.hypot(*waves.T), np.arctan2(waves[:, 1], waves[:, 0])
+        if amplitude[0] < _NOTHING * amplitude[1]:
+            return TransmissionError(self.joint, amplitude[1:], 2.0 * self.teeth, (1,), phase[1:]), rows[1:]
+        return TransmissionError(self.joint, amplitude, self.teeth, (1, 2), phase), rows
+
 
 def _geared(joint: Joint, teeth: Number, size: float, c) -> TransmissionError:
-    amplitude, phase = size * np.hypot(c[0], c[1]), np.arctan2(c[1], c[0])
-    return TransmissionError(joint, [float(amplitude)], teeth, (1,), [float(phase)])
+    waves = {wave: size * float(x) for wave, x in zip(WAVES, c, strict=True)}
+    return ToothWaves(joint, **waves, teeth=teeth).stated()
 
 
 _CORNERS = np.array([3.0, 17.3, 100.0])  # Hz, of the Maxwell elements

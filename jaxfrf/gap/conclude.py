@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
 
 from .._threads import lapack_threads, shared
 from ..calibration.numbers import Number
 from ..effects import AbstractEffect, EncoderQuantisation, TorqueRipple, library
+from ..effects._harmonics import polar_deviation
 from ..effects._place import axis_of
 from ..robot import Robot
 from ..trajectory.measured import Measured
@@ -61,7 +61,7 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     base = (before if steps else _without(last, louder, extended, told)) or extended
     worst = _worst(last, extended, there)
     verdict, says = _verdict(
-        base, found.refused or bool(found.steps), steps, effects, last, extended, told, worst, bool(len(records.sealed))
+        base, bool(found.refused or found.steps), steps, effects, last, extended, told, worst, bool(len(records.sealed))
     )
     if verdict == "unexplained":
         last, effects, steps = found.base, (), ()
@@ -70,7 +70,7 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
         taken_back = "".join(f" {text[0].upper() + text[1:]}." for text in (*refused, found.refused) if text)
         says += taken_back
     if steps and np.array_equal(records.select, records.fit):
-        says += " With so few positions none could choose nothing: p-values are of those that were fitted, too small."
+        says += " With so few positions those that were fitted decided, too: p-values are too small."
     if verdict != "unexplained":  # else numbers imitate what is missing
         says += _wrong_numbers(last)
     return Conclusion(verdict, says, effects, base, extended, last, steps)
@@ -200,7 +200,7 @@ def _named(step: Step, last: Fitted, given: Robot) -> Named:
     return Named(
         effect=effect,
         joint=joint,
-        parameters={n: EstimatedValue(float(v), float(s), effect.units[n]) for n, (v, s) in told.items()}
+        parameters={n: EstimatedValue(float(v), float(s), _unit(effect, n)) for n, (v, s) in told.items()}
         or _waves(effect),
         p_value=step.on_select.p_value,
         equivalent=equivalent,
@@ -209,6 +209,11 @@ def _named(step: Step, last: Fitted, given: Robot) -> Named:
         visible=_visible(effect, given, joint) or step.scored.size,
         is_number=step.hypothesis.is_number,
     )
+
+
+def _unit(effect: AbstractEffect, name: str) -> str:
+    """Of a parameter, or of one entry of it: `amplitude_2`."""
+    return effect.units.get(name) or effect.units[name.rpartition("_")[0]]
 
 
 def _visible(effect, robot: Robot, joint: str) -> float:
@@ -271,15 +276,6 @@ def _waves(effect, covariance: Mapping[float, np.ndarray] | None = None) -> dict
             std = float("nan") if known is None else polar_deviation(effect.amplitude[i], effect.phase[i], known)[name]
             values[place] = EstimatedValue(float(value), std, effect.units[name])
     return values
-
-
-def polar_deviation(amplitude, phase, covariance: Float[np.ndarray, "2 2"]) -> dict[str, float]:
-    """Standard deviations of amplitude and phase, to first order, by the covariance of the coefficients of sine and
-    cosine, which are amplitude times cos and sin of the phase."""
-    along = np.array([np.cos(phase), np.sin(phase)])
-    across = np.array([-along[1], along[0]]) / max(float(amplitude), 1e-300)
-    of = lambda slope: float(np.sqrt(slope @ covariance @ slope))
-    return {"amplitude": of(along), "phase": of(across)}
 
 
 def _loudness(effect, robot: Robot) -> float:

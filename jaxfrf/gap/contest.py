@@ -210,7 +210,7 @@ def _round(step: Step | None, refused: str) -> KeptRound:
         "on_select": [getattr(step.on_select, n) for n in COMPARED],
         "rivals": [[*r.key, r.cost, r.near] for r in step.rivals],
     }
-    return KeptRound.of(step.found, step.hypothesis.effect, step.hypothesis.joint, told)
+    return KeptRound.of(step.found, step.hypothesis.effect.stated(), step.hypothesis.joint, told)
 
 
 def _remembered(kept: KeptRound, now: Fitted, records: Records, misses: bool, say: Say) -> Step | None:
@@ -358,11 +358,13 @@ def said(key) -> str:
 
 
 def _chosen(scored: Sequence[Scored], had) -> list[Scored]:
-    """The candidates of a ranking that are fitted."""
+    """The candidates of a ranking that are fitted; a number whose tolerance cannot be believed stands out from all
+    others, however little of the cost it is."""
     scored = [s for s in scored if not _stands(s, had)]
     chosen: list[Scored] = []
     for this in scored:
-        if len(chosen) == FINALISTS or this.part < max(SHARE * scored[0].part, LEAST_PART):
+        least = 0.0 if this.strained else LEAST_PART
+        if len(chosen) == FINALISTS or this.part < max(SHARE * scored[0].part, least):
             break
         if this.size >= LEAST_SIZE and this.key not in [s.key for s in chosen]:
             chosen.append(this)
@@ -396,8 +398,7 @@ def _costs(robots: Sequence[Fitted], like: Fitted) -> list[float]:
 
 def _against(winner: _Runner, results: Sequence[Comparison]) -> str:
     """What speaks against an effect, in words; empty where nothing does."""
-    told = winner.hypothesis.told(winner.found)
-    name, (value, std) = next(iter(told.items()), ("", (np.inf, 0.0)))
+    name, value, std = winner.hypothesis.size(winner.found)
     if abs(value - winner.hypothesis.effect.nothing) < 1.96 * std:
         return f"its {name} is {value:.3g} +- {1.96 * std:.2g}, which holds none of it"
     if not results:

@@ -80,6 +80,13 @@ class Fitted(eqx.Module):
         ahead = float(self.look.x[i] + own.change[i] - self.x[i])
         return self.these[i].deviation(float(self.x[i]), math.hypot(float(own.half_width()[i]) / _Z, ahead))
 
+    def covariance(self, names: Sequence[str]) -> Float[np.ndarray, "name name"]:
+        """Of numbers, in their units, as wide as their intervals are."""
+        rows = [self.place(name) for name in names]
+        covariance = self.look.posterior.covariance[np.ix_(rows, rows)]
+        wide = np.array([self.deviation(name) for name in names]) / np.maximum(np.sqrt(np.diag(covariance)), 1e-300)
+        return wide[:, None] * covariance * wide
+
     @property
     def strain(self) -> Float[np.ndarray, "number"]:
         """Of every number's tolerance: what it is off by, over the standard deviation that it would have if all

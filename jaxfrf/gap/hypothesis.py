@@ -39,26 +39,37 @@ class Hypothesis(eqx.Module):
         return self.effect.name, self.joint
 
     def told(self, found: Fitted) -> dict[str, tuple[float, float]]:
-        """Value and standard deviation of every parameter of the effect in a robot that was fitted; of times, no less
-        than what the sampling leaves open."""
+        """Value and standard deviation of every parameter of the effect in a robot that was fitted, as it is stated;
+        of times, no less than what the sampling leaves open."""
+        own, least = self._fitted_in(found), {"s": TIMING / found.look.evidence.scenes[0].fs}
+        covariance = found.covariance([o.number for o in own])
+        unresolved = [least.get(self.effect.units[o.parameter], 0.0) for o in own]
+        moved = self._moved(found)
+        return moved.stated_values([o.parameter for o in own], covariance + np.diag(np.square(unresolved)))
+
+    def size(self, found: Fitted) -> tuple[str, float, float]:
+        """The parameter that says how much of the effect there is, with its value and standard deviation: the first,
+        or of several amplitudes that which stands out most."""
+        told = self.told(found)
+        names = [name for name in told if name.startswith("amplitude")] or list(told)[:1]
+        out = lambda name: abs(told[name][0] - self.effect.nothing) / max(told[name][1], 1e-300)
+        return max(((name, *told[name]) for name in names), key=lambda x: out(x[0]), default=("", math.inf, 0.0))
+
+    def _fitted_in(self, found: Fitted) -> list[OwnNumber]:
         names = {n.name for n in found.these}
-        least = {"s": TIMING / found.look.evidence.scenes[0].fs}
-        return {
-            o.parameter: (
-                found.value(o.number) - o.minus,
-                math.hypot(found.deviation(o.number), least.get(self.effect.units[o.parameter], 0.0)),
-            )
-            for o in self.own
-            if o.number in names
-        }
+        return [o for o in self.own if o.number in names]
 
     def effect_in(self, found: Fitted) -> AbstractEffect:
-        """The effect with the parameters of a robot that was fitted."""
-        effect = self.effect
-        for name, (value, _) in self.told(found).items():
-            effect = eqx.tree_at(operator.attrgetter(name), effect, value)
+        """The effect with the parameters of a robot that was fitted, as it is stated."""
+        effect = self._moved(found)
         if isinstance(effect, fx.Payload):
             effect = dataclasses.replace(effect, place=_place(self.robot, effect, found, self.own[0].minus))
+        return effect.stated()
+
+    def _moved(self, found: Fitted) -> AbstractEffect:
+        effect = self.effect
+        for o in self._fitted_in(found):
+            effect = eqx.tree_at(operator.attrgetter(o.parameter), effect, found.value(o.number) - o.minus)
         return effect
 
 
@@ -74,7 +85,7 @@ def hypothesis(view: Fitted, effect: AbstractEffect, joint: str) -> Hypothesis |
     """A robot with an effect as it was scored; `None` where it cannot be, or has nothing that could be fitted.
 
     A number that the robot has, and that the effect is an error of, is set free instead."""
-    robot, had = view.robot, {n.name for n in view.these}
+    robot, had, effect = view.robot, {n.name for n in view.these}, effect.in_numbers()
     try:
         own = effect.own_numbers(robot)
         free = effect.is_error and all(o.number in had for o in own)
@@ -82,11 +93,12 @@ def hypothesis(view: Fitted, effect: AbstractEffect, joint: str) -> Hypothesis |
     except (InputError, ValueError):
         return None
     beside = [(name, Tolerance(std)) for name, std in effect.unknown_beside(robot).items()]
-    unknown = Tolerances((*view.unknown.stated, *((o.number, _UNKNOWN) for o in own), *beside))
+    unknown = Tolerances((*view.unknown.stated, *((o.number, Tolerance(o.known)) for o in own), *beside))
     fitted = {n.name: n for n in numbers(changed.with_tolerances(unknown))}
     if own and not any(o.number in fitted for o in own):
         return None
-    limited = [(o.number, _range(effect, o)) for o in own if o.number in fitted and not fitted[o.number].positive]
+    signed = [o for o in own if o.number not in fitted or not fitted[o.number].positive]
+    limited = [(o.number, _range(effect, o)) for o in signed]
     return Hypothesis(effect, joint, changed, unknown.updated(Tolerances(tuple(limited))), own, free)
 
 

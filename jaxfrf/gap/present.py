@@ -38,8 +38,8 @@ def present(found: Contest, records: Records, given: Robot, compared: str) -> Di
         parameters=values,
         changed=changed,
         given=given,
-        base=end.base.robot,
-        extended=end.extended.robot,
+        base=_stated(end.base.robot),
+        extended=_stated(end.extended.robot),
         compared=compared,
         fitted=tuple(int(i) for i in records.opened),
         sealed=tuple(int(i) for i in records.sealed),
@@ -48,6 +48,11 @@ def present(found: Contest, records: Records, given: Robot, compared: str) -> Di
         sources=tuple(records.whole.data.sources),
         settings={"lines": len(records.whole.frequency), "highest_hz": float(records.whole.frequency[-1])},
     )
+
+
+def _stated(robot: Robot) -> Robot:
+    """The robot with its effects as a file states them."""
+    return dataclasses.replace(robot, effects=tuple(e.stated() for e in robot.effects))
 
 
 def _maps(records: Records, end: Conclusion) -> Maps:

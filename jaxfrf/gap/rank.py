@@ -28,13 +28,14 @@ _RIDGE = 1e-9  # of a column's square: products are made in single precision
 
 class Scored(eqx.Module):
     """A candidate. `effect`: as it would begin. `part`: of the cost. `t`: of the score, over the positions. `size`:
-    over the just visible one."""
+    over the just visible one. `strained`: a number whose tolerance cannot be believed."""
 
     effect: AbstractEffect
     joint: str = eqx.field(static=True)
     part: float = eqx.field(static=True)
     t: float = eqx.field(static=True)
     size: float = eqx.field(static=True)
+    strained: bool = eqx.field(static=True, default=False)
 
     @property
     def key(self) -> tuple[str, str]:
@@ -152,7 +153,7 @@ def _gear_errors(view: Fitted) -> list[Candidate]:
 
 
 def _size(candidate: Candidate, effect, x) -> float:
-    amplitude, one = (getattr(e, "amplitude", None) for e in (effect, candidate.basis[0]))
+    amplitude, one = (getattr(e, "amplitude", None) for e in (effect, candidate.basis[0].stated()))
     if amplitude is None or one is None:
         return float(abs(x[0])) / candidate.visible
     return float(np.max(np.asarray(amplitude)) / np.max(np.asarray(one))) / candidate.visible
@@ -178,7 +179,7 @@ def _set_free(view: Fitted, record: Measured, cost: float) -> list[Scored]:
         error = number.value(float(view.x[i])) - own.minus
         size = abs(error / float(getattr(typical, own.parameter)))
         effect = eqx.tree_at(operator.attrgetter(own.parameter), typical, error)
-        found.append(Scored(effect, joint, float(strain[i] ** 2 / cost), float(strain[i]), size))
+        found.append(Scored(effect, joint, float(strain[i] ** 2 / cost), float(strain[i]), size, True))
     return found
 
 

@@ -14,6 +14,7 @@ from ..robot import Robot
 from .scene import Scene, Signature
 
 _ORDERS = np.arange(1, 51)
+_GEAR_ORDERS = np.arange(0.25, 8.0, 0.1)  # of a gear's error: in a motor's turn
 _RATE = 500.0  # Hz, of the course of a residual that orders are looked for in, at least
 _LOUD = 8e-3  # of the torque limit: above, ripple is no background
 _LOUD_RESOLVER = 6.5e-3  # rad, amplitude times order squared: 1.6 times what resolvers have
@@ -67,17 +68,22 @@ def strength(
 
     **Arguments:** `weighted`: residual times the inverse of its floor squared, (exp, line, axis).
     """
-    count = scene.samples(_RATE)
-    weighted = weighted[..., axis]
+    own = weighted[..., axis]
     if kind == "resolver":
-        weighted = weighted * -np.conj(scene.still.impedance[:, axis, axis])
+        own = own * -np.conj(scene.still.impedance[:, axis, axis])
     elif kind == "gear":
-        weighted = weighted * scene.robot.springs.stiffness[0]
-    course = scipy.fft.irfft(weighted, n=count, axis=1) * count
-    step = scene.period / count
-    some = np.round(np.arange(count) * step).astype(int)
-    angle = scene.reading[:, some, axis]
+        spring = scene.robot.flexible_axes.index(axis)
+        own = np.einsum("ela,la->el", weighted, np.conj(scene.per_shift(spring)))
+    count, angle = _coarse(scene, axis)
+    course = scipy.fft.irfft(own, n=count, axis=1) * count
     return np.array([np.vdot(turned, course) for turned in _turning(angle, np.asarray(orders, float))])
+
+
+def _coarse(scene: Scene, axis: int) -> tuple[int, np.ndarray]:
+    """A number of samples that is enough for orders, and the measured angle there, (exp, sample)."""
+    count = scene.samples(_RATE)
+    some = np.round(np.arange(count) * (scene.period / count)).astype(int)
+    return count, scene.reading[:, some, axis]
 
 
 def _turning(angle, orders):
@@ -110,26 +116,40 @@ def _power(scene: Scene, order: Order, floor) -> float:
 
 
 def gear_orders(scenes, residuals, floor, axis: int, most: int = 4) -> list[float]:
-    """Orders of the motor's angle, not whole, that a gear's error would have, coarsely by power, then in phase."""
-    weight = 1.0 / np.square(floor)
-    coarse = np.arange(0.25, 8.0, 0.1)
-    by_scene = [
-        np.abs(strength(s, r * weight, "torque", axis, coarse)) ** 2 for s, r in zip(scenes, residuals, strict=True)
-    ]
-    size = np.array([_power(scenes[0], Order("torque", axis, float(h)), floor) for h in coarse[::4]])
-    power = np.sum(by_scene, axis=0) / np.interp(coarse, coarse[::4], size)
+    """Orders of the motor's angle, not whole, that a gear's error would have, by what it and its second harmonic would
+    take off: at every position by itself, then in phase."""
+    weighted = [r / np.square(floor) for r in residuals]
+    each = np.array([_harmonics(s, w, axis, _GEAR_ORDERS) for s, w in zip(scenes, weighted, strict=True)])
+    some = _GEAR_ORDERS[::4]
+    sizes = np.array([_gear_powers(scenes[0], floor, axis, harmonic * some) for harmonic in (1.0, 2.0)])
+    size = lambda orders: np.array([np.interp(orders, some, row) for row in sizes])
+    power = np.sum(np.sum(np.abs(each) ** 2, axis=0) / size(_GEAR_ORDERS), axis=0)
     found: list[float] = []
     for i in np.argsort(power)[::-1]:
-        if all(abs(coarse[i] - f) > 0.3 for f in found):
-            found.append(float(coarse[i]))
+        if all(abs(_GEAR_ORDERS[i] - f) > 0.3 for f in found):
+            found.append(float(_GEAR_ORDERS[i]))
         if len(found) == most:
             break
     result = []
     for peak in found:
         fine = peak + np.arange(-0.12, 0.12, 0.003)
-        b = sum(strength(s, r * weight, "torque", axis, fine) for s, r in zip(scenes, residuals, strict=True))
-        result.append(float(fine[int(np.argmax(np.abs(b)))]))
+        b = np.sum([_harmonics(s, w, axis, fine) for s, w in zip(scenes, weighted, strict=True)], axis=0)
+        result.append(float(fine[int(np.argmax(np.sum(np.abs(b) ** 2 / size(fine), axis=0)))]))
     return result
+
+
+def _harmonics(scene: Scene, weighted, axis: int, orders) -> np.ndarray:
+    """Strength of a gear's error at orders and at twice these, (2, order)."""
+    return np.array([strength(scene, weighted, "gear", axis, harmonic * orders) for harmonic in (1.0, 2.0)])
+
+
+def _gear_powers(scene: Scene, floor, axis: int, orders) -> Float[np.ndarray, "order"]:
+    """Weighted power of a gear's error of one unit in the first run."""
+    count, angle = _coarse(scene, axis)
+    per_shift = scene.per_shift(scene.robot.flexible_axes.index(axis)) / floor
+    seen = np.sum(np.abs(per_shift) ** 2, axis=1)
+    waves = (scipy.fft.rfft(np.sin(h * angle[0]))[: len(seen)] / count for h in orders)
+    return np.array([np.sum(np.abs(wave) ** 2 * seen[: len(wave)]) for wave in waves])
 
 
 Wave = tuple[Order, tuple[float, float]]  # with coefficients of sine and cosine, N m or rad

@@ -221,6 +221,12 @@ class Scene:
         more = np.asarray(self.robot.springs.torque(x, v)) - self.spring_torque[:runs]
         return self.by_spring(int(spring), more[..., spring])
 
+    def per_shift(self, spring: int) -> Complex[np.ndarray, "line axis"]:
+        """What a small shift of a spring's deflection asks for, by its stiffness and damping at rest, N m/rad."""
+        springs, s = self.robot.springs, 2j * np.pi * self.still.frequency
+        stiff = float(np.asarray(springs.stiffness)[spring]) + s * float(np.asarray(springs.damping)[spring])
+        return stiff[:, None] * (self.still.to_torque @ -self._springs[:, spring]) / self.still.command
+
     def by_hinge(self, axis: int, direction, stiffness: float, damping: float) -> Signature:
         """A spring hinge in the link just before a joint, about `direction` in its frame at zero.
 

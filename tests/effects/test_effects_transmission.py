@@ -216,6 +216,18 @@ def linear_robot():
         ef.StructuralDamping(0, 0.08), ef.StructuralDamping("joint4", 0.05), ef.WristCoupling(2, 0.1)
     )
 
+    @pytest.mark.parametrize("orders", [(1, 2), (1,), (2,)])
+    def test_error_as_numbers(self, orders):
+        """A fit moves sines and cosines of it; what is stated again is the same wave."""
+        amplitude, phase = [4e-5, 1e-5][: len(orders)], [0.7, -2.1][: len(orders)]
+        error = ef.TransmissionError("joint1", amplitude, 101.0, orders, phase)
+        angle = np.linspace(-0.3, 0.2, 200)
+        wave = sum(a * np.sin(h * 101.0 * angle + p) for a, h, p in zip(amplitude, orders, phase, strict=True))
+        for same in (error.in_numbers(), error.in_numbers().stated()):
+            assert np.allclose(same.lead(angle), wave, atol=1e-15)
+        assert error.in_numbers().stated().order == ((1,) if orders == (2,) else (1, 2))  # twice as many teeth
+        assert ef.TransmissionError("joint1", [1e-5], 101.0, (3,)).in_numbers().order == (3,)
+
 
 class TestInTheLinearisation:
     q = np.array([[0.5, 0.3, -0.4], [-0.2, 1.0, 0.6]])

@@ -14,7 +14,8 @@ import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
-from jaxfrf.gap.conclude import against_it, close_rivals, counting, polar_deviation
+from jaxfrf.effects._harmonics import polar_deviation
+from jaxfrf.gap.conclude import against_it, close_rivals, counting
 from jaxfrf.gap.diagnose import split
 from jaxfrf.gap.fitted import Fitted
 from jaxfrf.gap.hypothesis import hypothesis

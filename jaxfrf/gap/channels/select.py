@@ -291,7 +291,8 @@ def _exchanged(channel: AbstractChannel, now: FittedState, pool: Sequence[Candid
             if other.key == chosen.key or not _one_class(other, chosen) or len(other.basis) != len(chosen.basis):
                 continue
             fit = refitted(channel, now.state.replaced(i, other, values))
-            sensible = channel.sensible(*fit.state.chosen[i])
+            effect, found = fit.state.chosen[i]
+            sensible = channel.sensible(effect, np.asarray(found))
             if sensible and np.mean(fit.left**2) < np.mean(now.left**2):
                 now = fit
     return now
