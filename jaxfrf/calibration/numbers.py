@@ -111,8 +111,8 @@ def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) 
             if isinstance(robot.drives.friction, Friction) and np.any(np.asarray(robot.drives.friction.coulomb)):
                 add("friction.smoothing", kind, float(robot.drives.friction.smoothing))
         elif kind == "torque_offset":
-            for axis, name in enumerate(robot.axis_names if offset_size is not None else ()):
-                add(f"{name}.{kind}", kind, _of_drive(robot, kind, axis), float(offset_size[axis]))
+            for axis, size in enumerate(() if offset_size is None else offset_size):
+                add(f"{robot.axis_names[axis]}.{kind}", kind, _of_drive(robot, kind, axis), float(size))
         elif kind == "effect":
             for joint, effect, parameter in effect_parameters(robot):
                 if offset_size is None or not isinstance(effect, FrictionAsymmetry):
@@ -145,7 +145,7 @@ def _number(name: str, kind: str, unit: str, given: float, tolerance: Tolerance,
 
 def effect_parameters(robot: Robot) -> list[tuple[str, AbstractEffect, str]]:
     """Joint, effect and name of every single number in the robot's effects that no other kind of number stands for."""
-    found = {}
+    found: dict[tuple[str, str, str], AbstractEffect] = {}
     for effect in robot.effects:
         if effect.name in KINDS or isinstance(effect, _OTHERWISE):
             continue
@@ -196,7 +196,9 @@ def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "nu
             robot = _with_parameter(robot, number.name, value)
         elif number.kind == "backlash":
             row = robot.spring_names.index(joint)
-            robot = eqx.tree_at(lambda r: r.springs.backlash, robot, robot.springs.backlash.at[row].set(value))
+            robot = eqx.tree_at(
+                lambda r: r.springs.backlash, robot, jnp.asarray(robot.springs.backlash).at[row].set(value)
+            )
         elif number.kind == "smoothing":
             robot = eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(value, float))
         else:
@@ -219,6 +221,10 @@ def _with_parameter(robot: Robot, name: str, value: float) -> Robot:
     return eqx.tree_at(lambda r: getattr(r.effects[place], parameter), robot, jnp.asarray(value, float))
 
 
+def _is_nothing(effect: AbstractEffect) -> bool:
+    return isinstance(effect, TorqueConstant) and float(effect.error) == 0.0
+
+
 def _with_drives(robot: Robot, values) -> Robot:
     """Torque constants and delays in the place of those that the robot has; none that is nothing, but where the robot
     has one that is: robots then share what is compiled."""
@@ -227,7 +233,7 @@ def _with_drives(robot: Robot, values) -> Robot:
         effect, _ = _DRIVE[kind]
         axis = robot.axis_names.index(joint)
         had = [e for e in kept if isinstance(e, effect) and axis_of(robot, e.joint) == axis]
-        if kind == "torque_constant" and had and (value != 0.0 or float(had[0].error) == 0.0):
+        if kind == "torque_constant" and had and (value != 0.0 or _is_nothing(had[0])):
             now = TorqueConstant(joint, jnp.asarray(value, float))
             kept = [now if e is had[0] else e for e in kept if not any(e is other for other in had[1:])]
             continue

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array as JaxArray, Float
+from jaxtyping import Array as JaxArray, Float, PyTree
 
 from .._errors import input_error
 from .._types import Array
@@ -108,13 +108,13 @@ def descents(
     """Minimise the cost from each start, block by block, so that one program serves any number of them; `progress` is
     called with how many are done."""
     ends: list[Minimisation] = []
-    tolerance = jnp.asarray(solver.tolerance if tolerance is None else tolerance)
+    within = jnp.asarray(solver.tolerance if tolerance is None else tolerance)
     reach = tuple(jnp.asarray(end) for end in cost.coordinates.reach())
     while len(ends) < len(starts):
         block = np.full((_TOGETHER, cost.coordinates.size), np.nan)  # a start that is no number ends at once
         some = starts[len(ends) : len(ends) + _TOGETHER]
         block[: len(some)] = some
-        found = jax.tree.map(np.asarray, _minimised(cost, solver, jnp.asarray(block), reach, tolerance))
+        found = jax.tree.map(np.asarray, _minimised(cost, solver, jnp.asarray(block), reach, within))
         ends += [_descent(*(part[i] for part in found)) for i in range(len(some))]
         if progress is not None:
             progress(len(ends))
@@ -129,7 +129,8 @@ def _minimised(cost: Cost, solver: AbstractSolver, starts, reach, tolerance):
     took half as long again."""
     # In these units the cost is a weighted mean square of E: optimistix starts with a damping of 1.
     gain = _GAIN / jnp.sqrt(jnp.maximum(cost.total, 1e-300))
-    kept = _Kept(solver.minimiser(tolerance), *reach, tolerance, solver.max_steps + 1)
+    minimiser = solver.minimiser(tolerance)
+    kept = _Kept(minimiser, *reach, tolerance, solver.max_steps + 1)  # type: ignore[call-arg, arg-type]
     function = solver.function(cost, gain)
 
     def one(x):
@@ -150,7 +151,7 @@ def _descent(success, count, path_x, path_cost) -> Minimisation:
 class _GaussNewtonState(eqx.Module):
     first: JaxArray
     y_eval: JaxArray
-    f_info: optx.FunctionInfo.EvalGradHessian
+    f_info: optx.FunctionInfo.EvalGradHessian  # type: ignore[valid-type]
     aux: tuple[JaxArray, JaxArray]
     search: object
     ended: JaxArray
@@ -165,9 +166,9 @@ class _GaussNewton(optx.AbstractMinimiser):
     336 lines, 36 elements, 22 parameters, one core).
     """
 
-    atol: JaxArray
+    atol: JaxArray  # type: ignore[misc, assignment]  # an array: another tolerance compiles nothing
     rtol: float = 0.0
-    norm: object = optx.max_norm
+    norm: Callable[[PyTree], JaxArray] = optx.max_norm
     search: optx.ClassicalTrustRegion = optx.ClassicalTrustRegion()
     descent: optx.DampedNewtonDescent = optx.DampedNewtonDescent()
 
@@ -223,15 +224,15 @@ class _Kept(optx.AbstractMinimiser):
     tolerance: JaxArray
     length: int = eqx.field(static=True)
 
-    @property
+    @property  # type: ignore[misc]
     def rtol(self):
         return self.solver.rtol
 
-    @property
+    @property  # type: ignore[misc]
     def atol(self):
         return self.solver.atol
 
-    @property
+    @property  # type: ignore[misc]
     def norm(self):
         return self.solver.norm
 

@@ -19,7 +19,7 @@ from .._types import Array
 from ..effects import AbstractArmTorque, AbstractEffect, AbstractFriction, AbstractGearCoupling, AbstractStructure
 from ..effects.acting import groups
 from .chain import Chain, mass_and_bias, mass_and_bias_columns, mass_matrix, potential_energy
-from .drive import AbstractSpring, Drives
+from .drive import Drives, Spring
 from .tolerances import Tolerances
 
 
@@ -82,7 +82,7 @@ class Robot(eqx.Module):
 
     chain: Chain
     drives: Drives
-    springs: AbstractSpring
+    springs: Spring
     joint_names: tuple[str, ...] = eqx.field(static=True)
     driven: tuple[bool, ...] = eqx.field(static=True)
     stiff: tuple[bool, ...] = eqx.field(static=True)
