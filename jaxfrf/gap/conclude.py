@@ -15,13 +15,14 @@ from ..robot import Robot
 from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order, ripple_effects
 from .contest import Contest, Records, Step, said, shows_nothing
-from .fitted import Fitted, is_loud
+from .fitted import Fitted, further, is_loud
 from .hypothesis import one_class
 from .judge import Comparison, Written, compared, each_written, over_floor, relative_torque, simulated, written
 from .quantised import resolution
 from .result import EstimatedValue, Named
 from .settings import (
     EXPLAINED,
+    FINAL_ROUNDS,
     FLOOR,
     HOPELESS,
     LEAST_SIZE,
@@ -59,7 +60,12 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     louder = _loud_ripple(last, extended, there, deciding, told)
     effects = (*(_named(step, last, given) for step in steps), *louder, *counting(records.whole, given))
     base = (before if steps else _without(last, louder, extended, told)) or extended
-    worst = _worst(last, extended, there)
+    worst, everywhere = _worst(last, extended, there), ""
+    if worst > UNEXPLAINED and not effects:
+        again = _at_all_positions(last, records)
+        if again is not None:
+            last, extended, worst = again
+            base, everywhere = extended, _EVERYWHERE
     verdict, says = _verdict(
         base, bool(found.refused or found.steps), steps, effects, last, extended, told, worst, bool(len(records.sealed))
     )
@@ -68,7 +74,7 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
         base = extended = written(found.base.written(), told) or base
     if verdict not in ("named", "ambiguous"):
         taken_back = "".join(f" {text[0].upper() + text[1:]}." for text in (*refused, found.refused) if text)
-        says += taken_back
+        says += taken_back + everywhere
     if steps and np.array_equal(records.select, records.fit):
         says += " With so few positions those that were fitted decided, too: p-values are too small."
     if verdict != "unexplained":  # else numbers imitate what is missing
@@ -82,6 +88,22 @@ def _worst(last: Fitted, extended: Written, there: Written | None) -> float:
     sides = [x for x in (there, extended) if x is not None]
     each = [0.5 * np.mean(np.abs(x.residual / x.evidence.plain) ** 2, axis=(1, 2)) for x in sides]
     return max(float(np.max(last.of_axes)), *(float(np.max(x)) for x in each))
+
+
+_EVERYWHERE = " The held-out positions were fitted, too: the others did not tell the numbers that they need."
+
+
+def _at_all_positions(last: Fitted, records: Records) -> tuple[Fitted, Written, float] | None:
+    """The robot fitted to all positions, simulated where the result is told, and the worst that it leaves: whether
+    numbers explain a position is told by a fit to it, not by those of other positions, which may not tell them all.
+    `None` where they do not."""
+    fit = further(last, records.whole, lambda text: None, FINAL_ROUNDS)
+    there = written(fit.written(), records.every.at(records.judged))
+    if there is None:
+        return None
+    each = 0.5 * np.mean(np.abs(fit.left / fit.look.evidence.plain) ** 2, axis=(1, 2))
+    worst = max(_worst(fit, there, None), float(np.max(each)))
+    return (fit, there, worst) if worst <= UNEXPLAINED else None
 
 
 def _without(last: Fitted, louder, extended: Written, told: Measured) -> Written | None:
