@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import __version__
+from .._text import percent
 from ..robot import Robot
 from ..trajectory.evidence import Evidence
 from ..trajectory.measured import Measured
@@ -16,6 +17,7 @@ from .numbers import Number
 _TOLD = 0.9  # of the prior's variance that the data take away: less is not told by the data
 _SURE = 0.3  # in x: a number of which nothing was known before is told where its deviation is below
 _TOGETHER = 0.5  # correlation of numbers that are told in combination only
+_MUCH = 0.1  # of an axis's torque: a robot that misses more lacks something, or was not given what moved
 
 
 class Round(eqx.Module):
@@ -43,7 +45,8 @@ class Calibration(eqx.Module):
       `half_width`: of the 95 % intervals, in x. `told`: part of each that the data tell, the rest being what was known
       before. `dependence`: inverse of the normal matrix, in x.
     - `orders`, `waves`: of ripple, with coefficients of sine and cosine, (order, 2), N m or rad.
-    - `rounds`: of simulation. `converged`: whether the numbers stay.
+    - `rounds`: of simulation. `converged`: whether another round would hardly change a number, which
+      does not say that they explain the records: see `unexplained`.
     - `missed_before`, `missed_after`: torque that the simulated robot misses, relative, by axis. `heldout`: the same
       two on positions that were not fitted, or `None`. `compared`: what of the robot with the records, in words.
     """
@@ -83,6 +86,12 @@ class Calibration(eqx.Module):
         number, x, half = self.numbers[i], float(self.x[i]), float(self.half_width[i])
         return number.value(x - half), number.value(x + half)
 
+    @property
+    def unexplained(self) -> tuple[str, ...]:
+        """Axes whose torque is missed by more than a tenth, as it is found: what the robot lacks there is in no
+        interval."""
+        return tuple(n for n, x in zip(self.given.axis_names, self.missed_after, strict=True) if not x <= _MUCH)
+
     def told_by(self, name: str) -> str:
         """ "data", "prior", or "data in combination" where the data know it only together with others."""
         i = [n.name for n in self.numbers].index(name)
@@ -106,7 +115,7 @@ class Calibration(eqx.Module):
         told = [n for n in self.numbers if self.told_by(n.name) == "data"]
         text = [
             f"{self.given.name}: {len(self.numbers)} numbers, {len(told)} of them told by the data, "
-            f"{len(self.rounds)} rounds" + ("" if self.converged else "; they do not stay yet"),
+            f"{len(self.rounds)} rounds" + ("" if self.converged else "; not converged"),
             f"compared {self.compared}",
         ]
         for number in told:
@@ -119,7 +128,18 @@ class Calibration(eqx.Module):
         if self.heldout is not None:
             pair = zip(self.given.axis_names, *self.heldout, strict=True)
             text.append("held out: " + ", ".join(f"{n} {100 * b:.3g} -> {100 * a:.2g} %" for n, b, a in pair))
-        return text
+        return text + self.doubts()
+
+    def doubts(self) -> list[str]:
+        """What speaks against believing the intervals, in sentences."""
+        if not self.unexplained:
+            return []
+        after = dict(zip(self.given.axis_names, self.missed_after, strict=True))
+        axes = ", ".join(f"{percent(float(after[n]), 2)} of {n}" for n in self.unexplained)
+        return [
+            f"the model does not explain the torque: {axes} is missed, which no interval above holds. Are units, "
+            "payload, controller and positions right? If they are, an effect is missing."
+        ]
 
     def as_dict(self) -> dict[str, Any]:
         """What fit.json holds."""

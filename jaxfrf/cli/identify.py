@@ -125,9 +125,8 @@ def run(given) -> dict:
     for warning in dict.fromkeys(warnings):
         print(f"warning: {warning}", file=sys.stderr)
     ask = f"jaxfrf diagnose {' '.join(given.data)} --robot {given.robot_out or given.robot} -o gap.json"
-    next_step = (
-        f"look at {given.report}" if given.report else f"what is missing? {ask}" if whole else "--report shows it"
-    )
+    look = [f"look at {given.report}"] if given.report else [] if whole else ["--report shows it"]
+    next_step = "; ".join([*look, *([f"what is missing? {ask}"] if whole else [])])
     text = [*found.lines(), f"wrote {', '.join(written)}", f"next: {next_step}"]
     return {"text": text, "json": (contents if whole else _brief(contents)) | {"output": written}}
 

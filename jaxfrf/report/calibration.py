@@ -30,6 +30,8 @@ def _result(found: Calibration) -> str:
     by = [found.told_by(n.name) for n in found.numbers]
     count = lambda word: sum(b == word for b in by)
     word = "Converged" if found.converged else "Not converged"
+    if found.unexplained:
+        word += ", and not explained"
     texts = [
         f"{count('data')} of {len(by)} numbers are told by the records, {count('data in combination')} only together "
         f"with others, {count('prior') + count('nothing')} are as they were known before.",
@@ -41,7 +43,8 @@ def _result(found: Calibration) -> str:
         )
     if not found.converged:
         texts.append("The numbers still moved in the last round: more rounds may help, or the robot lacks an effect.")
-    return verdict(word, texts, found.converged)
+    texts += [text[0].upper() + text[1:] for text in found.doubts()]
+    return verdict(word, texts, found.converged and not found.unexplained)
 
 
 def _missed(found: Calibration) -> str:

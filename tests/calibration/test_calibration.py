@@ -1,6 +1,7 @@
 """Whole robots from records: columns against simulations, the step against stacked least squares, and what is found."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from uncertain_arm import WIDE, design, machine, model, played
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
-from jaxfrf.calibration import rounds
+from jaxfrf.calibration import Calibration, rounds
 from jaxfrf.calibration.columns import number_columns
 from jaxfrf.calibration.least_squares import Posterior, solve, with_bands
 from jaxfrf.calibration.numbers import Number, numbers, with_numbers
@@ -428,6 +429,16 @@ def test_the_page_shows_every_number(commanded):
     for name in found["parameters"]:
         assert name in page
     assert "<img" in page and 'src="http' not in page
+    assert "not explained" not in page
+
+
+@pytest.mark.parametrize("missed", [0.41, np.nan])
+def test_intervals_beside_torque_that_is_missed_are_doubted(missed):
+    found = SimpleNamespace(given=SimpleNamespace(axis_names=("shoulder", "elbow")), missed_after=[0.02, missed])
+    assert Calibration.unexplained.fget(found) == ("elbow",)
+    found.unexplained = ("elbow",)
+    (text,) = Calibration.doubts(found)
+    assert "of elbow" in text and "shoulder" not in text and "units" in text
 
 
 def test_springs_have_options_of_their_own(commanded, capsys):
