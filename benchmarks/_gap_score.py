@@ -26,6 +26,7 @@ from _outside_effects import OUTSIDE
 NAMING, HONEST = ("named", "ambiguous"), ("unexplained", "ambiguous")
 CLEAR = 2.0  # times the just visible level from which on a single effect should be found
 BELIEVED = 2.0  # default tolerances of a number that may be believed
+_OFF = "off by more than is known of them"  # what a diagnosis says of numbers, which are not where nothing is hidden
 GROWS = 1.1  # times the torque that an axis is missed by on the held-out positions, where an effect is named
 
 
@@ -146,6 +147,7 @@ def summary(judged: list[Judged]) -> dict:
         "false_alarm": rate(case.names for case in none),
         "false_alarm_ripple": sum("ripple" in case.named[0]["name"] for case in alarms),
         "false_alarm_number": sum(case.named[0].get("kind") == "a number is wrong" for case in alarms),
+        "false_numbers": rate(_OFF in case.result.get("says", "") for case in none),
         "false_unexplained": rate(case.result["verdict"] == "unexplained" for case in none),
         "outside_honest": rate(case.good for case in outside),
         "outside_named": rate(case.result["verdict"] == "named" for case in outside),
@@ -285,7 +287,7 @@ def report(scores: dict) -> str:
     rows = [(label, [_cell(get(s)) for s in groups.values()]) for label, get in _LINES]
     rows = [("", list(groups)), *rows]
     width = [2 + max(len(cells[i]) for _, cells in rows) for i in range(len(groups))]
-    lines = [f"{label:34}" + "".join(f"{c:>{w}}" for c, w in zip(cells, width, strict=True)) for label, cells in rows]
+    lines = [f"{label:38}" + "".join(f"{c:>{w}}" for c, w in zip(cells, width, strict=True)) for label, cells in rows]
     lines += ["", _MEAN, "", "Failures", *_table(scores["failures"])]
     return "\n".join(lines)
 
@@ -309,6 +311,7 @@ _LINES = [
     ("none: false alarms", lambda s: s["false_alarm"]),
     ("  of which name a ripple", lambda s: s["false_alarm_ripple"]),
     ("  of which call a number wrong", lambda s: s["false_alarm_number"]),
+    ("  numbers off by more than is known", lambda s: s["false_numbers"]),
     ("  said to be unexplained", lambda s: s["false_unexplained"]),
     ("outside: unexplained or ambiguous", lambda s: s["outside_honest"]),
     ("  named", lambda s: s["outside_named"]),
