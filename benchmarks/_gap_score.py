@@ -62,6 +62,11 @@ class Judged:
         return bool(off) and all(x is not None and x <= BELIEVED for x in off)
 
     @property
+    def silent(self) -> bool:
+        """Whether it says that nothing is missing, or that it cannot tell."""
+        return self.result["verdict"] in ("sufficient", "inconclusive")
+
+    @property
     def clear(self) -> bool:
         return self.kind == "single" and self.level >= CLEAR and not self.believed
 
@@ -82,11 +87,11 @@ class Judged:
         """Whether it said what is to be said of such a case."""
         match self.kind:
             case "none":
-                return not self.names
+                return self.silent
             case "outside":
                 return self.result["verdict"] in HONEST
             case "single":
-                return len(found(self, 1)) == 1 or (self.believed and not self.names)
+                return len(found(self, 1)) == 1 or (self.believed and self.silent)
             case _:
                 return len(found(self)) == len(self.truth["effects"])
 

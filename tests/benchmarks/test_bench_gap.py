@@ -427,6 +427,7 @@ def test_score_by_group_and_failures(made_up, tmp_path):
         ("torque_delay joint2 3.0x", "named", "viscous_friction joint2, torque_delay joint2"),
         ("coulomb_friction joint1 1.5x, torque_delay joint2 3.0x", "named", "torque_delay joint2"),
         ("", "ambiguous", "torque_ripple joint1"),
+        ("", "unexplained", ""),
         ("bumper joint3 4.0x", "named", "backlash joint3"),
         ("bumper joint3 4.0x", "inconclusive", ""),
     ]
