@@ -1,8 +1,8 @@
 """The confusion matrix of the diagnosis: what was hidden, and what was named."""
 
 import numpy as np
-from _hidden_cases import CLASSES
 from _hidden_effects import MAIN
+from _hidden_plan import CLASSES
 from _outside_effects import OUTSIDE
 
 from jaxfrf.plot._style import COLOURS, NORMAL, SMALL, add_axes, new_figure, save

@@ -7,12 +7,19 @@ bounds. Where that has no plain meaning one times is
 |---|---|---|
 | stiffness_hardening | stiffness ratio .6 | .6^n |
 | extra_flexibility | a quarter of the compliance of the joint's own transmission, the same d/k | n quarters |
-| torque_saturation | .8 of the largest torque of the nominal robot's run | .8^n, n up to 3 |
+| torque_saturation | .8 of the largest torque of the machine's run without it | .8^n, n up to 3 |
+| counterbalance | 1.5 % of the torque limit at 1 rad | n |
+| coulomb_friction, viscous_friction | half of the motor's own, as much as is believed of it anyway | n |
+| motor_inertia | 5 % of it, as much as is believed of it anyway | n |
 | dress_pack | 2 % of the torque limit at 1 rad (the typical 50 N m/rad stall the wrist's motors), at most typical | n |
 | transmission_error | the typical amplitude at the first order, half of it at the second (if any) | n |
 | presliding_friction | .1 rad | n |
 | gain_drift | 6 % from begin to end | n |
 | bumper | at its deepest the motor's Coulomb friction | n |
+
+Friction of the motors, their inertia, a payload and a torque constant are *numbers* that a robot's file states and that
+its user does not trust: one times is about the tolerance that he has by default, and what is true of them is told by
+the whole difference from the robot that the diagnosis is given (`NUMBERS`).
 
 Everything else about an effect (orders, phases, widths, points of rest, signs) is drawn; orders of ripple and numbers
 of teeth lie outside the effects' own start values.
@@ -27,6 +34,7 @@ from _outside_effects import OUTSIDE
 
 from jaxfrf.effects import AbstractEffect, library
 from jaxfrf.effects._place import axis_of, spring_of
+from jaxfrf.robot import parameters
 
 MAIN = {
     "coulomb_friction": "level",
@@ -56,25 +64,21 @@ MAIN = {
 }
 """Every effect of the library, and the parameter that says how strong it is."""
 
-_ALL = ("joint1", "joint2", "joint3", "joint4", "joint5", "joint6")
-JOINTS = {name: _ALL for name in (*MAIN, *OUTSIDE)} | {
-    "load_dependent_friction": ("joint2", "joint3", "joint5"),  # gravity loads their gears
-    "backlash": ("joint1", "joint4", "joint5", "joint6"),  # gears that gravity does not preload, or not always
-    "stiffness_hardening": ("joint4", "joint5", "joint6"),  # the springs of the others harden already
-    "payload": ("",),
-    "counterbalance": ("joint2", "joint3"),
-    "extra_flexibility": ("joint1", "joint4", "joint5"),
-    "wrist_coupling": ("joint5", "joint6"),
-    "torque_saturation": ("joint1", "joint4", "joint5", "joint6"),  # no gravity that has to be carried
-    "dress_pack": ("joint1", "joint4", "joint6"),
+NUMBERS = {
+    "coulomb_friction": "coulomb_friction",
+    "viscous_friction": "viscous_friction",
+    "motor_inertia": "motor_inertia",
+    "payload": "mass",
 }
-"""Where each of them is hidden."""
+"""Effects that are the error of a number that the robot has and that was drawn wrong, with the kind of that number."""
 
 _EITHER_SIGN = ("friction_asymmetry", "torque_constant", "motor_inertia", "payload", "wrist_coupling")
+_TOLERATED = {"coulomb_friction": 0.5, "viscous_friction": 0.5, "motor_inertia": 0.05}  # of the number: 1x
 _ORDERS = {"torque_ripple": (3, 4, 5, 8, 9, 10, 12, 24), "resolver_ripple": (3, 4, 5, 6, 8)}
-_REST = {"joint2": 0.0, "joint3": 1.5}  # rad, about which the spring of a counterbalance is at rest
 _LEAST_COULOMB = 0.9  # part of the motor's own friction that a negative one may take away
 _MOST_SATURATED = 3.0  # times; more would keep the motor from following
+_BALANCED = 0.015  # of the torque limit at 1 rad
+_KNEE = (0.02, 0.09)  # of the deflection at the torque limit
 _DEPTH = 0.7  # of the slow motion's amplitude, into the bumper
 
 
@@ -90,24 +94,30 @@ class Hidden:
 @dataclasses.dataclass(frozen=True)
 class Circumstances:
     """What a hidden effect is fitted to: the arm configurations, (pos, axis), the amplitude of the slow motion of every
-    arm joint, rad, beginning and length of the record in a run, s, and the largest torque of the nominal robot's own
-    run, (axis,), N m, for which somebody has to simulate."""
+    arm joint, rad, beginning and length of the record in a run, s, the largest torque of the machine's own run without
+    it, (axis,), N m, for which somebody has to simulate, the axis of an extra flexibility and the rest positions of
+    counterbalances, rad."""
 
     positions: np.ndarray
     swing: np.ndarray
     begin: float
     length: float
     largest_torque: Callable[[], np.ndarray]
+    hinge: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    rest: dict[str, float] = dataclasses.field(default_factory=dict)
 
 
 def hidden_effect(robot, hidden: Hidden, around: Circumstances, rng) -> tuple[AbstractEffect, float]:
-    """The effect on the nominal robot, and the level that its bounds leave. The same number of draws at any level."""
+    """The effect on this machine, and the level that its bounds leave. The same number of draws at any level."""
     name, joint, level = hidden.name, hidden.joint, hidden.level
     draw = _Draws(rng)
     special = _SPECIAL.get(name)
     if special is not None:
         return special(robot, joint, level, around, draw)
     sign = draw.sign if name in _EITHER_SIGN else 1.0
+    if name in _TOLERATED:
+        unit = _TOLERATED[name] * _own(robot, name, joint)
+        return _scaled(robot, name, joint, level, sign, unit)
     others = {"width": draw.between(1.5, 6.0)} if name == "stribeck_friction" else {}
     return _scaled(robot, name, joint, level, sign, **others)
 
@@ -139,6 +149,11 @@ def kind_of(name: str) -> type[AbstractEffect]:
     return (library() | OUTSIDE)[name]
 
 
+def _own(robot, name: str, joint: str) -> float:
+    """The number of the robot that the effect is an error of."""
+    return float(parameters(robot, [NUMBERS[name]])[f"{joint}.{NUMBERS[name]}"])
+
+
 def _clipped(kind, main: str, value: float) -> float:
     low, high = kind.bounds[main]
     return float(np.clip(value, low, high))
@@ -154,10 +169,9 @@ def _scaled(robot, name, joint, level, sign=1.0, unit=None, **others):
 
 
 def _coulomb(robot, joint, level, around, draw):
-    own = float(robot.drives.friction.coulomb[axis_of(robot, joint)])
-    kind = kind_of("coulomb_friction")
-    least = level * float(kind.typical(robot, joint).level) <= _LEAST_COULOMB * own
-    return _scaled(robot, kind.name, joint, level, draw.sign if least else 1.0)
+    unit = _TOLERATED["coulomb_friction"] * _own(robot, "coulomb_friction", joint)
+    least = level * _TOLERATED["coulomb_friction"] <= _LEAST_COULOMB
+    return _scaled(robot, "coulomb_friction", joint, level, draw.sign if least else 1.0, unit)
 
 
 def _ripple(name):
@@ -194,17 +208,18 @@ def _hysteresis(robot, joint, level, around, draw):
 
 
 def _hardening(robot, joint, level, around, draw):
-    kind = kind_of("stiffness_hardening")
+    kind, axis = kind_of("stiffness_hardening"), axis_of(robot, joint)
     ratio = _clipped(kind, "ratio", 0.6**level)
-    return kind(joint, ratio, draw.between(1.5e-4, 6e-4)), math.log(ratio) / math.log(0.6)
+    most = float(robot.drives.torque_limit[axis] * robot.drives.gear_ratio[axis])
+    knee = draw.between(*_KNEE) * most / float(robot.springs.stiffness[spring_of(robot, joint)])
+    return kind(joint, ratio, _clipped(kind, "knee", knee)), math.log(ratio) / math.log(0.6)
 
 
 def _flexibility(robot, joint, level, around, draw):
     kind, spring = kind_of("extra_flexibility"), spring_of(robot, joint)
     own, damping = (float(x[spring]) for x in (robot.springs.stiffness, robot.springs.damping))
     stiffness = _clipped(kind, "stiffness", 4.0 * own / level)
-    # Across the joint's own axis; z is across those of joints 1 to 6.
-    return kind(joint, np.array([0.0, 0.0, 1.0]), stiffness, damping * stiffness / own), 4.0 * own / stiffness
+    return kind(joint, np.array(around.hinge), stiffness, damping * stiffness / own), 4.0 * own / stiffness
 
 
 def _saturation(robot, joint, level, around, draw):
@@ -214,7 +229,10 @@ def _saturation(robot, joint, level, around, draw):
 
 
 def _counterbalance(robot, joint, level, around, draw):
-    return _scaled(robot, "counterbalance", joint, level, draw.sign, rest=_REST[joint] + draw.within(-0.5, 0.5))
+    axis = axis_of(robot, joint)
+    unit = _BALANCED * float(robot.drives.torque_limit[axis] * robot.drives.gear_ratio[axis])
+    rest = around.rest[joint] + draw.within(-0.5, 0.5)
+    return _scaled(robot, "counterbalance", joint, level, draw.sign, unit, rest=rest)
 
 
 def _dress_pack(robot, joint, level, around, draw):

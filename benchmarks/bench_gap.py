@@ -1,26 +1,31 @@
 """How often a hidden effect is found and named, and how often one is named that is not there.
 
-    python benchmarks/bench_gap.py --part report -o report [--cases 0-63] [--make-only] [--no-refits] [--jobs 1]
+    python benchmarks/bench_gap.py --part report -o report [--cases 0-63] [--robots small] [--make-only] [--no-refits]
+    python benchmarks/bench_gap.py --again -o report
     python benchmarks/bench_gap.py --score -o report [tune ...]
 
-Every case (`_hidden_cases.py`) is a simulated machine that differs from the robot that the diagnosis is given: a little
-everywhere, and by one effect of the library, two, one that the library does not hold, or none. Half of the records are
-MuJoCo's. The diagnosis sees `FOLDER/cases/NNN` (record and nominal robot); what was hidden stands in
-`FOLDER/truth/NNN.json`, what it found in `FOLDER/results/NNN.json`: gap.json with the wall time, and the shrink of the
-gap on the held-out positions if the true effect is refitted ("oracle") or some other one ("placebo").
+Every case (`_hidden_plan.py`) is a simulated machine that differs from the robot that the diagnosis is given: in every
+number, as `_hidden_robots.py` says, and by one effect of the library, two, one that the library does not hold, or none.
+Half of the records are MuJoCo's. The diagnosis sees `FOLDER/cases/NNN` (record and robot); what was hidden stands in
+`FOLDER/truth/NNN.json`, what it found in `FOLDER/results/NNN.json`: gap.json with the wall time and the peak of memory,
+and the shrink of the gap on the held-out positions if the true effect is refitted ("oracle") or some other one
+("placebo"). `FOLDER/extended/NNN.toml` is the robot that it wrote; `--again` diagnoses the record once more with it.
 
 Data and results that are there are kept, so an interrupted run goes on; a diagnosis that ended in an error is made
-again. `--make-only` makes the data; a case takes half a minute and 83 MB. `--score` prints the tables, and writes
-`score.json`, `score.txt` and `confusion.png` into the (first) folder. Tune on "tune", report on "report".
+again. `--make-only` makes the data. The cases stand in an order in which the first few, or every second or third one
+(`--cases 0-251/3`), are a fair sample. `--score` prints the tables, and writes `score.json`, `score.txt` and
+`confusion.png` into the (first) folder. Tune on "tune", report on "report".
 """
 
 import argparse
+import contextlib
 import functools
 import gc
 import json
 import os
 import pathlib
 import time
+import traceback
 
 os.environ.setdefault("NPROC", "64")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -30,9 +35,10 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import jax
 import numpy as np
 from _gap_picture import draw
-from _gap_score import load, report, score
+from _gap_score import NAMING, load, report, score
 from _hidden_cases import PARTS, Case, can_be_made, cases, class_of, make
-from _hidden_effects import JOINTS, MAIN, kind_of
+from _hidden_effects import MAIN, kind_of
+from _hidden_robots import PLANTS
 
 from jaxfrf.effects import AbstractEffect
 from jaxfrf.effects.catalogue import effect_from_table
@@ -45,7 +51,7 @@ from jaxfrf.gap.settings import EXPERIMENTS, JUDGING
 from jaxfrf.io._json import write_json
 from jaxfrf.io.gaps import gap_contents
 from jaxfrf.io.records import read
-from jaxfrf.io.robots import read_robot
+from jaxfrf.io.robots import read_robot, write_robot
 from jaxfrf.trajectory.measured import fewer, measured
 
 _ROUNDS = 8  # of an oracle's fit
@@ -87,16 +93,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=pathlib.Path, nargs="+", required=True, metavar="FOLDER")
     parser.add_argument("--part", choices=PARTS, default="report")
-    parser.add_argument("--cases", type=_numbers, metavar="0-63", help="numbers and ranges, separated by commas")
+    parser.add_argument("--cases", type=_numbers, metavar="0-63", help="numbers, ranges, ranges/step, behind commas")
+    parser.add_argument("--robots", nargs="+", choices=PLANTS, default=list(PLANTS))
     parser.add_argument("--make-only", action="store_true")
     parser.add_argument("--score", action="store_true", help="tables only")
     parser.add_argument("--no-refits", action="store_true", help="neither oracle nor placebo: a third of the time")
+    parser.add_argument("--again", action="store_true", help="diagnose the robots that were written, too")
     parser.add_argument("--jobs", type=int, default=1, help="processes of MuJoCo")
     options = parser.parse_args()
     folder = options.output[0]
     if not options.score:
-        chosen = [c for c in cases(options.part) if options.cases is None or c.number in options.cases]
+        chosen = [c for c in cases(options.part) if c.robot in options.robots]
+        chosen = [c for c in chosen if options.cases is None or c.number in options.cases]
         run(chosen, folder, options.make_only, options.jobs, not options.no_refits)
+        if options.again:
+            diagnose_again(chosen, folder)
     if not options.make_only:
         tell(options.output)
 
@@ -115,12 +126,37 @@ def run(chosen: list[Case], folder: pathlib.Path, make_only: bool = False, jobs:
         make(case, folder, jobs)
         said = "made" if make_only else _diagnosed(case, folder, result, refits)
         done += 1
-        if done % _FORGET == 0:
-            jax.clear_caches()
-            gc.collect()
+        _forget(done)
         now = time.monotonic()
         left = (now - began) / done * (len(chosen) - k - 1)
         print(f"{case.name}: {said}, {now - start:.0f} s; {_duration(left)} left", flush=True)
+
+
+def diagnose_again(chosen: list[Case], folder: pathlib.Path) -> None:
+    """Of every case in which something was named: the verdict on the robot that was written, for the same record."""
+    for done, case in enumerate(chosen, 1):
+        result, written_to = folder / "results" / f"{case.name}.json", folder / "extended" / f"{case.name}.toml"
+        found = json.loads(result.read_text()) if result.exists() and written_to.exists() else {}
+        if not _names(found) or "again" in found:
+            continue
+        try:
+            found["again"] = diagnose(read_robot(written_to), read(folder / "cases" / case.name / "data.nc")).verdict
+        except Exception as error:  # as below
+            found["again"], found["again_error"] = "failed", traceback.format_exc()
+            print(f"{case.name}: {error}", flush=True)
+        write_json(result, found)
+        _forget(done)
+        print(f"{case.name}: {found['again']} with the robot that was written", flush=True)
+
+
+def _names(found: dict) -> bool:
+    return found.get("verdict") in NAMING and bool(found.get("effects"))
+
+
+def _forget(done: int) -> None:
+    if done % _FORGET == 0:
+        jax.clear_caches()
+        gc.collect()
 
 
 def _finished(result: pathlib.Path) -> bool:
@@ -132,12 +168,16 @@ def _diagnosed(case: Case, folder: pathlib.Path, result: pathlib.Path, refits: b
     place = folder / "cases" / case.name
     start = time.monotonic()
     looked = None
+    _reset_peak()
     try:
         looked = Looked(place)
         found = gap_contents(looked.found)
     except Exception as error:  # one case must not end the others; it counts as failed
-        found = {"verdict": "failed", "error": f"{type(error).__name__}: {error}"}
-    found["wall_s"] = time.monotonic() - start
+        found = {"verdict": "failed", "error": f"{type(error).__name__}: {error}", "where": traceback.format_exc()}
+    found |= {"wall_s": time.monotonic() - start, "peak_mb": _peak_mb()}
+    if looked is not None and _names(found):
+        (folder / "extended").mkdir(exist_ok=True)
+        write_robot(looked.found.extended, folder / "extended" / f"{case.name}.toml")
     truth = json.loads((folder / "truth" / f"{case.name}.json").read_text())
     if refits and case.kind in ("single", "double") and looked is not None:
         found["oracle"] = _oracle(looked, truth["effects"])
@@ -161,8 +201,22 @@ def _others(case: Case, robot) -> list[AbstractEffect]:
     """As many typical effects of other classes, on joints of their own choice."""
     rng = np.random.default_rng([case.seed, 9])
     hidden = {name for effect in case.hidden for name in class_of(effect.name)}
-    names = rng.permutation([name for name in MAIN if name not in hidden])[: len(case.hidden)]
-    return [kind_of(name).typical(robot, str(rng.choice(JOINTS[name]))) for name in names]
+    names = rng.permutation([n for n in MAIN if n not in hidden and case.plant.joints_of(n)])[: len(case.hidden)]
+    return [kind_of(name).typical(robot, str(rng.choice(case.plant.joints_of(name)))) for name in names]
+
+
+def _reset_peak() -> None:
+    """So that the peak of memory is that of one case; where the system does not allow it, of all so far."""
+    with contextlib.suppress(OSError):
+        pathlib.Path("/proc/self/clear_refs").write_text("5")
+
+
+def _peak_mb() -> float | None:
+    """Largest memory of this process since the reset, MB; `None` where the system does not say."""
+    with contextlib.suppress(OSError, StopIteration):
+        lines = pathlib.Path("/proc/self/status").read_text().splitlines()
+        return float(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1024
+    return None
 
 
 def tell(folders: list[pathlib.Path]) -> None:
@@ -179,11 +233,12 @@ def tell(folders: list[pathlib.Path]) -> None:
 
 
 def _numbers(text: str) -> set[int]:
-    """ "0-3,7" as {0, 1, 2, 3, 7}."""
+    """ "0-3,7,10-20/5" as {0, 1, 2, 3, 7, 10, 15, 20}."""
     found: set[int] = set()
     for part in text.split(","):
-        first, _, last = part.partition("-")
-        found |= set(range(int(first), int(last or first) + 1))
+        span, _, step = part.partition("/")
+        first, _, last = span.partition("-")
+        found |= set(range(int(first), int(last or first) + 1, int(step or 1)))
     return found
 
 
