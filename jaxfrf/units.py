@@ -42,7 +42,8 @@ def known_unit(text: str) -> tuple[str, float] | None:
 
     `g` is the acceleration, 9.80665 m/s^2: nobody logs grams of a machine that vibrates.
     """
-    return _KNOWN.get(re.sub(r"\s+", "", text.strip().strip("[]()")).lower())
+    plain = text.replace("\u03bc", "\u00b5")  # the Greek letter for the sign of micro
+    return _KNOWN.get(re.sub(r"\s+", "", plain.strip().strip("[]()")).lower())
 
 
 def quantity_of(unit: str) -> str | None:

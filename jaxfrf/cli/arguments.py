@@ -32,18 +32,29 @@ def add_record_options(parser: argparse.ArgumentParser, method: str | None, defa
     parser.add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help="e.g. width=34, order=2")
     parser.add_argument(
         "--map",
+        action=Joined,
         help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]; y=rec.act_vel; u=a.csv:tau1; columns "
         "without headings by number, from 1",
     )
     parser.add_argument(
-        "--set", help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720,y_unit=deg/s"
+        "--set",
+        action=Joined,
+        help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720,y_unit=deg/s",
     )
-    parser.add_argument("--scale", help="factors to SI units: y=0.0174532925")
+    parser.add_argument("--scale", action=Joined, help="factors to SI units: y=0.0174532925")
     add_anyway_option(parser)
     parser.add_argument(
         "--periods", metavar="A:B", help="use only these steady periods, counted from 0, B not included"
     )
     parser.add_argument("--band", metavar="LOW:HIGH", help="use only the lines in this band, Hz")
+
+
+class Joined(argparse.Action):
+    """Settings of several such options add up: `--scale u=10 --scale y=2` is `--scale u=10,y=2`."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        before = getattr(namespace, self.dest)
+        setattr(namespace, self.dest, values if before is None else f"{before},{values}")
 
 
 def add_anyway_option(parser: argparse.ArgumentParser) -> None:

@@ -29,6 +29,7 @@ from .settings import (
     OFF,
     PRICE,
     RISES,
+    SIGNIFICANT,
     TOLD,
     TOLERANCE,
     UNEXPLAINED,
@@ -352,7 +353,8 @@ def _wrong_numbers(last: Fitted) -> str:
     wrong = wrong_numbers(last)
     if not wrong:
         return ""
-    changes = [f"{name} by {change} (p = {p:.2g})" for name, change, p in wrong]
+    chance = lambda p: f"p = {p:.2g}" if p < SIGNIFICANT else "as one of so many may be"
+    changes = [f"{name} by {change} ({chance(p)})" for name, change, p in wrong]
     return f" Numbers of the robot that are off by more than is known of them: {', '.join(changes)}."
 
 

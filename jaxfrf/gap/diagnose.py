@@ -74,13 +74,14 @@ def diagnose(
 
     Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
     """
+    if robot is not None:
+        expect("robot", robot, Robot)
     records: list[Any] = list(data) if isinstance(data, Sequence) else [data]
     channel = channel_of(robot, records)
     if channel is not None:
         return _by_channel(channel, robot, records, own, sealed or 0, say or (lambda text: None))
     if robot is None:
         raise input_error("robot", "no robot", "one, for these records", "Name it (--robot robot.toml).")
-    expect("robot", robot, Robot)
     for one in records:
         expect("data", one, Experiment)
         if not one.period:

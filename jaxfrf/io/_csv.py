@@ -13,7 +13,7 @@ KIND = "a table of numbers"
 
 _COMMENTS = ("#", "%")
 _SEPARATORS = (";", "\t", ",", None)
-_HEADING = re.compile(r"(?P<name>[^\[(]*\w[^\[(]*)[\[(](?P<unit>[^\[\]()\d]{1,9}\d?)[\])]")
+_HEADING = re.compile(r"(?P<name>[^\[(]*\w[^\[(]*)[\[(](?P<unit>[^\[\]()\d]{1,9}\d?|1/[^\[\]()\d]{1,8}\d?)[\])]")
 _LOOK = 20  # last lines that tell the separator
 
 
@@ -75,7 +75,10 @@ def _text(path: pathlib.Path) -> str:
         return data.decode("utf-16", errors="replace")
     if b"\0" in data[:200]:  # every other byte of plain text in UTF-16
         return data.decode("utf-16-be" if data[:1] == b"\0" else "utf-16-le", errors="replace")
-    return data.decode("utf-8-sig", errors="replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:  # what loggers on Windows write, or a part of it
+        return data.decode("cp1252", errors="replace")
 
 
 def _labview(lines: list[str]) -> list[str]:

@@ -195,7 +195,7 @@ def test_other_names_and_units(tmp_path):
     names = {"torque": arrays["u"], "speed_deg": np.rad2deg(arrays["y"])}
     data = write(tmp_path / "log.npz", names, fs=None, period=None, lines=None)
     arguments = ("--map", "u=torque,y=speed_deg", "--scale", f"y={np.pi / 180!r}")
-    values = ("--set", f"fs={FS:g},period={PERIOD},lines=5:100:2")
+    values = ("--set", f"fs={FS:g}", "--set", f"period={PERIOD},lines=5:100:2")  # several of them add up
     assert estimate(data, "-o", tmp_path / "frf.npz", "--method", "h1", *arguments, *values) == 0
     np.testing.assert_allclose(jf.io.read_frf(tmp_path / "frf.npz").G[0], G, rtol=1e-9)
 

@@ -761,6 +761,15 @@ def test_dialects_of_tables(tmp_path, text, encoding):
     assert data.fs == 100.0
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "utf-16"])
+def test_units_in_what_loggers_on_windows_write(tmp_path, encoding):
+    path = tmp_path / "a.csv"
+    path.write_bytes(("t [µs],u [Nm],y [°/s]\n" + table(",")).encode(encoding))
+    data = jf.io.read(path)
+    np.testing.assert_allclose(data.y[0, 0, :, 0], np.deg2rad(TABLE[:, 2]), atol=1e-6)
+    assert data.fs == pytest.approx(100.0e6)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
