@@ -101,6 +101,7 @@ _PUBLIC = {
     "Calibration": "calibration",
     "identify": "identification.identify",
     "Identification": "identification",
+    "diagnose": "gap.diagnose",
     "position_information": "graybox",
     "d_optimal": "graybox",
     "expected_accuracy": "graybox",
@@ -206,6 +207,7 @@ if TYPE_CHECKING:
     from .frf.estimate import estimate as estimate
     from .frf.features import features as features
     from .frf.modal import modal as modal
+    from .gap.diagnose import diagnose as diagnose
     from .graybox import (
         BFGS as BFGS,
         AbstractModel as AbstractModel,

@@ -109,7 +109,7 @@ def _diagnosed(given, robot, data, own, parts):
     from ..gap.rounds import PART_FILES
 
     parts.begin(_about(given, data), PART_FILES)
-    heldout = {} if given.heldout_count is None else {"sealed": given.heldout_count}
+    heldout = {} if given.heldout_count is None else {"heldout_count": given.heldout_count}
     try:
         with naming(given.data), Progress("diagnose", given.json) as progress:
             return diagnose(robot, data, own=own, parts=parts, say=progress.say, progress=progress, **heldout)

@@ -1,4 +1,4 @@
-"""What stands of a contest once the sealed positions are opened: verdict, words, effects, and the robot to write."""
+"""What stands of a contest once the held-out positions are opened: verdict, words, effects, and the robot to write."""
 
 import functools
 from collections.abc import Mapping, Sequence
@@ -50,7 +50,7 @@ class Conclusion(eqx.Module):
 
 
 def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
-    """The verdict: effects stand as far as the robot written with each makes the gap on the sealed positions smaller
+    """The verdict: effects stand as far as the robot written with each makes the gap on the held-out positions smaller
     than that of the one before."""
     told, deciding = records.every.at(records.judged), records.deciding
     steps, refused, before = _standing(found, told)
@@ -68,7 +68,15 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
             last, extended, worst = again
             base, everywhere = extended, _EVERYWHERE
     verdict, says = _verdict(
-        base, bool(found.refused or found.steps), steps, effects, last, extended, told, worst, bool(len(records.sealed))
+        base,
+        bool(found.refused or found.steps),
+        steps,
+        effects,
+        last,
+        extended,
+        told,
+        worst,
+        bool(len(records.heldout)),
     )
     if verdict == "unexplained":
         last, effects, steps = found.base, (), ()
@@ -163,7 +171,7 @@ def _verdict(
     extended: Written,
     told: Measured,
     worst: float,
-    sealed: bool,
+    heldout: bool,
 ) -> tuple[str, str]:
     result = compared(base.residual, extended.residual, base.evidence.plain, told.frequency)
     if worst > UNEXPLAINED and (not effects or result.after > (1 - EXPLAINED) * result.before):
@@ -173,7 +181,7 @@ def _verdict(
             "The maps show where."
         )
     if effects:
-        on = "the held-out positions" if sealed else "the fitted positions, none being held out"
+        on = "the held-out positions" if heldout else "the fitted positions, none being held out"
         return _told(steps, effects, base, extended, on)
     met = relative_torque(told, extended.residual)
     looked = "no effect explains more of the rest on positions that chose nothing"
@@ -272,11 +280,11 @@ def _loud_ripple(
     found = []
     for effect in effects:
         quiet = _quiet(last, (type(effect), str(effect.joint)))
-        before, sealed = shared(functools.partial(written, quiet), (deciding, told), lapack_threads())
-        if before is None or sealed is None:
+        before, heldout = shared(functools.partial(written, quiet), (deciding, told), lapack_threads())
+        if before is None or heldout is None:
             continue
         against = against_it(deciding, before, there, str(effect.joint))
-        if not against and not against_it(told, sealed, extended, str(effect.joint)):
+        if not against and not against_it(told, heldout, extended, str(effect.joint)):
             floor, frequency = before.evidence.plain, deciding.frequency
             found.append(_ripple(effect, last, compared(before.residual, there.residual, floor, frequency)))
     return tuple(found)

@@ -74,8 +74,8 @@ class Contest(eqx.Module):
     """What was found.
 
     **Fields:** `base`: the robot with its numbers fitted. `steps`: effects. `last`: the robot with them, fitted to all
-    positions that are not sealed. `scored`: the first ranking, empty where nothing was looked for. `refused`: in words,
-    why the last winner was not taken.
+    positions that are not held out. `scored`: the first ranking, empty where nothing was looked for. `refused`: in
+    words, why the last winner was not taken.
     """
 
     base: Fitted
@@ -86,7 +86,7 @@ class Contest(eqx.Module):
 
 
 class Records(eqx.Module):
-    """A record, and its positions that are fitted, that decide which effect is taken, and that are sealed.
+    """A record, and its positions that are fitted, that decide which effect is taken, and that are held out.
 
     `whole`: with the experiments that are fitted; `every`: with those that judge."""
 
@@ -94,7 +94,7 @@ class Records(eqx.Module):
     every: Measured
     fit: np.ndarray
     select: np.ndarray
-    sealed: np.ndarray
+    heldout: np.ndarray
 
     @property
     def fitted(self) -> Measured:
@@ -110,8 +110,8 @@ class Records(eqx.Module):
 
     @property
     def judged(self) -> np.ndarray:
-        """Where the result is told: the sealed ones, or those that were fitted where none are sealed."""
-        return self.sealed if len(self.sealed) else self.opened
+        """Where the result is told: the held-out ones, or those that were fitted where none are held out."""
+        return self.heldout if len(self.heldout) else self.opened
 
 
 def contest(
@@ -122,7 +122,7 @@ def contest(
     done,
     parts: Parts | None,
 ) -> Contest:
-    """The effects that a robot lacks, on the positions that are not sealed."""
+    """The effects that a robot lacks, on the positions that are not held out."""
     say("fits the robot's own numbers")
     fit = records.fitted
     base, given = _base(robot, fit, say, parts)
@@ -184,7 +184,7 @@ def _on_all(now: Fitted, records: Records, say: Say) -> Fitted:
     """The same, fitted to the positions that decided, too."""
     if len(records.opened) == len(records.fit):
         return now
-    say("fits it to all positions that are not sealed")
+    say("fits it to all positions that are not held out")
     return further(now, records.whole.at(records.opened), say, FINAL_ROUNDS)
 
 

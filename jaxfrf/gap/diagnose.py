@@ -31,7 +31,7 @@ def diagnose(
     data: Experiment | FRF | Sequence[Experiment | FRF],
     *,
     own: Sequence[type[AbstractEffect]] = (),
-    sealed: int | None = None,
+    heldout_count: int | None = None,
     say: Say | None = None,
     progress: Callable[[float], None] | None = None,
     parts: Parts | None = None,
@@ -45,7 +45,7 @@ def diagnose(
     one, unexcited ones and the slow motion included); those that promise most become robots in which the effect's
     parameters are numbers of which nothing is known, and all numbers are fitted again. The one that costs least is
     taken if it is better, simulated as it would be written, on positions that chose nothing, and this repeats with the
-    effect in the robot. The sealed positions are opened once, at the end: an effect with which their gap does not
+    effect in the robot. The held-out positions are opened once, at the end: an effect with which their gap does not
     shrink is taken back.
 
     A number that the robot has, with a tolerance, may be what is wrong: it is set free like an effect, and told to be a
@@ -65,7 +65,8 @@ def diagnose(
       records of any motion of a rigid robot; records whose y are the positions of all motors, then of all links; FRFs
       or periodic records of one drive.
     - `own`: effects of your own, classes like those of `jaxfrf.effects`.
-    - `sealed`: positions that are kept for the end; a third of them by default, none where there are less than three.
+    - `heldout_count`: positions that are kept for the end; a third of them by default, none where there are less than
+      three.
       Of FRFs and records that are not periodic: so many of the last, none by default.
     - `say`: called with a line of progress. `progress`: with the part that is done.
     - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`, begun); a run that finds some goes on behind them.
@@ -79,7 +80,7 @@ def diagnose(
     records: list[Any] = list(data) if isinstance(data, Sequence) else [data]
     channel = channel_of(robot, records)
     if channel is not None:
-        return _by_channel(channel, robot, records, own, sealed or 0, say or (lambda text: None))
+        return _by_channel(channel, robot, records, own, heldout_count or 0, say or (lambda text: None))
     if robot is None:
         raise input_error("robot", "no robot", "one, for these records", "Name it (--robot robot.toml).")
     for one in records:
@@ -88,7 +89,7 @@ def diagnose(
             check_rigid(robot)
     require_x64("A diagnosis")
     record, say = joined([x for x in records if isinstance(x, Experiment)]), say or (lambda text: None)
-    parts_of = split(measured(fewer(record, EXPERIMENTS)), measured(fewer(record, JUDGING)), sealed)
+    parts_of = split(measured(fewer(record, EXPERIMENTS)), measured(fewer(record, JUDGING)), heldout_count)
     found = contest(robot, parts_of, tuple(own), say, progress or (lambda part: None), parts)
     return present(found, parts_of, robot, compared(robot, record))
 
@@ -98,23 +99,25 @@ def _by_channel(
     robot: Robot | None,
     data: Sequence[Any],
     own: Sequence[type[AbstractEffect]],
-    sealed: int,
+    heldout_count: int,
     say: Say,
 ) -> Diagnosis:
-    """One comparison without a simulation: the last so many of the data are sealed."""
-    if not 0 <= sealed < len(data):
-        raise input_error("sealed records", f"{sealed}", f"0 to {len(data) - 1} of {len(data)}", "Leave some to fit.")
-    fitted, judge = data[: len(data) - sealed], data[len(data) - sealed :]
+    """One comparison without a simulation: the last so many of the data are held out."""
+    if not 0 <= heldout_count < len(data):
+        raise input_error(
+            "held-out records", f"{heldout_count}", f"0 to {len(data) - 1} of {len(data)}", "Leave some to fit."
+        )
+    fitted, judge = data[: len(data) - heldout_count], data[len(data) - heldout_count :]
     say(f"compared: {kind.compared}")
     channel = kind.opened(robot, fitted)
     sources = tuple(source for x in fitted for source in x.sources)
     return concluded(channel, channel.of(judge) if judge else None, (*library().values(), *own), sources)
 
 
-def split(record: Measured, every: Measured, sealed: int | None) -> Records:
-    """Positions that are fitted, that decide and that are sealed; few are fitted and decide. `every`: the same
+def split(record: Measured, every: Measured, heldout_count: int | None) -> Records:
+    """Positions that are fitted, that decide and that are held out; few are fitted and decide. `every`: the same
     positions, with the experiments that judge."""
-    opened = opened_positions(record.data, sealed)
+    opened = opened_positions(record.data, heldout_count)
     place = places(record.data)
     left = list(dict.fromkeys(place[opened].tolist()))
     count = len(left) // SELECT if len(left) >= FEW else 0
@@ -125,17 +128,20 @@ def split(record: Measured, every: Measured, sealed: int | None) -> Records:
     return Records(record, every, *numbers)
 
 
-def opened_positions(record: Experiment, sealed: int | None) -> np.ndarray:
-    """Which positions are fitted, (pos,): the sealed ones stand between them. Records of one place stay together."""
+def opened_positions(record: Experiment, heldout_count: int | None) -> np.ndarray:
+    """Which positions are fitted, (pos,): the held-out ones stand between them. Records of one place stay together."""
     place = places(record)
     count = place.max() + 1
-    if sealed is None:
-        sealed = count // 3 if count >= 3 else 0
-    if not 0 <= sealed < count:
+    if heldout_count is None:
+        heldout_count = count // 3 if count >= 3 else 0
+    if not 0 <= heldout_count < count:
         raise input_error(
-            "held-out positions", f"{sealed}", f"0 to {count - 1} of {count} positions", "Leave some for the fit."
+            "held-out positions",
+            f"{heldout_count}",
+            f"0 to {count - 1} of {count} positions",
+            "Leave some for the fit.",
         )
     order = dict.fromkeys(place.tolist())
     names = list(order)
-    chosen = {names[int(i)] for i in np.round((np.arange(sealed) + 1) * count / max(sealed, 1)) - 1}
+    chosen = {names[int(i)] for i in np.round((np.arange(heldout_count) + 1) * count / max(heldout_count, 1)) - 1}
     return np.array([p not in chosen for p in place])

@@ -23,7 +23,7 @@ _NOTHING = 1e-3  # of the floor: a gap that is smaller has nothing to shrink
 
 
 def present(found: Contest, records: Records, given: Robot, compared: str) -> Diagnosis:
-    """The result: of the robots that would be written, judged on the sealed positions."""
+    """The result: of the robots that would be written, judged on the held-out positions."""
     end = concluded(found, records, given)
     values, changed = _parameters(end.last, given)
     maps = _maps(records, end)
@@ -42,7 +42,7 @@ def present(found: Contest, records: Records, given: Robot, compared: str) -> Di
         extended=_stated(end.extended.robot),
         compared=compared,
         fitted=tuple(int(i) for i in records.opened),
-        sealed=tuple(int(i) for i in records.sealed),
+        heldout=tuple(int(i) for i in records.heldout),
         frf=_responses(records, (end.base, end.extended)),
         next_experiment=next_experiment(end.verdict, end.effects),
         sources=tuple(records.whole.data.sources),
@@ -69,7 +69,7 @@ def gap_between(records: Records, base: Written, extended: Written) -> Gap:
     b, a = (float(np.sqrt(np.mean(over_floor(x.residual, floor) ** 2))) for x in (base, extended))
     low = min(np.sqrt(FLOOR), _AT_MOST * b)
     shrink = float(np.clip(1.0 - (a - low) / max(b - low, _NOTHING), -9.0, 1.0))
-    on = "held-out positions" if len(records.sealed) else "the fitted positions (none were held out)"
+    on = "held-out positions" if len(records.heldout) else "the fitted positions (none were held out)"
     before, after = (relative_torque(told, x.residual) for x in (base, extended))
     return Gap(b, a, float(low), shrink, "1", on, before, after)
 
@@ -118,9 +118,9 @@ def _ranking(found: Contest, end: Conclusion) -> tuple[Ranked, ...]:
 
 
 def _responses(records: Records, models: Sequence[Written]):
-    """FRFs of measurement, base and extended model on the sealed positions, estimated alike; `None` where there are
+    """FRFs of measurement, base and extended model on the held-out positions, estimated alike; `None` where there are
     none, or too few experiments or lines for an FRF."""
-    if not len(records.sealed):
+    if not len(records.heldout):
         return None
     try:
         return _estimated(records, models)
@@ -129,7 +129,7 @@ def _responses(records: Records, models: Sequence[Written]):
 
 
 def _estimated(records: Records, models: Sequence[Written]):
-    data = records.every.at(records.sealed).data
+    data = records.every.at(records.heldout).data
     method = LRM() if data.r is None else default_method()
     found = [measured_frf(data, method, "acceleration")]
     for model in models:

@@ -109,8 +109,8 @@ class Diagnosis(eqx.Module):
     `gap`, `maps`. `parameters`: of the extended model, by name, with `changed` the relative change from the given robot
     in the same order. `given`, `base`, `extended`: robots: as given, refitted, with the effects; the last two have the
     ripple that their motors show, too, and gap and maps are theirs, simulated. `compared`: how measurement and model
-    were compared. `fitted`, `sealed`: positions. `frf`: measured, base and extended FRF on the
-    sealed positions, estimated alike. `next_experiment`: what to do next. `sources`: of the data. `settings`.
+    were compared. `fitted`, `heldout`: positions. `frf`: measured, base and extended FRF on the
+    held-out positions, estimated alike. `next_experiment`: what to do next. `sources`: of the data. `settings`.
     """
 
     verdict: str = eqx.field(static=True)
@@ -127,7 +127,7 @@ class Diagnosis(eqx.Module):
     extended: Robot
     compared: str = eqx.field(static=True)
     fitted: tuple[int, ...] = eqx.field(static=True)
-    sealed: tuple[int, ...] = eqx.field(static=True)
+    heldout: tuple[int, ...] = eqx.field(static=True)
     frf: tuple[FRF, FRF, FRF] | None
     next_experiment: str = eqx.field(static=True)
     sources: tuple = ()

@@ -2,7 +2,7 @@
 
 # What is used of a record
 EXPERIMENTS = 2  # of a position that is fitted: what limits a fit is the model, not the noise
-JUDGING = 6  # experiments of a position that decides or is sealed: each is a block of its own
+JUDGING = 6  # experiments of a position that decides or is held out: each is a block of its own
 FEW = 4  # opened positions, from which on some of them choose nothing and decide
 SELECT = 3  # one of so many
 
@@ -40,7 +40,7 @@ BLOCKS = 8  # at least: runs, cut into combs of lines where there are fewer
 TOOTH = 4  # neighbouring lines of a comb's tooth: excited and unexcited ones stand in each
 NEAR = 0.05  # of what was beyond the floor: a rival that leaves no more than this beyond the winner is as good
 
-# What the sealed positions say
+# What the held-out positions say
 PRICE = 0.1  # of the squares that some axes gain, which others may lose beyond their floor
 RISES = 1.1  # of the torque that the effect's own joint is missed by
 

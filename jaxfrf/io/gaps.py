@@ -76,7 +76,7 @@ def gap_contents(diagnosis: Any) -> dict[str, Any]:
         "parameters": _parameters(d),
         "compared": d.compared,
         "next_experiment": d.next_experiment,
-        "positions": {"fitted": list(d.fitted), "heldout": list(d.sealed)},
+        "positions": {"fitted": list(d.fitted), "heldout": list(d.heldout)},
         "settings": dict(d.settings),
         "sources": [{"name": s.name, "sha256": s.sha256} for s in d.sources],
         "version": __version__,

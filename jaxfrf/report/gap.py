@@ -70,7 +70,7 @@ def gap_page(diagnosis: Any) -> str:
     """The page about a `diagnosis` as HTML text."""
     d = diagnosis
     names = joined([s.name for s in d.sources]) or "data in memory"
-    positions = len(d.fitted) + len(d.sealed)
+    positions = len(d.fitted) + len(d.heldout)
     subtitle = f"Diagnosis of {d.base.name} from {names}, {positions} position{'s' if positions != 1 else ''}"
     sections = [
         _STYLE + _verdict(d) + _tiles(d),
@@ -141,10 +141,10 @@ def _where(d) -> str:
         told = paragraph("No cell stands out of the floor.")
     after = d.maps.after if _changed(d) else None
     maps = figure(
-        gap_maps(d.maps.before, after, d.maps.bands, names, marked=concerned, heldout=d.sealed)[0],
+        gap_maps(d.maps.before, after, d.maps.bands, names, marked=concerned, heldout=d.heldout)[0],
         f"{d.gap.quantity[:1].upper()}{d.gap.quantity[1:]} (measured less simulated) over its floor, rms: a block for "
         "each axis, a row for each position"
-        f"{' (bold: held out)' if d.sealed else ''}, a column for each band. 1 is what noise and an honest model "
+        f"{' (bold: held out)' if d.heldout else ''}, a column for each band. 1 is what noise and an honest model "
         "leave.",
     )
     heading = "Where the model was wrong" if d.effects else "Where model and measurement differ"
@@ -288,7 +288,7 @@ def _bode(d) -> str:
     blocks = {}
     for axis in drawn:
         for k in range(many):
-            label = str(d.sealed[k]) if k < len(d.sealed) else str(k)
+            label = str(d.heldout[k]) if k < len(d.heldout) else str(k)
             blocks[f"{names[axis]}, position {label}"] = figure(gap_bode(frfs, axis, k)[0])
     text = paragraph(
         "FRF of the axis on held-out positions: simulated ones went through the same experiment and estimator as the "
@@ -355,7 +355,7 @@ def _provenance(d) -> str:
     about = {
         "compared": d.compared,
         "positions fitted": ", ".join(map(str, d.fitted)) or "none",
-        "positions held out": ", ".join(map(str, d.sealed)) or "none",
+        "positions held out": ", ".join(map(str, d.heldout)) or "none",
         **{str(k): _plain(v) for k, v in d.settings.items()},
         "jaxfrf": __version__,
         **{s.name: f"sha256 {s.sha256}" for s in d.sources},

@@ -79,7 +79,7 @@ def hidden_row(data: Experiment, say=None) -> tuple[dict, dict[str, np.ndarray]]
             {"name": r.name, "joint": r.joint, "explains": r.score, "why": r.why} for r in found.ranking[:_RANKED]
         ],
         "fitted": list(found.fitted),
-        "heldout": list(found.sealed),
+        "heldout": list(found.heldout),
         "experiments": data.n_exp,
         "period_s": data.period / data.fs,
     }

@@ -324,7 +324,7 @@ def machine():
 def first(diagnosis):
     """The effect that was named first; the positions that were kept for it agree."""
     assert diagnosis.verdict in ("named", "ambiguous"), diagnosis.says
-    assert (diagnosis.fitted, diagnosis.sealed) == ((0, 1), (2,))
+    assert (diagnosis.fitted, diagnosis.heldout) == ((0, 1), (2,))
     assert diagnosis.gap.shrink > 0.7
     assert all(x.std > 0 for x in diagnosis.effects[0].parameters.values())
     return diagnosis.effects[0]

@@ -74,7 +74,7 @@ class TestWhatIsHandedOver:
         assert [x.u.shape for x in given["data"]] == [(2, 2, 200, 2), (1, 2, 200, 2)]
         assert [x.sources[0].name for x in given["data"]] == ["run0.npz", "run1.npz"]
         assert given["robot"].axis_names == jf.robot.r3x().axis_names
-        assert given["own"] == () and "sealed" not in given
+        assert given["own"] == () and "heldout_count" not in given
 
     def test_names_units_and_heldout_positions(self, folder, tmp_path, diagnosing):
         raw = np.load(folder / "run0.npz")
@@ -84,7 +84,7 @@ class TestWhatIsHandedOver:
         assert run(tmp_path, tmp_path / "gap.json", *options, *more, data=["log.npz"], robot=folder / "robot.toml") == 0
         (data,) = diagnosing.given["data"]
         np.testing.assert_array_equal(data.y, 0.5 * raw["y"])
-        assert data.period == 100 and diagnosing.given["sealed"] == 1
+        assert data.period == 100 and diagnosing.given["heldout_count"] == 1
 
     def test_own_effects(self, folder, tmp_path, diagnosing):
         assert run(folder, tmp_path / "gap.json", "--effects", folder / "own.py") == 0

@@ -81,7 +81,7 @@ def test_a_delay_is_still_found(quantity, tmp_path):
     assert np.all(found.gap.torque_after < found.gap.torque_before)
 
     jf.io.write_robot(found.extended, tmp_path / "extended.toml")
-    record = measured(data).at(found.sealed)
+    record = measured(data).at(found.heldout)
     evidence = Evidence(jf.io.read_robot(tmp_path / "extended.toml"), record)
     axes = over_floor(evidence.residual, Evidence(found.base, record).plain)
     np.testing.assert_allclose(np.sqrt(np.mean(axes**2)), found.gap.after, rtol=0.02)

@@ -34,7 +34,9 @@ def emps_robot():
 
 @pytest.fixture(scope="module")
 def emps(measured, emps_robot):
-    return diagnose(emps_robot, [emps_record(measured, name) for name in ("DATA_EMPS", "DATA_EMPS_PULSES")], sealed=1)
+    return diagnose(
+        emps_robot, [emps_record(measured, name) for name in ("DATA_EMPS", "DATA_EMPS_PULSES")], heldout_count=1
+    )
 
 
 def test_emps_names_its_friction(emps):
@@ -230,7 +232,7 @@ def bench(measured, kind, y="theta_mx"):
 def drives(measured):
     """A rigid drive against A, held out on B: by the motor's encoder, and by the recorded speed."""
     frfs = lambda y: [jf.estimate(jf.dft(bench(measured, kind, y)), jf.LRM(order=2)) for kind in "AB"]
-    return {y: diagnose(None, frfs(y), sealed=1) for y in ("theta_mx", "omega_max")}
+    return {y: diagnose(None, frfs(y), heldout_count=1) for y in ("theta_mx", "omega_max")}
 
 
 @pytest.mark.slow

@@ -194,7 +194,7 @@ HIDDEN = {
 )
 def test_hidden_effects_are_named(name):
     more, joint, values = HIDDEN[name]
-    found = diagnose(arm(), [record(3, more), record(4, more)], sealed=1)
+    found = diagnose(arm(), [record(3, more), record(4, more)], heldout_count=1)
     assert found.verdict == "named"
     assert [(e.name, e.joint) for e in found.effects] == [(name, joint)]
     for key, true in values.items():
@@ -228,7 +228,7 @@ def test_it_is_written_as_any_diagnosis():
 
 
 def test_nothing_is_named_where_nothing_is_missing():
-    found = diagnose(arm(), [record(5), record(6)], sealed=1)
+    found = diagnose(arm(), [record(5), record(6)], heldout_count=1)
     assert found.verdict == "sufficient" and not found.effects
     assert found.gap.before == found.gap.after < 0.03
     for key, true in (("shoulder.motor_inertia", ROTOR[0]), ("elbow.viscous_friction", VISCOUS[1])):
@@ -432,7 +432,7 @@ def drive_frf(effects, seed=0, noise=0.01):
     ],
 )
 def test_drives(truth, names):
-    found = diagnose(None, [drive_frf(truth), drive_frf(truth, seed=1)], sealed=1)
+    found = diagnose(None, [drive_frf(truth), drive_frf(truth, seed=1)], heldout_count=1)
     assert sorted(e.name for e in found.effects) == names
     assert found.verdict == ("named" if names else "sufficient")
     values = {k: v.value for e in found.effects for k, v in e.parameters.items()}

@@ -1,4 +1,4 @@
-"""What keeps a diagnosis from naming what is not there: positions that choose nothing, and sealed ones."""
+"""What keeps a diagnosis from naming what is not there: positions that choose nothing, and held-out ones."""
 
 import itertools
 from types import SimpleNamespace
@@ -50,7 +50,7 @@ def leaving(*times):
 
 class TestSealedPositions:
     @pytest.mark.parametrize(
-        ("joint", "sealed", "says"),
+        ("joint", "heldout", "says"),
         [
             ("shoulder", [1.0, 1.1], ""),  # both axes gain
             ("shoulder", [1.0, 2.0], ""),  # one does, the other stays
@@ -63,8 +63,8 @@ class TestSealedPositions:
             ("elbow", [1.0, 2.1], "the torque of elbow itself"),  # its own joint loses
         ],
     )
-    def test_gap_of_every_axis(self, joint, sealed, says):
-        against = against_it(TOLD, leaving(3.0, 2.0), leaving(*sealed), joint)
+    def test_gap_of_every_axis(self, joint, heldout, says):
+        against = against_it(TOLD, leaving(3.0, 2.0), leaving(*heldout), joint)
         assert (says in against) if says else against == ""
 
     def test_an_axis_within_its_floor_may_move(self):
@@ -133,10 +133,10 @@ class TestPositionsThatChooseNothing:
         """None where there are few; then what is fitted decides."""
         parts = lambda n: split(*(SimpleNamespace(data=made_up(n)),) * 2, None)
         few = parts(3)
-        assert [x.tolist() for x in (few.fit, few.select, few.sealed)] == [[0, 1], [0, 1], [2]]
+        assert [x.tolist() for x in (few.fit, few.select, few.heldout)] == [[0, 1], [0, 1], [2]]
         many = parts(9)
-        assert sorted([*many.fit, *many.select, *many.sealed]) == list(range(9))
-        assert (len(many.fit), len(many.select), len(many.sealed)) == (4, 2, 3)
+        assert sorted([*many.fit, *many.select, *many.heldout]) == list(range(9))
+        assert (len(many.fit), len(many.select), len(many.heldout)) == (4, 2, 3)
 
 
 class TestStrain:

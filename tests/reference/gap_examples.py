@@ -99,7 +99,7 @@ _SAID = {
         "compared line by line, referred to the motor."
     ),
     "fitted": (0, 1, 2, 3, 4),
-    "sealed": (5, 6),
+    "heldout": (5, 6),
     "sources": (Source("cell4_run1.nc", "3f" * 32), Source("cell4_run2.nc", "a9" * 32)),
     "settings": {"lines": "0.5 to 80 Hz", "bootstrap": 200, "family-wise level": 0.05, "seed": 0},
 }
@@ -344,7 +344,7 @@ def _inconclusive() -> Diagnosis:
         where=[],
         next_experiment="Record four more positions, six experiments each, with the slow motion twice as fast.",
         fitted=(0,),
-        sealed=(),
+        heldout=(),
     )
     unknown = dataclasses.replace(d.parameters["bearing2.damping"], std=float("nan"))
     return dataclasses.replace(d, parameters=d.parameters | {"bearing2.damping": unknown})

@@ -17,17 +17,17 @@ from .significance import family_wise, mean_squares, projector, summed
 
 def concluded(
     channel: AbstractChannel,
-    sealed: AbstractChannel | None,
+    heldout: AbstractChannel | None,
     kinds: Sequence[type[AbstractEffect]],
     sources: tuple,
 ) -> Diagnosis:
-    """Search a channel, open the sealed data once, and say what was found."""
+    """Search a channel, open the held-out data once, and say what was found."""
     found = search(channel, kinds)
-    gap = _judged(channel, sealed, found)
-    verdict = _verdict(channel, found, gap if sealed is not None else None)
+    gap = _judged(channel, heldout, found)
+    verdict = _verdict(channel, found, gap if heldout is not None else None)
     final = found.base if verdict == "unexplained" else found.fitted
     if final is found.base:
-        gap = _judged(channel, sealed, _nothing(found))
+        gap = _judged(channel, heldout, _nothing(found))
     named, own = _reported(channel, final, found)
     outcome = Outcome(
         found.base.state, final.state, found.base.residual, final.residual, found.trials, _test(channel, final)
@@ -51,7 +51,7 @@ def concluded(
         extended=final.state.robot(),
         compared=channel.compared,
         fitted=tuple(range(len(channel.spectra(channel.measured)))),
-        sealed=(),
+        heldout=(),
         frf=None,
         next_experiment="; ".join(x.separating_experiment for x in named if x.separating_experiment),
         sources=sources,
@@ -64,11 +64,11 @@ def _nothing(found: Selection) -> Selection:
     return Selection(found.base, found.base, (), found.trials, found.refused, found.last_p, found.floor, found.left_out)
 
 
-def _verdict(channel: AbstractChannel, found: Selection, sealed: Gap | None) -> str:
+def _verdict(channel: AbstractChannel, found: Selection, heldout: Gap | None) -> str:
     before, after = np.mean(found.base.left**2), np.mean(found.fitted.left**2)
     floor = float(np.mean(found.floor**2))
     if found.found:
-        if before - after < EXPLAINED * (before - floor) or (sealed is not None and sealed.after >= sealed.before):
+        if before - after < EXPLAINED * (before - floor) or (heldout is not None and heldout.after >= heldout.before):
             return "unexplained"
         return "ambiguous" if any(x.ambiguous for x in found.found) else "named"
     if found.last_p > LEVEL and _upper(channel, found.base) < channel.tolerance:
@@ -87,13 +87,13 @@ def _upper(channel: AbstractChannel, fit: FittedState) -> float:
     return float(np.sqrt(squares.mean() + scipy.stats.t.ppf(0.95, n - 1) * squares.std(ddof=1) / np.sqrt(n)))
 
 
-def _judged(channel: AbstractChannel, sealed: AbstractChannel | None, found: Selection) -> Gap:
-    """The gap on sealed data, or on folds that were held out in turn."""
-    if sealed is None:
+def _judged(channel: AbstractChannel, heldout: AbstractChannel | None, found: Selection) -> Gap:
+    """The gap on held-out data, or on folds that were held out in turn."""
+    if heldout is None:
         where, before, after, on = channel, found.base.left, found.fitted.left, "held-out parts of the data"
     else:
-        where, on = sealed, "held-out records"
-        before, after = (sealed.residual(fit.state) for fit in (found.base, found.fitted))
+        where, on = heldout, "held-out records"
+        before, after = (heldout.residual(fit.state) for fit in (found.base, found.fitted))
     rms = lambda x: float(np.sqrt(np.mean(x**2)))
     floor = rms(where.plain(where.floor(where.residual(found.fitted.state))))
     sides = [where.plain(x) for x in (before, after)]
