@@ -54,11 +54,12 @@ def add(commands) -> None:
 
 
 def run(given) -> dict:
+    _check_outputs(given)  # before what takes seconds to import
+
     from ..batch.estimated import estimate_to
     from ..pipeline import summary
 
     check_x64("jaxfrf estimate")
-    _check_outputs(given)
     chosen = _chosen(given)
     with kept_parts(given) as parts, Progress("estimate", given.json) as progress:
         data = data_set(given)
