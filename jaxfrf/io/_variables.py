@@ -11,7 +11,7 @@ from .._errors import InputError, input_error
 from ..units import QUANTITIES, known_unit
 from ._container import Variables
 from ._select import select
-from .record_arguments import SIGNALS
+from .record_arguments import SIGNALS, split
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,9 +62,7 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
     said = file.given.values.get(f"{key}_unit")
     if said is not None:
         return known_unit(str(said)) or (str(said), 1.0)
-    name = file.given.names.get(key, key)
-    parts = re.split(r"\s*;\s*", name.strip("[]")) if name.startswith("[") else [name]
-    said = {file.variables.units.get(re.sub(r"'?(\[[^\[\]]*\])?$", "", part), "") for part in parts}
+    said = {_stated(file.variables.units, part) for part in _parts(file, file.given.names.get(key, key).strip())}
     found = {known_unit(text) or (text, 1.0) for text in said}
     if len(found) == 1:
         return found.pop()
@@ -76,6 +74,17 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
             f"Say one factor for each: --scale {key}=[...].",
         )
     return "", 1.0
+
+
+def _parts(file: File, name: str) -> list[str]:
+    """The variables that `[one;other]` stacks; a variable's own name may have brackets (`[V] speed [deg/s]`)."""
+    stacked = name not in file.variables and name.startswith("[") and name.endswith("]")
+    return split(name[1:-1], ";") if stacked else [name]
+
+
+def _stated(units: Mapping[str, str], name: str) -> str:
+    """The unit that the file states of a variable, as it is written or less what picks or turns its channels."""
+    return units.get(name) or units.get(re.sub(r"'?(\[[^\[\]]*\])?$", "", name).strip(), "")
 
 
 def scaled(file: File, key: str, x: np.ndarray) -> np.ndarray:

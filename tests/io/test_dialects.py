@@ -44,6 +44,30 @@ def test_units_are_converted(tmp_path, heading):
     np.testing.assert_allclose(scaled.u[0, 0, :, 0], 1e3 * U, rtol=1e-12)
 
 
+_FULL = {"u1": "Torque-1 (Nm)", "u2": "Torque-2 (mNm)", "y": "MotAng A1 [°]", "r": "Axis 1 RefVel [deg/s]"}
+
+
+@pytest.mark.parametrize("several", [False, True], ids=["one file", "files of one record"])
+@pytest.mark.parametrize("pick", ["", "[0]"])
+def test_units_of_headings_as_they_are_written(tmp_path, several, pick):
+    """With the unit in the name, alone and stacked, of u, y and r, with and without picks of channels."""
+    path = table(tmp_path / "a.csv", ",".join(["t [s]", *_FULL.values()]), T, U, 1e3 * U, np.rad2deg(Y), np.rad2deg(Y))
+    clock = table(tmp_path / "t.csv", "t", T)
+    files, at = ((path, clock), "a.csv:") if several else ((path,), "")
+    name = {key: f"{at}{heading}{pick}" for key, heading in _FULL.items()}
+    alone = {"u": name["u2"], "y": name["y"], "r": name["r"]}
+    stacked = {"u": name["u2"], "y": f"[{name['y']};{name['y']}]", "r": f"[ {name['r']} ; {name['r']} ]"}
+    for names in (alone, stacked):
+        data = jf.io.read(*files, names=names, values=PERIOD)
+        np.testing.assert_allclose(data.u[0, 0, :, 0], U, rtol=1e-12)
+        for x in (data.y, data.r):
+            np.testing.assert_allclose(x[0, 0], np.tile(Y[:, None], x.shape[-1]), rtol=1e-12)
+        assert (data.y_quantity, data.r_quantity) == ("position", "velocity")
+        assert sum("converted to" in text for text in data.warnings) == 3
+    with pytest.raises(jf.InputError, match=r"channels in Nm, mNm; expected one unit for all"):
+        jf.io.read(*files, names={"u": f"[{name['u1']};{name['u2']}]", "y": name["y"]}, values=PERIOD)
+
+
 def test_units_go_with_the_data(tmp_path):
     path = table(tmp_path / "a.csv", "t,u,y\ns,N,mm", T, U, 1e3 * Y)
     data = jf.io.read(path, values=PERIOD)
