@@ -7,6 +7,7 @@ import pathlib
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 from .._errors import InputError, OutputError, input_error
 from .._files import check_readable, check_writable
@@ -133,13 +134,18 @@ def read_records(given: argparse.Namespace, files: Sequence[str]):
     """The experiment in these files, as `--map`, `--set` and `--scale` say."""
     from .. import io
 
-    return io.read(
-        *files,
-        names=io.parse_map(given.map) if given.map else None,
-        values=io.parse_values(given.set) if given.set else None,
-        scale=io.parse_scale(given.scale) if given.scale else None,
-        anyway=given.anyway,
-    )
+    return io.read(*files, **_how(given))
+
+
+def _how(given: argparse.Namespace) -> dict[str, Any]:
+    from .. import io
+
+    return {
+        "names": io.parse_map(given.map) if given.map else None,
+        "values": io.parse_values(given.set) if given.set else None,
+        "scale": io.parse_scale(given.scale) if given.scale else None,
+        "anyway": given.anyway,
+    }
 
 
 def data_set(given: argparse.Namespace):
@@ -147,24 +153,15 @@ def data_set(given: argparse.Namespace):
     from .. import io
     from ..io.blocks import data_set, in_memory
 
-    how = {
-        "names": io.parse_map(given.map) if given.map else None,
-        "values": io.parse_values(given.set) if given.set else None,
-        "scale": io.parse_scale(given.scale) if given.scale else None,
-        "anyway": given.anyway,
-    }
+    how = _how(given)
     return data_set(*given.data, **how) or in_memory(io.read(*given.data, **how))
 
 
 def read_each(given: argparse.Namespace) -> list:
     """One record a file; one of all files where `--map` says which file a signal is in."""
-    from ..io._joined import part_of
-    from ..io.record_arguments import parse_map
+    from ..io.records import read_each
 
-    names = parse_map(given.map) if given.map else {}
-    if any(part_of(name, [pathlib.Path(path) for path in given.data]) for name in names.values()):
-        return [read_records(given, given.data)]
-    return [read_records(given, [path]) for path in given.data]
+    return read_each(*given.data, **_how(given))
 
 
 @contextlib.contextmanager

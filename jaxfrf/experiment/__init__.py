@@ -10,6 +10,8 @@ from .experiment import (
 from .selected import (
     check_compatible as check_compatible,
     concatenate as concatenate,
+    grouped as grouped,
+    places as places,
     rebuilt as rebuilt,
     same_numbers as same_numbers,
     segments as segments,

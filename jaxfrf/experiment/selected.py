@@ -78,7 +78,8 @@ def concatenate(records: Sequence[Experiment]) -> Experiment:
     """Several records as one data set.
 
     Records of the same operating points (equal `q`, or none) become further experiments there; records of
-    other operating points become further positions.
+    other operating points become further positions. Where some points have more experiments than others, every record
+    is a position of its own.
 
     **Raises:** `jaxfrf.InputError` where they do not fit together (other `fs`, `period`, lines, channels or
     quantities).
@@ -88,41 +89,68 @@ def concatenate(records: Sequence[Experiment]) -> Experiment:
         expect("records", record, Experiment)
     if not records:
         raise input_error("records", "none", "at least one record", "Name a file.")
-    first = records[0]
     for other in records[1:]:
-        check_compatible(first, other)
+        check_compatible(records[0], other)
+    return grouped(records, places([x.q for x in records], [x.n_exp for x in records]))
+
+
+def places(configurations: Sequence, experiments: Sequence[int]) -> list[tuple[int, ...]]:
+    """Numbers of the records that are experiments at the same operating points: one group after the other.
+
+    **Arguments:** of every record: its configurations, (pos, joint) or `None`, and how many experiments it has.
+    """
+    groups: list[list[int]] = []
+    for i, q in enumerate(configurations):
+        known = next((group for group in groups if same_numbers(configurations[group[0]], q)), None)
+        if known is None:
+            groups.append([i])
+        else:
+            known.append(i)
+    if len({sum(experiments[i] for i in group) for group in groups}) > 1:
+        return [(i,) for i in range(len(configurations))]
+    return [tuple(group) for group in groups]
+
+
+def grouped(records: Sequence[Experiment], groups: Sequence[tuple[int, ...]]) -> Experiment:
+    """Compatible records as one data set: those of a group are experiments at the same positions, each group further
+    positions."""
     if len(records) == 1:
-        return first
-    same_place = all(same_numbers(first.q, other.q) for other in records[1:])
-    axis = 1 if same_place else 0
-    if axis == 1 and len({x.n_pos for x in records}) > 1:
-        raise input_error(
-            "positions",
-            f"{[x.n_pos for x in records]} without configurations q",
-            "as many in every file",
-            "Store q in the files, so that positions can be told apart.",
-        )
-    if axis == 0 and len({x.n_exp for x in records}) > 1:
+        return records[0]
+    for group in groups:
+        if len({records[i].n_pos for i in group}) > 1:
+            raise input_error(
+                "positions",
+                f"{[records[i].n_pos for i in group]} without configurations q",
+                "as many in every file",
+                "Store q in the files, so that positions can be told apart.",
+            )
+    if len({sum(records[i].n_exp for i in group) for group in groups}) > 1:
         raise input_error(
             "experiments",
             f"{[x.n_exp for x in records]} at different positions",
             "as many at every position",
             "Leave out the surplus experiments, or estimate the files one by one.",
         )
+    first, firsts = records[0], [records[group[0]].q for group in groups]
 
     def join(name):
-        parts = [getattr(x, name) for x in records]
-        return None if parts[0] is None else np.concatenate(parts, axis=axis)
+        if getattr(first, name) is None:
+            return None
+        return _joined([_joined([getattr(records[i], name) for i in group], 1) for group in groups], 0)
 
     return rebuilt(
         first,
         u=join("u"),
         y=join("y"),
         r=join("r"),
-        q=first.q if axis == 1 else join("q"),
+        q=None if first.q is None else _joined(firsts, 0),
         sources=tuple(s for x in records for s in x.sources),
         warnings=tuple(dict.fromkeys(w for x in records for w in x.warnings)),
     )
+
+
+def _joined(parts, axis: int) -> np.ndarray:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)
 
 
 def check_compatible(first: Experiment, other: Experiment) -> None:

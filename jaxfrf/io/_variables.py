@@ -62,6 +62,8 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
     said = file.given.values.get(f"{key}_unit")
     if said is not None:
         return known_unit(str(said)) or (str(said), 1.0)
+    if key in file.given.values:
+        return "", 1.0
     said = {_stated(file.variables.units, part) for part in _parts(file, file.given.names.get(key, key).strip())}
     found = {known_unit(text) or (text, 1.0) for text in said}
     if len(found) == 1:

@@ -10,8 +10,9 @@ from concurrent.futures import Future
 import numpy as np
 
 from .._errors import InputError
-from ..experiment import Experiment, Source, check_compatible, concatenate, same_numbers
+from ..experiment import Experiment, Source, check_compatible, grouped, places
 from ..screening import Looked, look, refused
+from ._configurations import gathered
 from ._container import check_file, load, positions_in
 from ._joined import part_of
 from ._variables import Given
@@ -59,7 +60,7 @@ class DataSet:
     """
 
     files: tuple[_File, ...]
-    beside: bool  # further experiments at the same positions; else further positions
+    groups: tuple[tuple[int, ...], ...]  # numbers of the files with experiments at the same positions; group by group
     n_exp: int
     period: int
     bytes_each: float
@@ -81,21 +82,21 @@ class DataSet:
 
     @property
     def n_pos(self) -> int:
-        return self.files[0].n_pos if self.beside else sum(f.n_pos for f in self.files)
+        return sum(self.files[group[0]].n_pos for group in self.groups)
 
     @property
     def sources(self) -> tuple[Source, ...]:
         return tuple(f.source for f in self.files)
 
     def blocks(self, size: int) -> list[range]:
-        """All positions in blocks of `size` or fewer that lie in one file each (in all, where they hold experiments of
-        the same positions); files that cannot be read in part are one block."""
+        """All positions in blocks of `size` or fewer that lie in one file each (in all of a group, where several hold
+        experiments of the same positions); files that cannot be read in part are one block."""
         found, first = [], 0
-        for file in self.files[:1] if self.beside else self.files:
-            whole = not all(f.sliced for f in self.files) if self.beside else not file.sliced
-            step = file.n_pos if whole else size
-            found += [range(first + a, first + min(a + step, file.n_pos)) for a in range(0, file.n_pos, step)]
-            first += file.n_pos
+        for group in self.groups:
+            n = self.files[group[0]].n_pos
+            step = size if all(self.files[i].sliced for i in group) else n
+            found += [range(first + a, first + min(a + step, n)) for a in range(0, n, step)]
+            first += n
         return found
 
     def read(self, positions: range) -> Block:
@@ -103,10 +104,11 @@ class DataSet:
 
         **Raises:** `jaxfrf.InputError` as `jaxfrf.io.read` does.
         """
-        where = self._where(positions)
+        groups = self._where(positions)
+        where = [x for group in groups for x in group]
         read = [self._one(self.files[i], local) for i, local in where]
         records = [data for data, _ in read]
-        whole = concatenate(records)
+        whole = _together(records, groups)
         looked = look([(x, local.start) for x, (_, local) in zip(records, where, strict=True)], whole, positions.start)
         numbers = tuple(i for i, _ in where)
         if not self.given.anyway:
@@ -120,18 +122,18 @@ class DataSet:
 
     def unscreened(self, positions: range) -> Experiment:
         """The record at some positions."""
-        return concatenate([self._one(self.files[i], local)[0] for i, local in self._where(positions)])
+        groups = self._where(positions)
+        return _together([self._one(self.files[i], local)[0] for group in groups for i, local in group], groups)
 
-    def _where(self, positions: range) -> list[tuple[int, range]]:
-        """The files that hold these positions, and which positions of theirs these are."""
-        if self.beside:
-            return [(i, positions) for i in range(len(self.files))]
+    def _where(self, positions: range) -> list[list[tuple[int, range]]]:
+        """The files that hold these positions, by groups, and which positions of theirs these are."""
         first, found = 0, []
-        for i, file in enumerate(self.files):
-            local = range(max(positions.start - first, 0), min(positions.stop - first, file.n_pos))
+        for group in self.groups:
+            n = self.files[group[0]].n_pos
+            local = range(max(positions.start - first, 0), min(positions.stop - first, n))
             if local:
-                found.append((i, local))
-            first += file.n_pos
+                found.append([(i, local) for i in group])
+            first += n
         return found
 
     def _one(self, file: _File, local: range) -> tuple[Experiment, list[str]]:
@@ -139,7 +141,7 @@ class DataSet:
         if file.path in self.kept:
             return self.kept[file.path]
         try:
-            return record_of(file.path, self.given, file.source, part)
+            return record_of(file.path, self.given, file.source, part)[:2]
         except InputError as error:
             if not (part and local.start):
                 raise
@@ -164,28 +166,30 @@ def data_set(
     files = [pathlib.Path(path) for path in paths]
     if len(files) > 1 and any(part_of(name, files) for name in given.names.values()):
         return None
-    found, heads, places, kept = [], [], [], {}
+    found, heads, at, means, kept = [], [], [], [], {}
     for path in files:
         check_file(path)
     digests = _begun(files)
     for path in files:
         n_pos = positions_in(path)
         source = Source(path.name)
-        head, remarks = record_of(path, given, source, slice(0, 1) if n_pos else None)
+        head, remarks, mean = record_of(path, given, source, slice(0, 1) if n_pos else None)
         if n_pos is None and 8 * head.u.size < _SMALL:
             kept[path] = head, remarks
-        q = _places(path, given, n_pos, head)
+        if mean and n_pos is not None and n_pos > 1:
+            return None  # of all positions the whole record must be seen
         found.append(_File(path, source, n_pos or head.n_pos, n_pos is not None))
         heads.append(_short(head))
-        places.append(q)
+        at.append(_places(path, given, n_pos, head))
+        means.append(mean)
     for other in heads[1:]:
         check_compatible(heads[0], other)
-    beside = len(files) == 1 or all(same_numbers(places[0], q) for q in places[1:])
-    if (beside and len({f.n_pos for f in found}) > 1) or (not beside and len({h.n_exp for h in heads}) > 1):
+    groups = places(gathered(at, means), [h.n_exp for h in heads])
+    experiments = [sum(heads[i].n_exp for i in group) for group in groups]
+    if len(set(experiments)) > 1 or any(len({found[i].n_pos for i in group}) > 1 for group in groups):
         return None  # reading it whole says what is wrong
-    n_exp = sum(h.n_exp for h in heads) if beside else heads[0].n_exp
-    bytes_each = n_exp * heads[0].u[0, 0].nbytes * _width(heads[0]) / heads[0].n_in
-    return DataSet(tuple(found), beside, n_exp, heads[0].period, bytes_each, given, kept, digests)
+    bytes_each = experiments[0] * heads[0].u[0, 0].nbytes * _width(heads[0]) / heads[0].n_in
+    return DataSet(tuple(found), tuple(groups), experiments[0], heads[0].period, bytes_each, given, kept, digests)
 
 
 def _begun(paths: Sequence[pathlib.Path]) -> dict[pathlib.Path, Future[Source]]:
@@ -235,6 +239,12 @@ def _places(path: pathlib.Path, given: Given, n_pos: int | None, head: Experimen
     small = load(path, part=slice(0, n_pos), without="time")
     q = small.get(given.names.get("q", "q"))
     return np.asarray(head.q if q is None else q, float)
+
+
+def _together(records: Sequence[Experiment], groups: Sequence[Sequence]) -> Experiment:
+    """Records one after the other as one, those of a group as experiments of the same positions."""
+    numbers = iter(range(len(records)))
+    return grouped(records, [tuple(next(numbers) for _ in group) for group in groups])
 
 
 def _short(data: Experiment) -> Experiment:

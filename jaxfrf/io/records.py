@@ -13,9 +13,10 @@ from .._arguments import expect
 from .._errors import InputError, input_error
 from .._files import digest
 from .._text import number
-from ..experiment import UNITS, Experiment, Source, concatenate
+from ..experiment import UNITS, Experiment, Source, concatenate, rebuilt
 from ..screening import ACROSS, CHECKS, screened
 from ..units import DEFAULT_INPUT, input_unit, output_unit, quantity_of
+from ._configurations import gathered, logged, mean_configurations, stated_configurations
 from ._container import Later, Leaf, Put, Variable, Variables, check_file, load, save, save_blocks
 from ._joined import expanded, joined, part_of
 from ._matlab import NAMELESS
@@ -47,6 +48,8 @@ def read(
     - `names`: what they are called in the files, `{"u": "iq_adx", "y": "rec.act_vel'[0:3]"}` (see
       `parse_map`). Where one names its file, `{"u": "currents.csv:tau1", "y": "angles.csv:q1"}`, all files are one
       record.
+      Where `q` names a record as long as the others, its mean is the configuration; files whose means agree within
+      .02 rad are of one position.
     - `values`: what the files do not say or say wrongly, `{"fs": 2500, "period": 2500, "samples": slice(0,
       18720)}` (see `parse_values`). `samples` is the part of the record to keep.
     - `scale`: factors that make the units SI, `{"y": np.pi / 180}`, one for all or one for each channel.
@@ -59,6 +62,30 @@ def read(
     **Raises:** `jaxfrf.InputError` naming the file, the variable, what was found, what was expected and what
     to do.
     """
+    return _compared(concatenate(_each(paths, names, values, scale, anyway)), anyway)
+
+
+def read_each(
+    *paths: str | os.PathLike,
+    names: Mapping[str, str] | None = None,
+    values: Mapping[str, object] | None = None,
+    scale: Mapping[str, float | tuple[float, ...]] | None = None,
+    anyway: bool = False,
+) -> list[Experiment]:
+    """The same, one record a file, or one of all where `names` says which file a signal is in.
+
+    **Arguments** and **Raises:** as `read`.
+    """
+    return [_compared(data, anyway) for data in _each(paths, names, values, scale, anyway)]
+
+
+def _compared(data: Experiment, anyway: bool) -> Experiment:
+    """With what shows where experiments are held against each other."""
+    return screened(data, checks=ACROSS, anyway=anyway) if data.n_exp * data.n_pos > 1 else data
+
+
+def _each(paths: Sequence[str | os.PathLike], names, values, scale, anyway: bool) -> list[Experiment]:
+    """One record a file, screened; of measured configurations that are near each other the first is that of all."""
     for path in paths:
         if not isinstance(path, str | os.PathLike):
             several = "Give them one by one: read(*paths)." if isinstance(path, list | tuple) else "Name a file."
@@ -68,9 +95,10 @@ def read(
     given = Given(check_names(names), check_values(values), check_scale(scale), anyway)
     files = [pathlib.Path(path) for path in paths]
     if len(files) > 1 and any(part_of(name, files) for name in given.names.values()):
-        return _read_one(files, dataclasses.replace(given, names=expanded(given.names, files)))
-    data = concatenate([_read_one([file], given) for file in files])
-    return screened(data, checks=ACROSS, anyway=anyway) if data.n_exp * data.n_pos > 1 else data
+        return [_read_one(files, dataclasses.replace(given, names=expanded(given.names, files)))[0]]
+    read = [_read_one([file], given) for file in files]
+    places = gathered([data.q for data, _ in read], [mean for _, mean in read])
+    return [data if q is data.q else rebuilt(data, q=q) for (data, _), q in zip(read, places, strict=True)]
 
 
 def write(path: str | os.PathLike, data: Experiment) -> None:
@@ -126,17 +154,17 @@ def writing(
         yield put
 
 
-def _read_one(paths: Sequence[pathlib.Path], given: Given) -> Experiment:
-    """The record in one file, or the one whose channels several files hold, screened."""
+def _read_one(paths: Sequence[pathlib.Path], given: Given) -> tuple[Experiment, bool]:
+    """The record in one file, or the one whose channels several files hold, screened; and whether its q is a mean."""
     path = paths[0] if len(paths) == 1 else pathlib.Path(" + ".join(x.name for x in paths))
     variables = load(path) if len(paths) == 1 else joined({x: load(x) for x in paths})
     sources = tuple(source_of(x) for x in paths)
-    data, remarks = _record(File(path, _with_units(variables), given), sources)
+    data, remarks, mean = _record(File(path, _with_units(variables), given), sources)
     del variables  # the arrays live on in `data` alone
     with _naming(File(path, Variables({}), given)):
         data = screened(data, checks=CHECKS, anyway=given.anyway)
     warnings = tuple(f"{path}: {text}" for text in (*remarks, *data.warnings))
-    return dataclasses.replace(data, warnings=warnings) if warnings else data
+    return (dataclasses.replace(data, warnings=warnings) if warnings else data), mean
 
 
 def as_given(names, values, scale, anyway: bool) -> Given:
@@ -152,8 +180,9 @@ def source_of(path: pathlib.Path) -> Source:
 
 def record_of(
     path: pathlib.Path, given: Given, source: Source, part: slice | None = None
-) -> tuple[Experiment, list[str]]:
-    """The record in a file, or at some of its positions, not screened; and what is to be said of reading it."""
+) -> tuple[Experiment, list[str], bool]:
+    """The record in a file, or at some of its positions, not screened; what is to be said of reading it; and whether
+    its q is the mean of a record."""
     variables = load(path, part=part)
     values = dict(given.values)
     q = np.asarray(values.get("q", 0.0))
@@ -162,17 +191,20 @@ def record_of(
     return _record(File(path, _with_units(variables), dataclasses.replace(given, values=values)), (source,))
 
 
-def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[str]]:
-    """The record as the file has it, and what is to be said of that."""
+def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[str], bool]:
+    """The record as the file has it, what is to be said of that, and whether its q is the mean of a record."""
     u, y = (_signal(file, key) for key in ("u", "y"))
     r = _signal(file, "r") if file.get("r") is not None else None
     signals = {"r": r, "u": u, "y": y}
     fs, late = sampling_frequency(file, u.shape[-2])
     y_quantity, asked = _output_quantity(file)
     remarks = [*late, *_restored_axes(file, signals), *asked, *_conversions(file)]
-    q = file.get("q")
-    if q is not None:
-        q = scaled(file, "q", numbers(file, "q", q))
+    mean = logged(file, u.shape)
+    if mean:
+        q, said = mean_configurations(file, _steady(file, u.shape[-2]), len(u) if u.ndim == 4 else 1)
+        remarks.append(said)
+    else:
+        q = stated_configurations(file)
     with _naming(file):
         data = Experiment(
             u=_cut(file, "u", u),
@@ -189,7 +221,15 @@ def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[s
             y_unit=_kept_unit(file, "y", UNITS.get(y_quantity, "")),
             sources=sources,
         )
-    return data, remarks
+    return data, remarks, mean
+
+
+def _steady(file: File, n_time: int) -> slice:
+    """The samples of a record that are neither cut off nor of transient periods."""
+    kept = file.given.values.get("samples")
+    start, stop, _ = (kept if isinstance(kept, slice) else slice(None)).indices(n_time)
+    skip = int(_count(file, "period") * _count(file, "transient_periods"))
+    return slice(start + skip, stop) if start + skip < stop else slice(start, stop)
 
 
 def _signal(file: File, key: str) -> np.ndarray:

@@ -73,6 +73,7 @@ def write(folder: pathlib.Path, wanted: str) -> None:
         "log.mat": _log,
         "logs/*.mat": _log,
         "angles.csv": _tables,
+        "bend1.csv": _bends,
         "motion.csv": _motion,
         "bench.nc": _bench,
     }
@@ -159,6 +160,18 @@ def _tables(folder):
         y[k] = 0.95 * y[k - 1] + 0.05 * u[k - 1]
     np.savetxt(folder / "currents.csv", u, delimiter=",", header="tau1,tau2", comments="")
     np.savetxt(folder / "angles.csv", y, delimiter=",", header="q1,q2", comments="")
+
+
+def _bends(folder):
+    """Two experiments at each of two positions, the joints' angles in degrees beside torques and speeds."""
+    heading = "M1 [Nm],M2 [Nm],V1 [rad/s],V2 [rad/s],Pos1 [deg],Pos2 [deg]"
+    for place, at in enumerate(([20.0, -40.0], [60.0, -10.0])):
+        data = jf.example(blocks=1, seed=place)
+        for k in range(2):
+            q = at + np.rad2deg(np.cumsum(data.y[0, k], axis=0) / data.fs / 100.0)  # behind gears of 100
+            table = np.column_stack([data.u[0, k], data.y[0, k], q])
+            name = folder / f"bend{2 * place + k + 1}.csv"
+            np.savetxt(name, table, delimiter=",", header=heading, comments="")
 
 
 def _motion(folder):
