@@ -1,5 +1,7 @@
 """A small experiment to try everything on: two flexible axes in closed loop, simulated."""
 
+import importlib.resources
+
 import numpy as np
 import scipy.linalg
 from jaxtyping import Complex, Float
@@ -58,6 +60,11 @@ def example_response(frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "1 
     A, B, C = _discrete()
     z = np.exp(2j * np.pi * np.asarray(frequency) / FS)
     return (C @ np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape))))[None]
+
+
+def example_robot() -> str:
+    """The text of a robot's file (TOML): the axes of `example`, with guesses of springs and viscous friction."""
+    return importlib.resources.files(__package__).joinpath("example_robot.toml").read_text(encoding="utf-8")
 
 
 def _discrete():

@@ -200,6 +200,7 @@ def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[s
     y_quantity, asked = _output_quantity(file)
     remarks = [*late, *_restored_axes(file, signals), *asked, *_conversions(file)]
     mean = logged(file, u.shape)
+    q: np.ndarray | None
     if mean:
         q, said = mean_configurations(file, _steady(file, u.shape[-2]), len(u) if u.ndim == 4 else 1)
         remarks.append(said)

@@ -310,7 +310,28 @@ def test_help_tells_exit_codes_and_results_what_is_next(tmp_path, capsys):
     assert all(re.search(rf"^  {code} ", out, re.MULTILINE) for code in (0, 1, 2, 130))
     assert main(["example", "--blocks", "1", "-o", str(tmp_path / "run.npz")]) == 0
     *_, last = capsys.readouterr().out.splitlines()
-    assert last == f"next: jaxfrf estimate {tmp_path / 'run.npz'} -o frf.nc --report frf.html"
+    assert last == f"next: jaxfrf estimate {tmp_path / 'run.npz'} -o frf.npz --report frf.html"
+
+
+def test_example_writes_the_robot_that_it_simulates(tmp_path, capsys):
+    """A file to go on with; its guesses replaced by what it says was simulated, its FRF is the example's."""
+    run, path = tmp_path / "run.nc", tmp_path / "robot.toml"
+    assert main(["example", "--blocks", "1", "-o", str(run), "--robot-out", str(path)]) == 0
+    *_, last = capsys.readouterr().out.splitlines()
+    assert last.endswith(f"; jaxfrf identify {run} --robot {path} -o fit.json --report fit.html")
+    robot, data = jf.io.read_robot(path), jf.io.read(run)
+    said = re.findall(r"[\d.]+e-?\d|\d+(?= and)|\d+(?= N m s)", " ".join(path.read_text().split("\n")[2:4]))
+    names = ("stiffness", "damping", "viscous_friction")
+    told = dict(zip((f"{axis}.{name}" for name in names for axis in robot.axis_names), map(float, said), strict=True))
+    assert told["shoulder.stiffness"] == 1.8e5 and told["elbow.damping"] == 60
+    robot = jf.robot.with_parameters(robot, told)
+    model = jf.robot.linearise(robot, jf.robot.operating_point(robot, data.q))
+    f = np.linspace(2.0, 60.0, 59)
+    G = jf.robot.frf(model, f, "velocity", jf.robot.ZeroOrderHold(robot.sampling_frequency))
+    truth = jf.example_response(f)
+    np.testing.assert_allclose(G, truth, atol=1e-4 * np.abs(truth).max())
+    assert main(["example", "-o", str(tmp_path / "other.nc"), "--robot-out", str(tmp_path / "robot.xml")]) == 2
+    assert not (tmp_path / "other.nc").exists()
 
 
 def test_the_shell_completes_commands_and_options(tmp_path):
