@@ -53,7 +53,7 @@ def write_robot(robot: Robot, path: str | os.PathLike) -> None:
 
 
 def read_robot_toml(path: pathlib.Path) -> dict[str, Any]:
-    return read_toml(path, "a robot in TOML", "jaxfrf/robot/r3x.toml shows every key.")
+    return read_toml(path, "a robot in TOML", "`jaxfrf example -o run.nc --robot-out ROBOT.toml` writes one.")
 
 
 def toml_text(table: Mapping[str, Any]) -> str:

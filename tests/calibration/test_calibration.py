@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.stats
 from _mujoco_records import mujoco_experiment
+from book_tables import keys, told
 from small_arm import Q, small_robot
 from uncertain_arm import WIDE, design, machine, model, played
 
@@ -422,6 +423,12 @@ def test_the_command_fits_the_whole_robot(commanded):
     stiffness = float(parameters(robot)["elbow.stiffness"])
     assert stiffness == pytest.approx(found["parameters"]["elbow.stiffness"]["value"])
     assert robot.tolerances.of("elbow.mass").std == 0.04
+
+
+def test_the_book_tells_every_field(commanded):
+    found = jf.io.read_fit(commanded / "fit.json")
+    fields = keys(found, but=("parameters",)) | set(found["parameters"]["elbow.mass"])
+    assert fields | {"joint", "kind", "order", "sine", "cosine"} <= told("files.md", "fit.json")
 
 
 def test_the_page_shows_every_number(commanded):

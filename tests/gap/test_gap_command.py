@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from book_tables import keys, told
 from gap_examples import NAMES, OWN, example
 
 import jaxfrf as jf
@@ -112,6 +113,13 @@ class TestWhatIsWritten:
         assert "; 98 % of the reducible gap is gone" in out
         assert "next experiment: Weigh the tool" in out and out.splitlines()[-2].startswith("wrote ")
         assert "fitting" not in error  # nobody watches
+
+    def test_the_book_tells_every_field(self, folder, tmp_path, diagnosing):
+        assert run(folder, tmp_path / "gap.json") == 0
+        found = read_gap(tmp_path / "gap.json")
+        names = "parameters", "expected", "torque_before", "torque_after", "settings"
+        (estimate, *_) = found["parameters"].values()
+        assert keys(found, but=names) | set(estimate) <= told("files.md", "gap.json")
 
     def test_a_robot_with_an_own_effect_is_remarked(self, folder, tmp_path, capsys, diagnosing):
         more = ("--effects", folder / "own.py", "--robot-out", tmp_path / "extended.toml")

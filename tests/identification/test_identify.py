@@ -9,6 +9,7 @@ import re
 import jax.random as jr
 import numpy as np
 import pytest
+from book_tables import keys, told
 from two_axes import ROBOT
 
 import jaxfrf as jf
@@ -102,6 +103,8 @@ class TestThroughTheExperiment:
         assert [s["name"] for s in found["sources"]] == ["run.npz"] and len(found["sources"][0]["sha256"]) == 64
         assert found["version"] == jf.__version__ and found["settings"]["seed"] == 0
         assert read_fit(whole / "fit.json") == found
+        told_of = keys(found, but=("parameters", "fixed", "chi_square", "settings", "heldout", "worst"))
+        assert told_of | set(next(iter(found["parameters"].values()))) <= told("files.md", "fit.json")
 
     def test_robot(self, whole, folder):
         """The robot with the result: everything else as it was at the start."""
