@@ -239,6 +239,7 @@ def _best_lag(a, b, high, width: int, n: int, energy, usual: float) -> _Shift | 
 
 def _lag(a, b, start: int, stop: int, reach: int) -> int:
     """The lag L with the least sum of |b(t) - a(t + L)|^2 over a stretch, |L| up to `reach`."""
+    start, stop = max(start, reach // 2), min(stop, len(a) - reach // 2)  # at both ends of a, lags of both signs
     low, high = max(start - reach, 0), min(stop + reach, len(a))
     piece, around = b[start:stop], a[low:high]
     mean = around.mean()

@@ -7,6 +7,7 @@ from .._arguments import expect
 from .._errors import InputError
 from ..experiment import Experiment
 from .belongs import foreign, halves, marked_twice, marks, twice
+from .clock import clock
 from .finding import Finding, Severity, shifted
 from .gain import gain_drift
 from .glitch import glitch
@@ -25,6 +26,7 @@ CHECKS: tuple[Check, ...] = (
     dead,
     wrapped,
     held,
+    clock,
     lost,
     clipped,
     saturated,
@@ -49,6 +51,18 @@ _ANY_CHANNEL = {"foreign", "noncausal"}  # of which another channel may be the c
 
 # Kinds that a fault of the first kind brings along in the same channel.
 _EXPLAINS = {
+    "clock": {
+        "lost",
+        "spikes",
+        "odd period",
+        "unsteady",
+        "disturbed",
+        "gain",
+        "jitter",
+        "noise",
+        "noncausal",
+        "foreign",
+    },
     "lost": {"spikes", "odd period", "unsteady", "disturbed", "gain", "jitter", "noise", "noncausal", "foreign"},
     "held": {"spikes", "odd period", "unsteady", "disturbed", "gain", "jitter", "glitch", "clipped", "foreign"},
     "wrapped": {
@@ -63,6 +77,7 @@ _EXPLAINS = {
         "foreign",
         "noncausal",
     },
+    "period length": {"odd period", "unsteady", "disturbed", "gain", "jitter", "noise"},
     "odd period": {"spikes", "disturbed", "gain", "jitter"},
     "unsteady": {"spikes", "disturbed", "gain", "jitter"},
     "disturbed": {"spikes", "gain", "jitter"},
@@ -115,8 +130,9 @@ def _by_channel(record: Record, checks: Sequence[OfChannels]) -> dict[OfChannels
 def _explained(finding: Finding, by: Finding) -> bool:
     if finding.kind not in _EXPLAINS.get(by.kind, ()):
         return False
-    same = finding.pos == by.pos and (finding.exp is None or finding.exp == by.exp)
-    return same and (finding.kind in _ANY_CHANNEL or (finding.signal, finding.channel) == (by.signal, by.channel))
+    same = finding.pos == by.pos and (finding.exp is None or by.exp in (None, finding.exp))
+    channel = by.signal in ("", finding.signal) and by.channel in (None, finding.channel)
+    return same and (channel or finding.kind in _ANY_CHANNEL)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,9 +179,9 @@ def screen(data: Experiment) -> tuple[str, ...]:
     """What looks wrong in a record: one sentence a kind, with the worst place; `jaxfrf.examine` gives every finding.
 
     Looks at periods and lines that the signals contradict; at clipped, limited, coarsely quantised, held, wrapped and
-    dead channels; at samples lost or doubled, odd or disturbed periods, drifting means and gains, jitter and low
-    signal-to-noise ratios between periods; at outputs that lead their inputs; at experiments that do not belong to the
-    others or are given twice.
+    dead channels; at clocks that differ; at samples lost or doubled, odd or disturbed periods, drifting means and
+    gains, jitter and low signal-to-noise ratios between periods; at outputs that lead their inputs; at experiments that
+    do not belong to the others or are given twice.
     """
     return sentences(examine(data))
 

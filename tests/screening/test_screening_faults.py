@@ -3,6 +3,7 @@
 import numpy as np
 import plants
 import pytest
+from scipy.interpolate import CubicSpline
 
 import jaxfrf as jf
 from jaxfrf.screening import Severity
@@ -62,6 +63,16 @@ def test_lost_samples(record, n_periods, count, at):
     assert f"has lost {count} sample" in found.says or (count < 0 and "1 sample too many" in found.says)
 
 
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("at", [200, 740, 1000])
+def test_doubled_samples_of_two_periods(record, at, count):
+    y = record["y"]
+    y[1, at + count :] = y[1, at:-count].copy()
+    found = examine(record, 2)
+    assert {f.kind for f in found} <= {"lost", "foreign"}
+    assert f"holds {count} sample" in the_one(found, "lost", signal="y", exp=1).says
+
+
 def test_held_zeroed_and_disturbed_stretches(record):
     record["y"][0, 2300:2420, 1] = record["y"][0, 2300, 1]
     record["u"][3, 4100:4130, 0] = 0.0
@@ -100,6 +111,47 @@ def test_a_counter_that_wraps_is_refused(record, name):
     turn = 0.8 * np.ptp(x)
     record[name] = (x + turn / 2) % turn - turn / 2
     assert the_one(examine(record), "wrapped", signal=name).severity is Severity.REFUSED
+
+
+def other_clock(x, ppm):
+    """The same signal at n (1 + ppm/1e6), by splines."""
+    n = np.arange(x.shape[1])
+    return CubicSpline(n, x, axis=1)(np.minimum(n * (1 + ppm * 1e-6), n[-1]))
+
+
+@pytest.mark.parametrize("n_periods", [2, 3, 6])
+@pytest.mark.parametrize(("names", "ppm"), [("y", 60), ("y", -300), ("u", 100)])
+def test_signals_by_different_clocks(record, n_periods, names, ppm):
+    for name in names:
+        record[name] = other_clock(record[name], ppm)
+    found = examine(record, n_periods)
+    assert {f.kind for f in found} == {"clock"} and {f.signal for f in found} == set(names)
+    factor = float(found[0].says.rsplit("n x ")[1].rstrip("."))
+    assert abs(factor - 1 + ppm * 1e-6) < 1e-5 and found[0].severity is Severity.WARNED
+
+
+def test_one_channel_of_one_experiment_by_another_clock(record):
+    record["y"][2:3, :, 1:] = other_clock(record["y"][2:3, :, 1:], 100)
+    (found,) = examine(record)
+    assert (found.kind, found.exp, found.channel) == ("clock", 2, 1)
+
+
+def test_a_period_of_no_whole_number_of_samples(record):
+    (found,) = examine({k: other_clock(x, 200) for k, x in record.items()}, 4)
+    assert found.kind == "period length" and "every 999.8" in found.says and found.severity is Severity.TOLD
+
+
+@pytest.mark.parametrize("n_periods", [2, 6])
+def test_a_machine_that_changes_is_not_another_clock(record, n_periods):
+    """A pole that moves by a tenth over the record, and a delay that comes back."""
+    n = n_periods * PERIOD
+    warm = np.linspace(1, 1.1, n)
+    for x in record["y"][:, :n, 0]:
+        state = 0.0
+        for t in range(n):
+            state = x[t] = state + 0.3 * warm[t] * (x[t] - state)
+    found = [f for f in examine(record, n_periods) if f.kind in ("clock", "period length")]
+    assert not found, found
 
 
 def test_a_limit_behind_noise(record):
