@@ -2,11 +2,13 @@
 
 import argparse
 import contextlib
+import difflib
 import json
 import os
 import signal
 import sys
 import threading
+from typing import NoReturn
 
 from . import __version__, _environment
 from ._errors import InputError
@@ -36,7 +38,9 @@ def main(arguments=None) -> int:
         import argcomplete
 
         argcomplete.autocomplete(parser)
-    given = parser.parse_args(arguments)
+    given, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        parser.chosen(given.command).error(f"unrecognized arguments: {' '.join(unknown)}")
     if given.command is None:
         _print(parser.format_help().rstrip())
         return 0
@@ -127,8 +131,38 @@ def _plain(error: Exception) -> str:
     return str(error)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+class _Parser(argparse.ArgumentParser):
+    """Errors say what was probably meant."""
+
+    _asked: list[str]
+
+    def parse_known_args(self, args=None, namespace=None):  # type: ignore[override]
+        self._asked = sys.argv[1:] if args is None else list(args)
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        super().error(message + "".join(f" (did you mean {x}?)" for x in self._meant()))
+
+    def chosen(self, command: str | None) -> argparse.ArgumentParser:
+        """The parser of a command; this one where there is none."""
+        return self if command is None else self._commands()[command]
+
+    def _commands(self) -> dict[str, argparse.ArgumentParser]:
+        found = (a for a in self._actions if isinstance(a, argparse._SubParsersAction))
+        return next((dict(a.choices) for a in found), {})
+
+    def _meant(self) -> list[str]:
+        options, commands = list(self._option_string_actions), list(self._commands())
+        first = next((x for x in self._asked if not x.startswith("-")), None)
+        if commands and first is not None:
+            return [] if first in commands else difflib.get_close_matches(first, commands, 1)
+        said = [x.partition("=")[0] for x in self._asked if x.startswith("--") and len(x) > 2]
+        wrong = [x for x in said if not any(known.startswith(x) for known in options)]
+        return [near for x in wrong for near in difflib.get_close_matches(x, options, 1)]
+
+
+def _parser() -> _Parser:
+    parser = _Parser(
         prog="jaxfrf",
         description="From the records of an experiment to frequency response functions, to the parameters of a model, "
         "to what the model is missing.",

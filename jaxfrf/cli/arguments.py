@@ -28,7 +28,10 @@ def command(commands, name: str, run, text: str) -> argparse.ArgumentParser:
 
 def add_record_options(parser: argparse.ArgumentParser, method: str | None, default: str) -> None:
     """How records are read and turned into an FRF."""
-    parser.add_argument("--method", default=method, help=f"estimator (default {default}); --methods lists them")
+    estimator = parser.add_argument(
+        "--method", default=method, help=f"estimator (default {default}); --methods lists them"
+    )
+    estimator.completer = _methods  # type: ignore[attr-defined]
     parser.add_argument("--methods", action=_ListMethods, nargs=0, help="list the estimators and stop")
     parser.add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help="e.g. width=34, order=2")
     parser.add_argument(
@@ -56,6 +59,13 @@ class Joined(argparse.Action):
     def __call__(self, parser, namespace, values, option_string=None):
         before = getattr(namespace, self.dest)
         setattr(namespace, self.dest, values if before is None else f"{before},{values}")
+
+
+def _methods(**asked) -> list[str]:
+    """What the shell completes `--method` with."""
+    from ..frf.catalogue import METHODS
+
+    return list(METHODS)
 
 
 def add_anyway_option(parser: argparse.ArgumentParser) -> None:
@@ -225,8 +235,6 @@ def _check_variables(given: argparse.Namespace) -> None:
     from ..io._select import missing, select
 
     variables = load(path)
-    if {"G", "frequency"} <= set(variables):
-        return
     for key in ("u", "y", *(k for k in names if k not in ("u", "y"))):
         if names.get(key, key) == key and key not in variables:
             raise missing(path, variables, key, key)

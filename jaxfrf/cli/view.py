@@ -1,9 +1,11 @@
 """`jaxfrf view`."""
 
+import json
 import pathlib
 import tempfile
 import webbrowser
 
+from .._errors import InputError, input_error
 from ..io._formats import FRFS
 from .arguments import check_result, check_target, command
 
@@ -38,7 +40,23 @@ def run(given) -> dict:
 def _read(path: str):
     from ..io import read_frf
 
+    if pathlib.Path(path).suffix.lower() == ".json":
+        raise _not_viewed(path)
     return read_frf(path)
+
+
+def _not_viewed(path: str) -> InputError:
+    """Results that have pages of their own, made with them."""
+    try:
+        fields = set(json.loads(pathlib.Path(path).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError):
+        fields = set()
+    for field, what, name in (("verdict", "a diagnosis", "diagnose"), ("parameters", "a fit", "identify")):
+        if field in fields:
+            page = f"{pathlib.Path(path).stem}.html"
+            do = f"Its page is made with it: jaxfrf {name} ... -o {path} --report {page}."
+            return input_error(path, what, f"an FRF: {' '.join(FRFS)}", do)
+    return input_error(path, "JSON", f"an FRF: {' '.join(FRFS)}", "Name the FRF that it was made from.")
 
 
 def _labels(paths) -> list[str]:

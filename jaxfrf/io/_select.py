@@ -63,6 +63,13 @@ def _columns(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, expres
 
 def missing(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, name: str) -> InputError:
     """The error for a name that the file does not have: what it has, and a `--map` that would work."""
+    if {"G", "frequency"} <= set(variables):
+        return input_error(
+            f"{path}",
+            "an FRF",
+            "a record with u and y",
+            f"Look at it: jaxfrf view {path}. Take it to parameters: jaxfrf identify {path}.",
+        )
     like = nearest(name, list(variables)) if name != key else None
     do = [f"Did you mean --map {key}={_quoted(like)}?"] if like else []
     if name.isdigit() and "1" in variables:

@@ -261,6 +261,11 @@ def test_help_and_usage(capsys):
         (["estimate"], 2, "DATA"),
         (["estimate", "a.nc"], 2, "--output"),
         (["guess"], 2, "guess"),
+        (["estmate", "a.nc"], 2, "'estmate'"),
+        (["estmate", "a.nc"], 2, "(did you mean estimate?)"),
+        (["estimate", "a.nc", "--ouput", "b.nc"], 2, "(did you mean --output?)"),
+        (["estimate", "a.nc", "-o", "b.nc", "--mehtod=h1"], 2, "--mehtod=h1 (did you mean --method?)"),
+        (["--verison"], 2, "(did you mean --version?)"),
     ):
         with pytest.raises(SystemExit) as stopped:
             main(arguments)
@@ -334,10 +339,35 @@ def test_example_writes_the_robot_that_it_simulates(tmp_path, capsys):
     assert not (tmp_path / "other.nc").exists()
 
 
+def test_results_in_the_place_of_a_record_or_an_frf(tmp_path, capsys):
+    G = np.ones((1, 3, 1, 1), complex)
+    frf = jf.FRF(G, np.arange(1.0, 4.0), G + 0, np.ones((1, 3)), np.zeros((1, 3), int), np.ones((1, 3)))
+    for name in ("frf.npz", "frf.nc"):
+        jf.io.write_frf(tmp_path / name, frf)
+        assert estimate(tmp_path / name, "-o", tmp_path / "out.nc") == 2
+        error = capsys.readouterr().err
+        assert re.search(rf"{name}: found an FRF; .* jaxfrf view .*{name}\. .*: jaxfrf identify .*{name}\.", error), (
+            error
+        )
+    for text, says in (
+        ('{"verdict": "named", "parameters": {}}', r"found a diagnosis; .* jaxfrf diagnose \.\.\. .*--report a\.html"),
+        ('{"parameters": {}}', r"found a fit; .* jaxfrf identify \.\.\. .*--report a\.html"),
+        ("3", "found JSON; expected an FRF"),
+    ):
+        (tmp_path / "a.json").write_text(text)
+        assert main(["view", str(tmp_path / "a.json")]) == 2
+        error = capsys.readouterr().err
+        assert re.search(says, error), error
+
+
 def test_the_shell_completes_commands_and_options(tmp_path):
     """As argcomplete asks: the line so far in the environment, the answers in a file."""
     pytest.importorskip("argcomplete", reason="argcomplete is not installed: pip install 'jaxfrf[completion]'")
-    for line, expected in {"jaxfrf est": "estimate", "jaxfrf estimate --rep": "--report"}.items():
+    for line, expected in {
+        "jaxfrf est": "estimate",
+        "jaxfrf estimate --rep": "--report",
+        "jaxfrf estimate --method robu": "robust",
+    }.items():
         answers = tmp_path / "answers"
         asked = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE": "1", "_ARGCOMPLETE_SHELL": "bash"}
         asked |= {"_ARGCOMPLETE_STDOUT_FILENAME": str(answers), "COMP_TYPE": "9", "_ARGCOMPLETE_IFS": "\n"}
