@@ -9,8 +9,10 @@ from jaxtyping import Float, Int
 from .._errors import input_error
 from .._text import number
 from .._types import Array
-from ..periodic import FoundPeriod, find_period
+from ..periodic import FoundPeriod, find_period, mismatch
 from .arguments import as_configurations, as_count, as_line_numbers, as_positive, as_quantity, as_signal
+
+_NOT_AFTER = 0.8  # mismatch of reference or input, from which they do not repeat after a lag (1: chance)
 
 
 class Source(eqx.Module):
@@ -166,13 +168,18 @@ def _check_periods(data: Experiment) -> None:
 def seen_period(r, u, y) -> tuple[str, FoundPeriod] | None:
     """The period that a record shows, in the reference where there is one, and in which signal; `None` if none.
 
+    An output alone may ring: its period counts where reference or input repeat after it, too, if less clearly.
+
     **Arguments:** signals (pos, exp, time, channel) or `None`. The first experiment speaks for all.
     """
-    for name, x in (("r", r), ("u", u), ("y", y)):
-        found = None if x is None else find_period(np.asarray(x)[0, 0])
-        if found is not None:
+    causes = [(name, np.asarray(x)[0, 0]) for name, x in (("r", r), ("u", u)) if x is not None]
+    for name, x in causes:
+        if (found := find_period(x)) is not None:
             return name, found
-    return None
+    found = None if y is None else find_period(np.asarray(y)[0, 0])
+    if found is None or (causes and all(mismatch(x, found.period) > _NOT_AFTER for _, x in causes)):
+        return None
+    return "y", found
 
 
 def how_to_set(n_time: int, period: int) -> str:

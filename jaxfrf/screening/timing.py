@@ -12,7 +12,7 @@ from .record import Channel, Record, of_channels
 _BINS = 12  # of the slope
 _JITTER_SHARE = 0.6  # of the difference between periods, that slope and jitter explain
 _JITTER_LEAST = 0.02  # sample intervals
-_JITTER_FIT = 0.25  # of the explained part, that the bins may deviate from the straight line by
+_JITTER_FIT = 0.25  # of the explained part, that the bins may deviate from the straight line by, beyond chance
 _JITTER_WHITE = 0.3  # correlation of neighbouring samples: delays that change slowly are no jitter
 _LOOK = 200_000  # samples are enough
 
@@ -60,7 +60,8 @@ def _jitter(c: Channel) -> Iterator[Finding]:
     fit = np.polyfit(s, d, 1)
     size = float(np.sqrt(max(fit[0], 0.0) / 2))
     share = fit[0] * s.mean() / d.mean()
-    rest = np.std(d - np.polyval(fit, s)) / max(fit[0] * s.std(), 1e-300)
+    chance = np.mean([difference[i].var() / len(i) for i in part])
+    rest = np.sqrt(max(np.var(d - np.polyval(fit, s)) - chance, 0.0)) / max(fit[0] * s.std(), 1e-300)
     moved = np.diff(x, axis=0) * np.gradient(x.mean(axis=0))  # white where the jitter is
     together = np.sum(moved[:, 1:] * moved[:, :-1]) / max(np.sum(moved**2), 1e-300)
     if size > _JITTER_LEAST and share > _JITTER_SHARE and rest < _JITTER_FIT and together < _JITTER_WHITE:

@@ -4,9 +4,11 @@ import re
 
 import numpy as np
 import pytest
+import scipy.signal
 from hypothesis import given, strategies as st
 
 import jaxfrf as jf
+from jaxfrf.experiment import seen_period
 
 RNG = np.random.default_rng(0)
 
@@ -165,3 +167,23 @@ def test_other_numbers_of_experiments_at_other_places():
         jf.concatenate([joined(2, q=[[0]]), joined(3, q=[[1]])])
     with pytest.raises(jf.InputError, match="at least one record"):
         jf.concatenate([])
+
+
+@pytest.mark.parametrize("u", ["step", "constant"])
+def test_ringing_is_no_period(u):
+    t = np.arange(8000)
+    u = {"step": t > 500, "constant": t >= 0}[u] * 0.1
+    rng = np.random.default_rng(0)
+    ringing = scipy.signal.lfilter([0.1], [1, -1.93, 0.998], u)
+    y = ringing + 0.01 * ringing.std() * rng.standard_normal(len(t))
+    assert seen_period(None, None, y[None, None, :, None]) is not None
+    assert seen_period(None, u[None, None, :, None], y[None, None, :, None]) is None
+
+
+def test_the_period_of_an_output_counts_where_the_input_repeats_with_it():
+    rng = np.random.default_rng(1)
+    one = rng.standard_normal(500)
+    y = np.tile(one, 6)
+    u = y + 1.3 * rng.standard_normal(len(y))
+    _, found = seen_period(None, u[None, None, :, None], y[None, None, :, None])
+    assert found.period == 500

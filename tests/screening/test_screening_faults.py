@@ -168,6 +168,15 @@ def test_jitter(record):
     assert abs(the_one(examine(record), "jitter", signal="y").size - 0.4) < 0.15
 
 
+def test_much_jitter_scatters_about_its_line_by_chance(record):
+    n = PERIOD * 2
+    y, t = record["y"][:, :, 0], np.arange(n)
+    times = t + 0.6 * np.random.default_rng(5).standard_normal((4, n))
+    spline = [CubicSpline(np.arange(y.shape[1]), x) for x in y]
+    record["y"][:, :n, 0] = [x(np.abs(at)) for x, at in zip(spline, times, strict=True)]
+    assert len({f.exp for f in examine(record, 2) if f.kind == "jitter"}) >= 3
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
