@@ -360,15 +360,13 @@ def said(key) -> str:
 def _chosen(scored: Sequence[Scored], had) -> list[Scored]:
     """The candidates of a ranking that are fitted; a number whose tolerance cannot be believed stands out from all
     others, however little of the cost it is."""
-    scored = [s for s in scored if not _stands(s, had)]
-    chosen: list[Scored] = []
+    found: dict[tuple[str, str], Scored] = {}
     for this in scored:
-        least = 0.0 if this.strained else LEAST_PART
-        if len(chosen) == FINALISTS or this.part < max(SHARE * scored[0].part, least):
-            break
-        if this.size >= LEAST_SIZE and this.key not in [s.key for s in chosen]:
-            chosen.append(this)
-    return chosen
+        if this.size >= LEAST_SIZE and not _stands(this, had):
+            found.setdefault(this.key, this)
+    best = list(found.values())
+    promising = [s for s in best[:FINALISTS] if s.part >= max(SHARE * best[0].part, LEAST_PART)]
+    return [*promising, *[s for s in best if s.strained and all(s is not p for p in promising)][:FINALISTS]]
 
 
 def _stands(this: Scored, had: Sequence[Step]) -> bool:
