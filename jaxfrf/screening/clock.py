@@ -113,8 +113,8 @@ def _other_clock(record, where, pos, exp, by: float, error: float, effect: float
         effect,
         f"{name}: {'all channels' if channel is None else f'channel {channel}'} ({place}) is sampled by another clock "
         f"than {other}: it comes {number(abs(by), 2)} samples {'later' if rate > 0 else 'earlier'} in every period, "
-        f"{number(abs(rate) * 1e6, 2)} ppm. The phase of the FRF is off by about {np.degrees(effect):.2g} degrees "
-        "at the middle line, more above it, and its interval does not say so. Log all signals by one clock, or "
+        f"{number(abs(rate) * 1e6, 2)} ppm. The phase of the FRF is off by about "
+        f"{number(np.degrees(effect), 2)} degrees at the middle line, more above it, and its interval does not say so. Log all signals by one clock, or "
         f"interpolate {name} at the samples n x {1 + rate:.7f}.",
         sure=abs(by) / max(error, 1e-300),
         effect=min(effect, 2.0),
@@ -138,7 +138,7 @@ def _no_whole_period(record: Record, pos: int, u: _Delay, ys: list[_Delay]) -> F
         Severity.TOLD,
         turn,
         f"period: u and y (position {pos}) repeat every {repeats} samples, not every {period}: their "
-        f"phases turn by {np.degrees(turn):.2g} degrees at the highest line over the record. The mean over "
+        f"phases turn by {number(np.degrees(turn), 2)} degrees at the highest line over the record. The mean over "
         "periods loses power there, and leakage counts as noise; the FRF stands. Let one clock drive generator and "
         "logger.",
         sure=sure,
@@ -211,8 +211,13 @@ def _nearly(X, omega, period: int) -> float:
     cross = np.sum(X[:, 1:] * X[:, :-1].conj(), axis=(0, 1))
     step = 0.5 / omega[-1]
     n = min(int(_MOST * period / step), _GRID)
-    tried = step * np.arange(-n, n + 1)
-    return float(tried[np.argmax(np.real(np.exp(1j * tried[:, None] * omega) @ cross))])
+    alike = np.full(2 * n + 1, np.sum(cross).real)
+    turn = np.exp(1j * step * omega)
+    turned = turn
+    for i in range(1, n + 1):  # powers: a tenth of the time of as many exponentials
+        alike[n + i], alike[n - i] = (turned @ cross).real, np.vdot(turned, cross).real
+        turned = turned * turn
+    return float(step * (np.argmax(alike) - n))
 
 
 def _slope(omega, phase, weight) -> tuple[float, float]:
