@@ -113,9 +113,9 @@ def _other_clock(record, where, pos, exp, by: float, error: float, effect: float
         effect,
         f"{name}: {'all channels' if channel is None else f'channel {channel}'} ({place}) is sampled by another clock "
         f"than {other}: it comes {number(abs(by), 2)} samples {'later' if rate > 0 else 'earlier'} in every period, "
-        f"{number(abs(rate) * 1e6, 2)} ppm. The phase of the FRF is off by about "
-        f"{number(np.degrees(effect), 2)} degrees at the middle line, more above it, and its interval does not say so. Log all signals by one clock, or "
-        f"interpolate {name} at the samples n x {1 + rate:.7f}.",
+        f"{number(abs(rate) * 1e6, 2)} ppm. The phase of the FRF is off by about {number(np.degrees(effect), 2)} "
+        "degrees at the middle line, more above it, and its interval does not say so. Log all signals by one clock, "
+        f"or interpolate {name} at the samples n x {1 + rate:.7f}.",
         sure=abs(by) / max(error, 1e-300),
         effect=min(effect, 2.0),
         signal=name,
