@@ -75,8 +75,9 @@ def _contents(found, source: str) -> dict:
 
 
 def _lines(found) -> list[str]:
+    failed = not found.modes and found.misfit > 2
     lines = [
-        f"{counted(len(found.modes), 'mode')} from {number(found.frequency[0], 4)} to "
+        f"{'no mode could be fitted' if failed else counted(len(found.modes), 'mode')} from {number(found.frequency[0], 4)} to "
         f"{number(found.frequency[-1], 4)} Hz (95 %)"
     ]
     lines += [

@@ -13,6 +13,8 @@ from ..experiment import QUANTITIES
 from .poles import PoleFit, fit_poles
 from .response import FRF
 
+_HOPELESS = 10.0  # standard deviations, rms, that no mode at all leaves: they say less than how linear a machine is
+_LINEAR = 0.01  # of |G|, then: with the noise alone the few quietest lines of a real machine decide
 _NEAR_FREQUENCY = 0.01  # relative: poles of two orders nearer than this are one
 _NEAR_DAMPING = 0.2  # relative, beside an absolute half of the next
 _NEAR_DAMPING_ABSOLUTE = 0.002
@@ -131,11 +133,17 @@ def modal(
         raise input_error("delay", f"{delay}", "seconds", "Leave it out to have it found.")
     frequency, G, std, shared = _chosen(frf, position, band)
     order = _order(max_order, len(frequency), frf.n_in)
-    table = _stabilisation(frequency, G, std, order)
-    start = _clusters(table) if near is None else _nearest(table, near)
-    s = 2j * np.pi * frequency
-    background = _background(s, frf.y_quantity)
-    fitted, dropped = _significant(s, G, std, start, background, shared, near is not None, delay)
+    background = _background(2j * np.pi * frequency, frf.y_quantity)
+
+    def found(std):
+        table = _stabilisation(frequency, G, std, order)
+        start = _clusters(table) if near is None else _nearest(table, near)
+        own = near is not None
+        return table, *_significant(2j * np.pi * frequency, G, std, start, background, shared, own, delay)
+
+    table, fitted, dropped = found(std)
+    if not len(fitted.poles) and std is not None and fitted.misfit > _HOPELESS:
+        table, fitted, dropped = found(np.maximum(std, _LINEAR * np.abs(G)))
     n_out, n_in = G.shape[1:]
     scale = fitted.misfit if np.isfinite(fitted.misfit) else 1.0
     return ModalModel(

@@ -133,3 +133,13 @@ def test_a_held_input_is_a_delay_of_half_a_sample():
         assert abs(mode.frequency - frequency) < 3 * mode.frequency_std
         assert abs(mode.damping - damping) < 3 * mode.damping_std
     assert jf.modal(frf(response(F), F, sigma)).delay == 0.0
+
+
+@pytest.mark.slow
+def test_noise_that_says_too_little_does_not_hide_modes():
+    """Steady periods of a machine in closed loop: H1's scatter between them is far less than what modes leave."""
+    precise, plain = (jf.modal(jf.estimate(jf.example(), method)) for method in (jf.Auto(), jf.H1()))
+    assert len(precise.modes) == len(plain.modes) == 2
+    for a, b in zip(precise.modes, plain.modes, strict=True):
+        assert a.frequency == pytest.approx(b.frequency, rel=0.005)
+        assert a.damping == pytest.approx(b.damping, rel=0.1)
