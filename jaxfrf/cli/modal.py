@@ -76,10 +76,8 @@ def _contents(found, source: str) -> dict:
 
 def _lines(found) -> list[str]:
     failed = not found.modes and found.misfit > 2
-    lines = [
-        f"{'no mode could be fitted' if failed else counted(len(found.modes), 'mode')} from {number(found.frequency[0], 4)} to "
-        f"{number(found.frequency[-1], 4)} Hz (95 %)"
-    ]
+    what = "no mode could be fitted" if failed else counted(len(found.modes), "mode")
+    lines = [f"{what} from {number(found.frequency[0], 4)} to {number(found.frequency[-1], 4)} Hz (95 %)"]
     lines += [
         f"  {plus_minus(m.frequency, 1.96 * m.frequency_std)} Hz, damping "
         f"{plus_minus(100 * m.damping, 196 * m.damping_std)} %"
