@@ -15,7 +15,7 @@ from .._files import digest
 from .._text import number
 from ..experiment import UNITS, Experiment, Source, concatenate, rebuilt
 from ..screening import ACROSS, CHECKS, screened
-from ..units import DEFAULT_INPUT, input_unit, output_unit, quantity_of
+from ..units import DEFAULT_INPUT, input_unit, known_unit, output_unit, quantity_of
 from ._configurations import gathered, logged, mean_configurations, stated_configurations
 from ._container import Later, Leaf, Put, Variable, Variables, check_file, load, save, save_blocks
 from ._joined import expanded, joined, part_of
@@ -312,10 +312,15 @@ def _kept_unit(file: File, key: str, usual: str) -> str:
 
 
 def _conversions(file: File) -> list[str]:
-    """What was converted because the file says its unit."""
+    """What was converted because the file says its unit, and what was not, because nobody knows it."""
     said = []
     for key in (*SIGNALS, "q"):
         unit, factor = unit_of(file, key)
+        if unit and known_unit(unit) is None and key not in file.given.scale and file.get(key) is not None:
+            said.append(
+                f"{file.label(key)}: {unit!r} is no unit that is known here. It is kept as a name, and the numbers are "
+                f"as they were: --scale {key}=FACTOR converts them."
+            )
         stated = f"{key}_unit" in file.given.values
         if factor != 1.0 and key not in file.given.scale and not stated and file.get(key) is not None:
             said.append(

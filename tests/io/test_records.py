@@ -761,6 +761,15 @@ def test_dialects_of_tables(tmp_path, text, encoding):
     assert data.fs == 100.0
 
 
+def test_units_that_nobody_knows_are_told(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,u [Nm],y [furlong]\n" + table(","))
+    data = jf.io.read(path, values={"y_quantity": "position"})
+    (remark,) = (w for w in data.warnings if "furlong" in w)
+    assert "--scale y=FACTOR" in remark and data.y_unit == "furlong"
+    np.testing.assert_allclose(data.y[0, 0, :, 0], TABLE[:, 2], atol=1e-6)
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "utf-16"])
 def test_units_in_what_loggers_on_windows_write(tmp_path, encoding):
     path = tmp_path / "a.csv"
