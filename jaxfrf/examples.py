@@ -25,9 +25,16 @@ _POSITION_GAIN = 5.0  # 1/s
 def example(*, blocks: int = 2, periods: int = 2, noise: float = 2e-3, seed: int = 0) -> Experiment:
     """Two motors behind springs, the arms coupled by their inertia; P position and PI velocity control at 500 Hz.
 
-    Orthogonal multisines, 88 log-spaced odd lines from 1.9 to 99 Hz, on top of a slow sine. Each block holds two
+    Orthogonal multisines, 93 log-spaced odd lines from 1.9 to 96 Hz, on top of a slow sine. Each block holds two
     experiments; `noise` (N m rms) is white torque noise on the motors, and the measured speed has white noise of 2e-3
     rad/s. The torque is held between samples, so the FRF is the one of `example_response`.
+
+    **Arguments:** `blocks`: of two experiments. `periods`: steady ones of 4000 samples, behind a transient one. `seed`:
+    of the phases and the noise.
+
+    **Returns:** an `Experiment` at one position: `u` (N m), `y` and `r` (rad/s), each (1, 2 `blocks`, time, 2).
+
+    **Raises:** `jaxfrf.InputError` for `blocks` or `periods` below 1.
     """
     design = Multisine(
         FS,

@@ -83,10 +83,13 @@ class Number(eqx.Module):
 def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) -> tuple[Number, ...]:
     """All numbers that are not exact, by the robot's tolerances.
 
-    `offset_size`: of the coordinates of the motors' torque offsets, N m; `None`: there are none.
-
     Left out is what a robot does not have or what does nothing: the shape of a linear spring, numbers that are zero
     and known in relation to that, bodies without mass.
+
+    **Arguments:** `robot`: with its tolerances. `offset_size`: of the coordinates of the motors' torque offsets,
+    (axis,), N m; `None`: there are none.
+
+    **Returns:** `Number`s, each with name, unit, given value and size of its coordinate.
     """
     found: list[Number] = []
 
@@ -184,7 +187,13 @@ def _of_drive(robot: Robot, kind: str, axis: int) -> float:
 
 
 def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "number"]) -> Robot:
-    """The robot with these numbers where their coordinates x, in tolerances, say; the others as they are."""
+    """The robot with these numbers where their coordinates x, in tolerances, say; the others as they are.
+
+    **Arguments:** `robot`: that they were made of. `these`: of `numbers`. `x`: (number,), coordinates in tolerances, 0
+    as given.
+
+    **Returns:** a robot whose arrays hold the new values, in their SI units.
+    """
     fields = {kind: parameter_field(robot, kind) for kind in {n.kind for n in these} & set(PARAMETER_UNITS)}
     arrays: dict[str, np.ndarray] = {}
     drives: list[tuple[str, str, float]] = []

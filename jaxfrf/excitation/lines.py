@@ -49,7 +49,15 @@ def band_lines(low: float, high: float, fs: float, period: int) -> tuple[int, in
 
 
 def full_lines(first: int, last: int) -> Grid:
-    """Every line from `first` to `last`: the finest grid, but no line is left to detect distortion."""
+    """Every line from `first` to `last`: the finest grid, but no line is left to detect distortion.
+
+    **Arguments:** `first`, `last`: whole numbers, from 1; line k is k fs/period Hz, and `jaxfrf.band_lines` converts a
+    band.
+
+    **Returns:** the lines, (freq,), increasing.
+
+    **Raises:** `jaxfrf.InputError` unless 1 <= `first` <= `last`, or for more lines than fit into memory.
+    """
     first, last = _range(first, last)
     return np.arange(first, last + 1)
 
@@ -59,6 +67,13 @@ def odd_lines(first: int, last: int) -> Grid:
 
     Odd distortion still falls on excited lines; `random_odd_lines` and `log_odd_lines` leave odd lines to
     see it.
+
+    **Arguments:** `first`, `last`: whole numbers, from 1; both may be even.
+
+    **Returns:** the lines, (freq,), increasing.
+
+    **Raises:** `jaxfrf.InputError` unless 1 <= `first` <= `last`, for a range without odd lines, or for more lines than
+    fit into memory.
     """
     first, last = _range(first, last)
     return _some(np.arange(first | 1, last + 1, 2), first, last)
@@ -93,6 +108,10 @@ def log_odd_lines(first: int, last: int, points: int) -> Grid:
     beyond `last` is dropped. `log_odd_lines(112, 2240, 366)` are the 336 lines from 4.036 to 79.32 Hz of a
     28 s period.
 
+    **Arguments:** `first`, `last`: lines, whole numbers from 1. `points`: to spread over them, before they are rounded.
+
+    **Returns:** the lines, (freq,), increasing.
+
     **Raises:** `jaxfrf.InputError` for no points, more than fit into memory, or a range without odd lines.
     """
     first, last = _range(first, last)
@@ -107,6 +126,12 @@ def detection_lines(lines: Int[Array, "freq"], first: int | None = None, last: i
     """The unexcited lines (odd, even) of the band: odd and even nonlinear distortion show there.
 
     The band reaches from `first` to `last`; by default from the lowest to the highest excited line.
+
+    **Arguments:** `lines`: the excited ones, (freq,), of a period. `first`, `last`: whole numbers, from 1.
+
+    **Returns:** the odd and the even lines that are not excited, each increasing; either may be empty.
+
+    **Raises:** `jaxfrf.InputError` unless 1 <= `first` <= `last`.
     """
     lines = np.asarray(lines)
     first, last = _range(lines.min() if first is None else first, lines.max() if last is None else last)

@@ -13,6 +13,11 @@ from .experiment import Experiment
 def select_periods(data: Experiment, start: int, stop: int | None = None) -> Experiment:
     """The steady periods `start:stop` of a record, a slice counted from 0 after the transient ones.
 
+    **Arguments:** `data`: periodic. `start`, `stop`: periods, as of a Python slice; `stop` is not included, negative
+    ones count from the end, `None`: up to the last one.
+
+    **Returns:** the record of these periods, without transient ones.
+
     **Raises:** `jaxfrf.InputError` if the record is not periodic or nothing is left.
     """
     expect("data", data, Experiment)
@@ -47,6 +52,11 @@ def segments(data: Experiment, length: int) -> Experiment:
 
     Local methods with a transient term take them together (each piece has a transient of its own): lines fs/length Hz
     apart instead of fs/duration, and as many times fewer of them. What is left at the end is not used.
+
+    **Arguments:** `data`: without a period. `length`: of a piece, samples, 8 or more.
+
+    **Returns:** the record with n_time // `length` experiments for each of its own: u (pos, exp, `length`, in), y and r
+    likewise.
 
     **Raises:** `jaxfrf.InputError` if the record has a period (choose whole periods: `select_periods`), or is shorter.
     """

@@ -250,6 +250,11 @@ def distortion(unexcited: Spectra, frf: FRF) -> Float[np.ndarray, "pos freq out"
     taken off first (Pintelon & Schoukens 2012, sec. 4.3, fast method). Even lines show even, odd lines odd
     nonlinearity; both contain the noise. Unit of Y, Fourier coefficients as in `jaxfrf.dft`.
 
+    **Arguments:** `unexcited`: at the lines that are not excited, e.g. of `jaxfrf.unexcited_spectra`. `frf`: of the
+    same record, (pos, freq, out, in).
+
+    **Returns:** rms over the experiments, (pos, freq, out), at the lines of `unexcited`.
+
     **Raises:** `jaxfrf.InputError` if FRF and spectra have other positions or channels.
     """
     if unexcited.n_pos != frf.n_pos or (unexcited.n_out, unexcited.n_in) != (frf.n_out, frf.n_in):

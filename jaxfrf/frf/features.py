@@ -45,6 +45,11 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
 
     Biased where two resonances overlap, and by the window of a local method that is wider than the resonance.
 
+    **Arguments:** `frf`: `position`, `out` and `into` choose one of its elements, each from 0. `prominence_db`: least
+    height over the surroundings, dB.
+
+    **Returns:** `Feature`s, with frequencies in Hz; none where nothing stands out.
+
     **Raises:** `jaxfrf.InputError` if `frf` is none.
     """
     expect("frf", frf, FRF)

@@ -323,7 +323,21 @@ def _polished(start: Start, end: Minimisation, alone: bool) -> Start:
 
 def evaluate(fitted: Fit, frf: FRF, weights: Weights | None = None, points: PyTree | None = None) -> float:
     """Mean weighted square error of a fit on other FRFs (held-out positions), over what the same weights expect:
-    1 means errors as large as the floor plus the FRF's noise, |E|^2 = floor^2 + var/|G|^2."""
+    1 means errors as large as the floor plus the FRF's noise, |E|^2 = floor^2 + var/|G|^2.
+
+    **Arguments:**
+
+    - `fitted`: the fit, with the parameters at its result.
+    - `frf`: (pos, freq, out, in), of the quantity that the model gives.
+    - `weights`: as in `jaxfrf.fit`; `Weights()` by default.
+    - `points`: operating points, leading axis (pos), as the model takes them; by default those of the FRF, by its `q`
+      (rad).
+
+    **Returns:** the ratio, without unit.
+
+    **Raises:** `jaxfrf.InputError` where weights have another shape, nothing is left to compare, or the FRF has no `q`
+    that the model could take.
+    """
     weights = Weights() if weights is None else weights
     points = fitted.model.points(frf.q, frf.n_pos) if points is None else points
     tg = target(frf, weights, points)

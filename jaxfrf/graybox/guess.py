@@ -80,6 +80,10 @@ def guessed(model: RobotModel, frf: FRF) -> RobotModel:
     """The same model with its springs starting at `initial_guess`, whose notes say what to doubt.
 
     Parameters that are fixed keep their value.
+
+    **Arguments:** `model`, `frf`: as of `jaxfrf.graybox.initial_guess`, the FRF with arm configurations `q`, rad.
+
+    **Raises:** as `jaxfrf.graybox.initial_guess`.
     """
     return starting_near(model, initial_guess(model, frf).values)
 
@@ -173,7 +177,12 @@ def _springs(robot: Robot, stiffness, inertia) -> dict[str, float]:
 
 
 def starting_near(model: RobotModel, values: Mapping[str, float]) -> RobotModel:
-    """The model starting there, fixed parameters left alone, all others within their bounds."""
+    """The model starting there, fixed parameters left alone, all others within their bounds.
+
+    **Arguments:** `values`: {name: value}, names as `joint1.stiffness`, in their units.
+
+    **Raises:** `KeyError` for a name that the model does not have.
+    """
     own = model.parameters
     return starting_at(model, {n: _inside(own[n], v) for n, v in values.items() if own[n].free})
 

@@ -265,17 +265,33 @@ Model = TypeVar("Model", bound=AbstractModel)
 
 
 def fix(model: Model, names: Iterable[str]) -> Model:
-    """The same model with these parameters held at their start; `*` in a name stands for any text: `*.damping`."""
+    """The same model with these parameters held at their start; `*` in a name stands for any text: `*.damping`.
+
+    **Arguments:** `model`: with `parameters`, one of `jaxfrf.AbstractModel`. `names`: of parameters, or patterns.
+
+    **Raises:** `jaxfrf.InputError` for a name that the model does not have.
+    """
     return _changed(model, names, lambda p: dataclasses.replace(p, free=False))
 
 
 def free(model: Model, names: Iterable[str]) -> Model:
-    """The same model with these parameters fitted; `*` in a name stands for any text."""
+    """The same model with these parameters fitted; `*` in a name stands for any text.
+
+    **Arguments:** `model`: with `parameters`, one of `jaxfrf.AbstractModel`. `names`: of parameters, or patterns.
+
+    **Raises:** `jaxfrf.InputError` for a name that the model does not have.
+    """
     return _changed(model, names, lambda p: dataclasses.replace(p, free=True))
 
 
 def share(model: Model, names: Iterable[str]) -> Model:
-    """The same model with one value for these parameters: that of the first one named."""
+    """The same model with one value for these parameters: that of the first one named.
+
+    **Arguments:** `model`: with `parameters`, one of `jaxfrf.AbstractModel`. `names`: of parameters of one unit, or
+    patterns.
+
+    **Raises:** `jaxfrf.InputError` for a name that the model does not have.
+    """
     first, *others = matching(model.parameters, names)
     return _changed(model, others, lambda p: dataclasses.replace(p, same_as=first))
 
@@ -287,6 +303,8 @@ def _changed(model: Model, names: Iterable[str], change: Callable[[Parameter], P
 
 def starting_at(model: Model, values: Mapping[str, float]) -> Model:
     """The same model with its parameters starting at these values.
+
+    **Arguments:** `values`: {name: value}, in the units of the parameters; others keep their start.
 
     **Raises:** `jaxfrf.InputError` for a name that the model does not have.
     """

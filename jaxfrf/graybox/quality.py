@@ -186,6 +186,9 @@ def response_quality(
 ) -> Quality:
     """Errors of any response G, a simulated one for example, against a measured FRF at the same lines.
 
+    **Arguments:** `G`: (pos, freq, out, in), unit of the FRF. `frf`: the measured one. `weights`: as in `jaxfrf.fit`;
+    `Weights()` by default. `bands`: how many, of equal width in the logarithm.
+
     **Raises:** `jaxfrf.InputError` if `G` has another shape than the FRF.
     """
     if np.shape(G) != np.shape(frf.G):

@@ -97,7 +97,12 @@ def response_in_motion(
 ) -> Complex[np.ndarray, "pos freq out in"]:
     """The FRF that these periodic records would show of a robot with these parameters, without simulating them.
 
-    `frequency` is in Hz; see `moving_response` for what it leaves out.
+    See `moving_response` for what it leaves out.
+
+    **Arguments:** `model`: of the robot. `values`: {name: value} of its parameters, in their units. `frequency`:
+    (freq,), Hz. `data`: periodic records with `q` (rad).
+
+    **Returns:** (pos, freq, out, in), in the quantity of the model.
     """
     slow = slow_motion(model.robot, data, slow_limit(frequency))
     if slow is not None:

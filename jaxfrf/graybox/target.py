@@ -205,7 +205,13 @@ def _user_weights(frf: FRF, weights: Weights) -> np.ndarray:
 
 
 def focus_band(frf: FRF, axis: int, position: int) -> tuple[float, float]:
-    """From .8 of the first antiresonance of a diagonal element to 1.25 of the resonance behind it, Hz."""
+    """From .8 of the first antiresonance of a diagonal element to 1.25 of the resonance behind it, Hz.
+
+    **Arguments:** `frf`: (pos, freq, out, in). `axis`, `position`: of the element and the operating point, from 0.
+
+    **Returns:** lowest and highest frequency, Hz; infinite where there is no antiresonance. Without a resonance behind
+    it, the highest is twice the antiresonance.
+    """
     found = features(frf, axis, axis, position=position)
     low = min((x.frequency for x in found if x.kind == "antiresonance"), default=np.inf)
     high = min((x.frequency for x in found if x.kind == "resonance" and x.frequency > low), default=1.6 * low)

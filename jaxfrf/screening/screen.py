@@ -97,6 +97,11 @@ def examine(data: Experiment, checks: tuple[Check, ...] = CHECKS + ACROSS) -> tu
     What no record shows: a sign, a gain, a delay of some samples or an exchange of channels that is the same in all
     experiments.
 
+    **Arguments:** `data`: the record, (pos, exp, time, channel). `checks`: which to make, in this order; all by
+    default.
+
+    **Returns:** the findings (`jaxfrf.Finding`); none where nothing was found.
+
     **Raises:** `jaxfrf.InputError` if `data` is no experiment.
     """
     expect("data", data, Experiment)

@@ -45,7 +45,13 @@ def replay_motion(
 ) -> Motion:
     """As `replay` without noise, and the coordinates of motors, arm and elastic joints with it.
 
-    They take (dof + 2 axis)/(2 axis) times the memory of a record. **Raises:** as `replay`.
+    They take (dof + 2 axis)/(2 axis) times the memory of a record.
+
+    **Arguments:** as of `jaxfrf.replay`.
+
+    **Returns:** a `Motion`: u in N m, y and z in rad, each (pos, exp, time, channel).
+
+    **Raises:** as `jaxfrf.replay`.
     """
     study = study_of_record(robot, data, None, 0.0, run_in, steps)
     u, y, z = record(study, chunk, progress, _play_with_coordinates)

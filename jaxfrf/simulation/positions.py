@@ -19,6 +19,10 @@ def random_positions(n: int, key: PRNGKeyArray, axes: int = 6) -> Float[np.ndarr
     In degrees, 1: +-150, 2: -60..60, 3: 20..150, 4: +-150, 5: +-(25..100), 6: +-150; joint 5 keeps clear of
     zero, where axes 4 and 6 are in line. A robot of another number of axes gets +-90 degrees on all of them.
     A position does not depend on how many are drawn.
+
+    **Arguments:** `n`: how many. `key`: of the draw, `jax.random.key`. `axes`: of the robot.
+
+    **Returns:** (n, `axes`), rad.
     """
     elbow = axes == len(_LOW)
     low, high = (_LOW, _HIGH) if elbow else (np.full(axes, -90.0), np.full(axes, 90.0))
@@ -31,6 +35,10 @@ def random_positions(n: int, key: PRNGKeyArray, axes: int = 6) -> Float[np.ndarr
 
 def read_positions(path: str | os.PathLike, axes: int) -> Float[np.ndarray, "pos axis"]:
     """Arm angles from a text file, one row of rad for each position, separated by commas or blanks; # comments.
+
+    **Arguments:** `path`: UTF-8 text. `axes`: numbers in a row, those of the robot.
+
+    **Returns:** (pos, axis), rad.
 
     **Raises:** `jaxfrf.InputError` naming the file and what is wrong with it. `OSError` if it cannot be opened.
     """

@@ -22,6 +22,11 @@ def fine_steps(robot: Robot, point: OperatingPoint) -> int:
     Smoothed Coulomb friction pulls a motor to rest at the rate c/(eps J), which an explicit step must resolve;
     springs turn at their modes' frequencies.
 
+    **Arguments:** `robot`: with its sampling frequency. `point`: the equilibria about which it moves, one or several
+    (`jaxfrf.robot.operating_point`).
+
+    **Returns:** steps in a sample, 3 to 64.
+
     **Raises:** `jaxfrf.InputError` where more than 64 were needed.
     """
     sample = 1.0 / robot.sampling_frequency
@@ -41,7 +46,11 @@ def fine_steps(robot: Robot, point: OperatingPoint) -> int:
 
 
 def finest_smoothing(robot: Robot, like: Robot) -> float:
-    """Smoothing of the friction, rad/s, that needs no more steps than that of another robot, or than the fewest."""
+    """Smoothing of the friction, rad/s, that needs no more steps than that of another robot, or than the fewest.
+
+    **Arguments:** `robot`: whose friction is `jaxfrf.robot.Friction`. `like`: another one, whose steps are to be
+    enough.
+    """
     most = max(_friction_rate(like), _LEAST * _DECAY * robot.sampling_frequency)
     assert isinstance(robot.drives.friction, Friction)  # another law has none
     return float(robot.drives.friction.smoothing) * _friction_rate(robot) / most

@@ -24,6 +24,11 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     reference) are left out: in closed loop the response there would be that of the controller. With `band` all lines in
     it are taken but those that hold rounding only (1e-24).
 
+    **Arguments:** `data`: of any kind; its period and transient periods are not used. `band`: lowest and highest
+    frequency, Hz, both included; the whole range by default.
+
+    **Returns:** `Spectra` at multiples of fs/n_time Hz, with `periodic` false and without noise covariance.
+
     **Raises:** `jaxfrf.InputError` if `data` is no experiment, or the band holds no excited line.
     """
     expect("data", data, Experiment)

@@ -82,7 +82,11 @@ class Spectra(eqx.Module):
 def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
     """The same spectra at the lines from `low` to `high` (Hz) only.
 
-    **Raises:** `jaxfrf.InputError` if no line is left.
+    **Arguments:** `low`, `high`: Hz, both included.
+
+    **Returns:** `Spectra` with fewer lines, and nothing else changed.
+
+    **Raises:** `jaxfrf.InputError` if `spectra` are none, or no line is left.
     """
     expect("spectra", spectra, Spectra)
     inside = (spectra.frequency >= low) & (spectra.frequency <= high)
@@ -99,7 +103,9 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
 
 
 def select_positions(spectra: Spectra, positions: slice | Sequence[int] | Int[Array, "pos"]) -> Spectra:
-    """The same spectra at some operating points only (`positions`: a slice or a list of indices, from 0).
+    """The same spectra at some operating points only, `q` with them.
+
+    **Arguments:** `positions`: a slice, or a list of indices from 0.
 
     **Raises:** `jaxfrf.InputError` if `spectra` are none.
     """
@@ -118,14 +124,25 @@ def changed_signals(spectra: Spectra, change: Callable[[Array], Array]) -> dict[
 def differentiate(
     X: Complex[Array, "*batch freq channel"], omega: Float[Array, "freq"], times: int
 ) -> Complex[Array, "*batch freq channel"]:
-    """Spectra `X` differentiated `times` times: times (j `omega`)^times, `omega` in rad/s."""
+    """Spectra `X` differentiated `times` times: times (j `omega`)^times, `omega` in rad/s.
+
+    **Arguments:** `X`: Fourier coefficients, (*batch, freq, channel), of any unit. `omega`: (freq,), rad/s. `times`:
+    whole number; negative ones integrate, where no `omega` is 0.
+
+    **Returns:** (*batch, freq, channel), unit of `X` by s^-`times`.
+    """
     return X * ((1j * np.asarray(omega)) ** times)[:, None]
 
 
 def with_output_quantity(spectra: Spectra, quantity: str) -> Spectra:
     """The same spectra with the output as `position`, `velocity` or `acceleration`, by (j omega)^n.
 
-    **Raises:** `jaxfrf.InputError` for any other quantity.
+    **Arguments:** `quantity`: of the new Y. Spectra hold the old one as `y_quantity`.
+
+    **Returns:** `Spectra` with Y, its noise covariance and its unit changed, by (j omega)^n, n the difference of the
+    derivatives.
+
+    **Raises:** `jaxfrf.InputError` if `spectra` are none, or for any other quantity.
     """
     expect("spectra", spectra, Spectra)
     if quantity not in QUANTITIES:

@@ -73,7 +73,15 @@ def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None)
     What stands there is noise and nonlinear distortion: even lines show even, odd lines odd nonlinearity.
     In closed loop it is the loop's reaction too; `jaxfrf.distortion` subtracts G U first.
 
+    **Arguments:** `data`: periodic. `band`: lowest and highest frequency, Hz, both included; by default from the first
+    to the last excited line.
+
+    **Returns:** `Spectra` at these lines, coefficients in the units of `data`, with the noise between periods where
+    there are two.
+
     **Raises:** `jaxfrf.InputError` if `data` is no experiment or not periodic, or every line is excited.
+
+    **Source:** Pintelon & Schoukens, System Identification, 2nd ed. 2012, section 4.3.
     """
     expect("data", data, Experiment)
     _check_periodic(data)
