@@ -81,9 +81,9 @@ def guessed(model: RobotModel, frf: FRF) -> RobotModel:
 
     Parameters that are fixed keep their value.
 
-    **Arguments:** `model`, `frf`: as of `jaxfrf.graybox.initial_guess`, the FRF with arm configurations `q`, rad.
+    **Arguments:** `model`, `frf`: as of `jaxfrf.initial_guess`, the FRF with arm configurations `q`, rad.
 
-    **Raises:** as `jaxfrf.graybox.initial_guess`.
+    **Raises:** as `jaxfrf.initial_guess`.
     """
     return starting_near(model, initial_guess(model, frf).values)
 

@@ -102,6 +102,8 @@ def forward_kinematics(chain: Chain, q: Angles) -> Frames:
     R_i = R_{i-1}, p_i = p_{i-1} + R_{i-1} (offset_i + q_i axis_i) of one that slides.
 
     **Arguments:** `q`: joint angles, (*batch, joint), rad.
+
+    **Returns:** `Frames` in the base frame: rotations, (*batch, joint, 3, 3), and positions, (*batch, joint, 3), m.
     """
     (angles,), batch = _columns(chain, q)
     rotation, position = _frames(chain, angles)
@@ -115,7 +117,11 @@ def forward_kinematics(chain: Chain, q: Angles) -> Frames:
 def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
     """Joint-space inertia by composite bodies (CRBA), M_ij = s_i . I_c(max(i, j)) s_j; kg m^2.
 
-    Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 6.2, here in world axes.
+    **Arguments:** `q`: joint angles, (*batch, joint), rad.
+
+    **Returns:** M(q), (*batch, joint, joint), kg m^2.
+
+    **Source:** Featherstone, Rigid Body Dynamics Algorithms, 2008, section 6.2, here in world axes.
     """
     (angles,), batch = _columns(chain, q)
     matrix = _mass_matrix(_bodies(chain, angles))
@@ -126,7 +132,12 @@ def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
 def inverse_dynamics(chain: Chain, q: Angles, rate: Angles, acceleration: Angles) -> Angles:
     """Joint torque of a motion, tau = M(q) q'' + c(q, q') + g(q), by recursive Newton-Euler (RNEA); N m.
 
-    Source: Featherstone (2008), section 5.3, here in world axes.
+    **Arguments:** `q`: joint angles, (*batch, joint), rad. `rate`, `acceleration`: of the joints, of that shape, rad/s
+    and rad/s^2.
+
+    **Returns:** (*batch, joint), N m.
+
+    **Source:** Featherstone, Rigid Body Dynamics Algorithms, 2008, section 5.3, here in world axes.
     """
     (angles, rates, accelerations), batch = _columns(chain, q, rate, acceleration)
     return _rows(_newton_euler(chain, _bodies(chain, angles), rates, accelerations), batch)
@@ -134,21 +145,36 @@ def inverse_dynamics(chain: Chain, q: Angles, rate: Angles, acceleration: Angles
 
 @eqx.filter_jit
 def bias_forces(chain: Chain, q: Angles, rate: Angles) -> Angles:
-    """Torque at zero acceleration, c(q, q') + g(q); (*batch, joint), N m."""
+    """Torque at zero acceleration, c(q, q') + g(q); (*batch, joint), N m.
+
+    **Arguments:** `q`: joint angles, (*batch, joint), rad. `rate`: of that shape, rad/s.
+
+    **Source:** as of `inverse_dynamics`.
+    """
     (angles, rates), batch = _columns(chain, q, rate)
     return _rows(_newton_euler(chain, _bodies(chain, angles), rates, jnp.zeros_like(angles)), batch)
 
 
 @eqx.filter_jit
 def gravity_forces(chain: Chain, q: Angles) -> Angles:
-    """Torque that holds the chain at rest, g(q) = d potential_energy / dq; (*batch, joint), N m."""
+    """Torque that holds the chain at rest, g(q) = d potential_energy / dq; (*batch, joint), N m.
+
+    **Arguments:** `q`: joint angles, (*batch, joint), rad.
+    """
     (angles,), batch = _columns(chain, q)
     return _rows(_gravity(chain, _bodies(chain, angles)), batch)
 
 
 @eqx.filter_jit
 def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "*batch joint joint"], Angles]:
-    """Both `mass_matrix`, kg m^2, and `bias_forces`, N m, from one pass over the kinematics: what a time step needs."""
+    """Both `mass_matrix`, kg m^2, and `bias_forces`, N m, from one pass over the kinematics: what a time step needs.
+
+    **Arguments:** `q`: joint angles, (*batch, joint), rad. `rate`: of that shape, rad/s.
+
+    **Returns:** (*batch, joint, joint), kg m^2, and (*batch, joint), N m.
+
+    **Source:** as of `mass_matrix` and `inverse_dynamics`.
+    """
     (angles, rates), batch = _columns(chain, q, rate)
     bodies = _bodies(chain, angles)
     matrix = jnp.moveaxis(_mass_matrix(bodies), -1, 0).reshape(*batch, chain.n_joints, chain.n_joints)
@@ -160,6 +186,8 @@ def mass_and_bias_columns(
 ) -> tuple[Float[Array, "joint joint run"], Float[Array, "joint run"]]:
     """As `mass_and_bias`, of many runs with the runs last.
 
+    **Arguments:** `q`: (joint, run), rad. `rate`: (joint, run), rad/s.
+
     **Returns:** (joint, joint, run), kg m^2, and (joint, run), N m.
     """
     bodies = _bodies(chain, q)
@@ -168,7 +196,10 @@ def mass_and_bias_columns(
 
 @eqx.filter_jit
 def potential_energy(chain: Chain, q: Angles) -> Float[Array, "*batch"]:
-    """Energy of the links in gravity, -sum_i m_i gravity . c_i(q); (*batch,), J."""
+    """Energy of the links in gravity, -sum_i m_i gravity . c_i(q); (*batch,), J.
+
+    **Arguments:** `q`: joint angles, (*batch, joint), rad.
+    """
     frames = forward_kinematics(chain, q)
     centres = frames.position + jnp.einsum("...nij,nj->...ni", frames.rotation, chain.com)
     return -jnp.einsum("...ni,n,i->...", centres, chain.mass, chain.gravity)

@@ -330,14 +330,25 @@ def describing_friction(
 
 
 def gravity_stiffness(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:
-    """Change of the gravity torque with the arm's angles, dg_ae/d arm; `arm` = [q_a, q_e], rad; N m/rad."""
+    """Change of the gravity torque with the arm's angles, dg_ae/d arm.
+
+    **Arguments:** `arm`: [q_a, q_e], (*batch, arm), rad, arm side.
+
+    **Returns:** (*batch, arm, arm), N m/rad.
+    """
     return _jacobian(lambda x: _gravity(robot, x), arm)
 
 
 def local_stiffness(
     robot: Robot, point: OperatingPoint, deflections: Float[Array, "sample spring"] | None = None
 ) -> Float[Array, "*batch spring"]:
-    """Stiffness of every spring at its deflection, averaged over `deflections` about it; N m/rad."""
+    """Stiffness of every spring at its deflection, averaged over `deflections` about it; N m/rad.
+
+    **Arguments:** `point`: whose deflections are taken, (*batch, spring). `deflections`: samples about it, (sample,
+    spring), rad, arm side; `None`: the tangent at the point.
+
+    **Returns:** (*batch, spring), N m/rad.
+    """
     if deflections is None:
         return robot.springs.tangent(point.deflection)
     return jnp.mean(robot.springs.tangent(point.deflection[..., None, :] + deflections), axis=-2)

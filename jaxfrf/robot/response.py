@@ -76,7 +76,10 @@ def hold_remainder(
 ) -> Float[Array, "*batch freq"]:
     """Size of what `ZeroOrderHold.order` leaves out, over the largest element of G; (*batch, freq), without unit.
 
-    `frequency` is in Hz. Above a thousandth or so, use `discretise` and `state_space_frf`, or sample faster.
+    Above a thousandth or so, use `discretise` and `state_space_frf`, or sample faster.
+
+    **Arguments:** `model`: of `jaxfrf.robot.linearise`. `frequency`: (freq,), Hz, above 0. `hold`: whose `order` is
+    judged.
     """
     omega = 2.0 * jnp.pi * jnp.asarray(frequency)
     longer = dataclasses.replace(hold, order=hold.order + 2)

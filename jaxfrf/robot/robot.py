@@ -178,7 +178,12 @@ class Robot(eqx.Module):
 
 
 def chain_angles(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch joint"]:
-    """Angles of all joints in chain order, from [q_a, q_e], rad; a locked joint stands at zero."""
+    """Angles of all joints in chain order, from [q_a, q_e], rad; a locked joint stands at zero.
+
+    **Arguments:** `arm`: [q_a, q_e], (*batch, arm), rad, arm side.
+
+    **Returns:** (*batch, joint), rad.
+    """
     place = np.full(robot.chain.n_joints, arm.shape[-1])
     place[list(robot.arm_joints)] = np.arange(arm.shape[-1])
     return jnp.concatenate([arm, jnp.zeros_like(arm[..., :1])], axis=-1)[..., place]
@@ -203,7 +208,12 @@ def _reflected_rotors(robot: Robot):
 
 @eqx.filter_jit
 def arm_inertia(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:
-    """M_ae(q_a, q_e), with the rotors of rigid transmissions; `arm` = [q_a, q_e], rad; kg m^2."""
+    """M_ae(q_a, q_e), with the rotors of rigid transmissions.
+
+    **Arguments:** `arm`: [q_a, q_e], (*batch, arm), rad, arm side.
+
+    **Returns:** (*batch, arm, arm), kg m^2.
+    """
     return _arm_matrix(robot, mass_matrix(robot.chain, chain_angles(robot, arm)))
 
 
@@ -212,6 +222,8 @@ def arm_inertia_and_bias(
     robot: Robot, arm: Float[Array, "*batch arm"], rate: Float[Array, "*batch arm"]
 ) -> tuple[Float[Array, "*batch arm arm"], Float[Array, "*batch arm"]]:
     """M_ae and c_ae + g_ae from one pass over the kinematics: what changes slowly within a control sample.
+
+    **Arguments:** `arm`: [q_a, q_e], (*batch, arm), rad, arm side. `rate`: of that shape, rad/s.
 
     **Returns:** (*batch, arm, arm), kg m^2, and (*batch, arm), N m.
     """
@@ -223,6 +235,8 @@ def arm_inertia_and_bias_columns(
     robot: Robot, arm: Float[Array, "arm run"], rate: Float[Array, "arm run"]
 ) -> tuple[Float[Array, "arm arm run"], Float[Array, "arm run"]]:
     """As `arm_inertia_and_bias`, of many runs with the runs last: for simulations.
+
+    **Arguments:** `arm`: (arm, run), rad. `rate`: (arm, run), rad/s.
 
     **Returns:** (arm, arm, run), kg m^2, and (arm, run), N m.
     """
@@ -241,7 +255,12 @@ def motor_inertia(robot: Robot) -> Float[Array, "motor"]:
 
 @eqx.filter_jit
 def inertia(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch dof dof"]:
-    """Inertia in the coordinates z, kg m^2: motors and arm are coupled by springs only, so it is block diagonal."""
+    """Inertia in the coordinates z: motors and arm are coupled by springs only, so it is block diagonal.
+
+    **Arguments:** `z`: [q_m, q_a, q_e], (*batch, dof), rad.
+
+    **Returns:** (*batch, dof, dof), kg m^2.
+    """
     arm = arm_inertia(robot, z[..., robot.n_motors :])
     motors = jnp.broadcast_to(jnp.diag(motor_inertia(robot)), (*arm.shape[:-2], robot.n_motors, robot.n_motors))
     corner = jnp.zeros((*arm.shape[:-2], robot.n_motors, arm.shape[-1]))
@@ -259,6 +278,8 @@ def deflections(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*b
 
     The sign makes a positive spring torque drive the arm, tau_g = torque(q_m/n - q_a) and tau_e =
     torque(-q_e). Where effects couple axes, q_a is what their gears see of the arm (`gear_coupling`).
+
+    **Arguments:** `z`: [q_m, q_a, q_e], (*batch, dof), rad; or rates, rad/s, for those of the deflections.
     """
     flexible = np.array(robot.flexible_axes, int)
     motor, arm, elastic = jnp.split(z, [robot.n_motors, robot.n_motors + robot.n_axes], axis=-1)
@@ -278,7 +299,10 @@ def gear_coupling(robot: Robot) -> Float[Array, "axis axis"] | None:
 
 
 def gear_angles(robot: Robot, arm: Float[Array, "*batch axis"]) -> Float[Array, "*batch axis"]:
-    """Angles at the gears' outputs of driven joints at these angles, rad: the same but for coupled axes."""
+    """Angles at the gears' outputs of driven joints at these angles, rad: the same but for coupled axes.
+
+    **Arguments:** `arm`: of all driven joints, (*batch, axis), rad, arm side.
+    """
     coupling = gear_coupling(robot)
     return arm if coupling is None else arm @ coupling.T
 
@@ -301,7 +325,12 @@ def motor_directions(robot: Robot) -> Float[Array, "dof axis"]:
 
 
 def motor_values(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch axis"]:
-    """Motor angles of all axes from the coordinates z, rad (or motor speeds from z', rad/s); motor side."""
+    """Motor angles of all axes from the coordinates z, or motor speeds from z'; motor side.
+
+    **Arguments:** `z`: [q_m, q_a, q_e], (*batch, dof), rad; or z', rad/s.
+
+    **Returns:** (*batch, axis), in the unit of `z`.
+    """
     return z @ motor_directions(robot)
 
 
@@ -311,7 +340,13 @@ def drive_forces(
     rate: Float[Array, "*batch dof"],
     torque: Float[Array, "*batch axis"],
 ) -> Float[Array, "*batch dof"]:
-    """The fast part of the dynamics: motors, friction and springs, B (u - tau_fm) - W tau_spring; N m."""
+    """The fast part of the dynamics: motors, friction and springs, B (u - tau_fm) - W tau_spring.
+
+    **Arguments:** `z`: [q_m, q_a, q_e], (*batch, dof), rad. `rate`: of that shape, rad/s. `torque`: u, of the motors of
+    all axes, (*batch, axis), N m, motor side.
+
+    **Returns:** force on every coordinate, (*batch, dof), N m.
+    """
     spring = robot.springs.torque(deflections(robot, z), deflections(robot, rate))
     speed = motor_values(robot, rate)
     friction = robot.drives.friction.torque(speed)
@@ -332,7 +367,13 @@ def gear_load(robot: Robot, spring, torque) -> Float[Array, "*batch axis"]:
 def friction_effects(
     robot: Robot, speed: Float[Array, "*batch axis"], load: Float[Array, "*batch axis"]
 ) -> Float[Array, "*batch axis"]:
-    """Torque against the motors by the robot's effects, motor side; `speed` in rad/s, `load` as `gear_load`; N m."""
+    """Torque against the motors by the robot's effects, motor side.
+
+    **Arguments:** `speed`: of the motors, (*batch, axis), rad/s. `load`: torque in the gears on the motor side,
+    (*batch, axis), N m.
+
+    **Returns:** (*batch, axis), N m.
+    """
     return _effects_torque(robot, AbstractFriction, speed, load)
 
 
@@ -356,7 +397,13 @@ def generalised_forces(
     rate: Float[Array, "*batch dof"],
     torque: Float[Array, "*batch axis"],
 ) -> Float[Array, "*batch dof"]:
-    """All forces that accelerate the coordinates: `drive_forces` less [0; c_ae + g_ae]; N m."""
+    """All forces that accelerate the coordinates: `drive_forces` less [0; c_ae + g_ae].
+
+    **Arguments:** `z`: [q_m, q_a, q_e], (*batch, dof), rad. `rate`: of that shape, rad/s. `torque`: u, of the motors of
+    all axes, (*batch, axis), N m, motor side.
+
+    **Returns:** (*batch, dof), N m; `inertia` times the acceleration of z.
+    """
     motors = robot.n_motors
     _, bias = arm_inertia_and_bias(robot, z[..., motors:], rate[..., motors:])
     return drive_forces(robot, z, rate, torque) - jnp.concatenate([jnp.zeros_like(z[..., :motors]), bias], axis=-1)
@@ -387,6 +434,8 @@ def energy(robot: Robot, state: Float[Array, "*batch state"]) -> Float[Array, "*
     """Kinetic energy of rotors and links, springs and gravity; (*batch,), J.
 
     Kept where there is no damping, friction or torque.
+
+    **Arguments:** `state`: [z, z'], (*batch, 2 dof), rad and rad/s.
     """
     z, rate = state[..., : robot.dof], state[..., robot.dof :]
     kinetic = 0.5 * jnp.einsum("...i,...ij,...j->...", rate, inertia(robot, z), rate)

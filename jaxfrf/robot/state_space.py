@@ -30,7 +30,16 @@ class StateSpace(eqx.Module):
 
 @eqx.filter_jit
 def state_space(model: LinearRobot, quantity: str = "velocity") -> StateSpace:
-    """State space from motor torque to motor position, velocity or acceleration; the state is [dz, dz']."""
+    """State space from motor torque to motor position, velocity or acceleration; the state is [dz, dz'].
+
+    **Arguments:** `model`: of `jaxfrf.robot.linearise`; what its actuators and losses do is left out. `quantity`:
+    `position`, `velocity` or `acceleration`.
+
+    **Returns:** a continuous `StateSpace` with 2 dof states (rad, rad/s), inputs in N m, outputs in rad, rad/s or
+    rad/s^2, motor side.
+
+    **Raises:** `jaxfrf.InputError` for another quantity.
+    """
     dof, axes = model.motor.shape
     batch = model.mass.shape[:-2]
     motor = jnp.broadcast_to(model.motor, (*batch, dof, axes))
@@ -54,6 +63,10 @@ def state_space(model: LinearRobot, quantity: str = "velocity") -> StateSpace:
 def discretise(system: StateSpace, sampling_frequency: float) -> StateSpace:
     """The same system between samples with its input held (zero-order hold), by a matrix exponential.
 
+    **Arguments:** `system`: continuous. `sampling_frequency`: Hz.
+
+    **Returns:** a `StateSpace` with `sample_time` 1/`sampling_frequency`, s.
+
     **Raises:** `jaxfrf.InputError` for a system that is discrete already.
     """
     if system.sample_time:
@@ -67,7 +80,12 @@ def discretise(system: StateSpace, sampling_frequency: float) -> StateSpace:
 
 @eqx.filter_jit
 def state_space_frf(system: StateSpace, frequency: Float[Array, "freq"]) -> Complex[Array, "*batch freq out in"]:
-    """C (s - A)^{-1} B + D at s = j w, or at z = e^{j w T} of a sampled system; (*batch, freq, out, in)."""
+    """C (s - A)^{-1} B + D at s = j w, or at z = e^{j w T} of a sampled system; (*batch, freq, out, in).
+
+    **Arguments:** `system`: continuous or sampled. `frequency`: (freq,), Hz.
+
+    **Returns:** (*batch, freq, out, in), unit of the output over that of the input.
+    """
     omega = 2.0 * jnp.pi * jnp.asarray(frequency)
     point = jnp.exp(1j * omega * system.sample_time) if system.sample_time else 1j * omega
     n = system.A.shape[-1]
@@ -84,7 +102,8 @@ def to_control(system: StateSpace) -> Any:
 
     **Returns:** a `control.StateSpace`.
 
-    **Raises:** `ImportError` without python-control: `pip install 'jaxfrf[control]'`.
+    **Raises:** `jaxfrf.InputError` for several operating points; `ImportError` without python-control: `pip install
+    'jaxfrf[control]'`.
     """
     try:
         import control
