@@ -187,7 +187,16 @@ def reference_spectra(design: Multisine, *, key: PRNGKeyArray | None = None) -> 
     """Fourier coefficients of the multisine references at the excited lines, block after block.
 
     Experiment e of block m is number m*n_in + e. A block does not depend on how many blocks there are, so
-    that a design can be continued. `key` defaults to `jax.random.key(design.seed)`.
+    that a design can be continued.
+
+    **Arguments:** `design`: with lines, amplitudes and phases. `key`: of the random phases;
+    `jax.random.key(design.seed)` by default.
+
+    **Returns:** (exp, freq, in), rad/s: half the peak amplitude of every sine, with its phase.
+
+    **Raises:** `jaxfrf.InputError` for more experiments than fit into memory.
+
+    **Source:** Dobrowiecki & Schoukens, IEEE Trans. Instrum. Meas. 56 (2007).
     """
     key = jr.key(design.seed) if key is None else key
     check_memory(

@@ -57,6 +57,8 @@ class SchroederPhases(AbstractPhases):
     There is one realisation only, so that nonlinear distortion looks like the system; and all inputs of one
     experiment are nearly in proportion from line to line, which starves the local methods of a single
     experiment.
+
+    **Source:** as of `schroeder_phases`.
     """
 
     name: ClassVar[str] = "schroeder"
@@ -91,7 +93,10 @@ PHASES: dict[str, type[AbstractPhases]] = {
 
 
 def random_phases(shape: tuple[int, ...], key: PRNGKeyArray) -> Float[np.ndarray, "..."]:
-    """Independent phases of this shape, uniform on [0, 2 pi), rad."""
+    """Independent phases of this shape, uniform on [0, 2 pi), rad.
+
+    **Arguments:** `shape`: of the array. `key`: of the draw, `jax.random.key`.
+    """
     return 2 * np.pi * uniform(key, shape)
 
 
@@ -104,6 +109,10 @@ def schroeder_phases(amplitude: Float[Array, "freq"], lines: Int[Array, "freq"])
     lines this is Schroeder's rule. The crest factor is about 1.7 for flat spectra that start at the first
     line. Fails on uneven sparse (logarithmic) grids: the sweep repeats within the period, and random phases
     are as good.
+
+    **Arguments:** `amplitude`: of each line, (freq,), of any unit. `lines`: (freq,), increasing.
+
+    **Returns:** (freq,), rad, the first one 0.
 
     **Source:** Schroeder, IEEE Trans. Inform. Theory 16 (1970) 85-89.
     """

@@ -115,7 +115,13 @@ def _reference(design: Multisine, R) -> Reference:
 def one_period(
     design: Multisine, R: Complex[np.ndarray, "freq in"]
 ) -> tuple[Float[np.ndarray, "time in"], Float[np.ndarray, "time in"]]:
-    """Speed and position of one steady period, slow sine included, from the spectra of one experiment."""
+    """Speed and position of one steady period, slow sine included, from the spectra of one experiment.
+
+    **Arguments:** `design`: with `fs`, `period`, `lines` and its slow sine. `R`: Fourier coefficients at the excited
+    lines, (freq, in), rad/s, one experiment of `reference_spectra`.
+
+    **Returns:** speed, (time, in), rad/s, and its zero-mean periodic integral, (time, in), rad.
+    """
     X = np.zeros((design.period // 2 + 1, design.n_in), complex)
     X[design.lines] = R
     if design.slow is not None:

@@ -19,9 +19,11 @@ def to_control(frf: FRF, pos: int = 0) -> Any:
     The covariance has no place there, and NaN at lines without an estimate stay NaN. Inputs are named `u[j]`,
     outputs `y[i]`.
 
+    **Arguments:** `frf`: (pos, freq, out, in), frequencies in Hz. `pos`: operating point, from 0.
+
     **Returns:** a `control.FrequencyResponseData`.
 
-    **Raises:** `jaxfrf.InputError` if there is no such operating point.
+    **Raises:** `jaxfrf.InputError` if there is no such operating point; `ImportError` without python-control.
     """
     control = require("control", "control")
     if not -frf.n_pos <= pos < frf.n_pos:

@@ -24,7 +24,13 @@ from ._json import plain_data as plain_data, write_json
 
 
 def write_fit(path: str | os.PathLike, contents: Mapping[str, Any]) -> None:
-    """Write plain data (numbers, texts, arrays, lists, dictionaries) as JSON, whole or not at all."""
+    """Write plain data (numbers, texts, arrays, lists, dictionaries) as JSON, whole or not at all.
+
+    **Arguments:** `path`: of the file, `fit.json` by habit. `contents`: fields by name; what is not finite becomes
+    null.
+
+    **Raises:** `jaxfrf.InputError` if the folder is not there.
+    """
     write_json(path, contents)
 
 

@@ -37,7 +37,10 @@ _NEEDED = ("verdict", "effects", "ranking", "where", "gap", "parameters")
 def write_gap(path: str | os.PathLike, diagnosis: Any) -> None:
     """Write a `diagnosis`, what `jaxfrf.gap.diagnose` returned, as JSON, whole or not at all.
 
-    **Raises:** `jaxfrf.InputError` if the folder is not there."""
+    **Arguments:** `path`: of the file. `diagnosis`: a `jaxfrf.gap.Diagnosis`.
+
+    **Raises:** `jaxfrf.InputError` if the folder is not there.
+    """
     write_json(path, gap_contents(diagnosis))
 
 

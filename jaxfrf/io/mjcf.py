@@ -44,7 +44,12 @@ def mjcf(robot: Robot, friction: bool = False, timestep: float = 1e-4) -> str:
 
 
 def write_mjcf(robot: Robot, path: str | os.PathLike, friction: bool = False, timestep: float = 1e-4) -> None:
-    """Write `mjcf(robot)` to a file. Nothing half written is left."""
+    """Write `mjcf(robot)` to a file. Nothing half written is left.
+
+    **Arguments:** `path`: of the XML file. `friction`, `timestep` (s): as of `mjcf`.
+
+    **Raises:** as `mjcf`, and `jaxfrf.InputError` if the folder is not there.
+    """
     with replacing(pathlib.Path(path)) as draft:
         draft.write_text(mjcf(robot, friction, timestep), encoding="utf-8")
 

@@ -50,12 +50,17 @@ _NEEDED = (
 
 
 def write_reference(path: str | os.PathLike, reference: Reference) -> tuple[pathlib.Path, ...]:
-    """Write a reference for a controller; the extension says how. Returns the files written.
+    """Write a reference for a controller; the extension says how.
 
     Every file is written beside its place and then renamed. CSV numbers have 12 significant digits.
 
-    **Raises:** `jaxfrf.InputError` if the extension is not `.nc`, `.mat` or `.csv`, or the folder does not
-    exist.
+    **Arguments:** `path`: `.nc` or `.mat`: one file; `.csv`: a table for each experiment (time in s, velocities in
+    rad/s, positions in rad) and a description. `reference`: of `jaxfrf.reference`.
+
+    **Returns:** the files written.
+
+    **Raises:** `jaxfrf.InputError` if `reference` is none, the extension is not `.nc`, `.mat` or `.csv`, or the folder
+    does not exist.
     """
     expect("reference", reference, Reference)
     path = pathlib.Path(path)

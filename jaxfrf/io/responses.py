@@ -66,7 +66,10 @@ def write_frf(path: str | os.PathLike, frf: FRF) -> None:
 
     The file is there whole or not at all, and `read_frf` returns every field bit by bit.
 
-    **Raises:** `jaxfrf.InputError` if the suffix is another, or the folder is not there.
+    **Arguments:** `path`: of the file, or of the folder of a `.zarr`. `frf`: with G (pos, freq, out, in), frequencies
+    in Hz.
+
+    **Raises:** `jaxfrf.InputError` if `frf` is none, the suffix is another, or the folder is not there.
     """
     expect("frf", frf, FRF)
     path = pathlib.Path(path)

@@ -45,6 +45,8 @@ def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()
 def write_robot(robot: Robot, path: str | os.PathLike) -> None:
     """Write a TOML file that `read_robot` reads back to the same robot. Nothing half written is left.
 
+    **Arguments:** `robot`: with its effects and tolerances, in SI units. `path`: of the TOML file.
+
     **Raises:** `jaxfrf.InputError` if `robot` is none, a file cannot state it, or the folder is not there.
     """
     expect("robot", robot, Robot)

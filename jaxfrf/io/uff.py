@@ -33,8 +33,10 @@ def write_uff(path: str | os.PathLike, frf: FRF) -> None:
     Biased: text with 12 digits of G and 6 of the frequency; a regular grid is stored as first value and step.
     The covariance has no place in the format; keep the `.nc` file.
 
-    **Raises:** `jaxfrf.InputError` if there are fewer than two frequencies, or some cannot be told apart in 6
-    digits.
+    **Arguments:** `path`: of the file, `.uff` or `.unv`. `frf`: at two frequencies (Hz) or more.
+
+    **Raises:** `ImportError` without pyuff; `jaxfrf.InputError` if there are fewer than two frequencies, or some cannot
+    be told apart in 6 digits.
     """
     pyuff = require("pyuff", "io")
     frequency = np.asarray(frf.frequency)
@@ -68,7 +70,12 @@ def frf_from_uff(sets: Iterable[Mapping], *, sources: Sequence[Source] = (), whe
     """One FRF from the dataset dictionaries of pyuff (or sdypy.io.uff), without a covariance.
 
     Response (node, direction) pairs become outputs, reference pairs inputs, in ascending order. Datasets of
-    the same element are told apart by their version number, which then counts operating points. `sources`: of the FRF.
+    the same element are told apart by their version number, which then counts operating points.
+
+    **Arguments:** `sets`: dictionaries, of which those of type 58 and function type 4 count, `x` in Hz. `sources`: of
+    the FRF. `where`: what errors call the sets.
+
+    **Returns:** an FRF, (pos, freq, out, in), in the quantity that the datasets state.
 
     **Raises:** `jaxfrf.InputError` if there is no FRF, the matrix has holes, or frequencies or quantities
     differ.

@@ -26,6 +26,9 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike, own: Sequence[
     it is left out, `gravity` [0, 0, -9.81]. Fixed joints join their links. Limits, meshes and transmissions
     of the URDF are not read.
 
+    **Arguments:** `urdf`, `drives`: paths of both files, in SI units. `own`: effects of your own that the TOML file may
+    name.
+
     **Raises:** `jaxfrf.InputError` for a tree that is not a serial chain, joints of several freedoms, links without
     the numbers that the dynamics need, and joints that only one of the two files has.
     """

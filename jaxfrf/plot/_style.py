@@ -34,6 +34,8 @@ _WIDE = 5.0  # a band this many times as high as its lowest frequency gets a log
 def save(figure: Figure, path: str | os.PathLike) -> None:
     """Save a `figure` to `path`, whole or not at all; the suffix says the format (`.png`, `.pdf`, `.svg`, ...).
 
+    **Arguments:** `figure`: of matplotlib. `path`: of the file; pictures made of pixels have 200 of them an inch.
+
     **Raises:** `jaxfrf.InputError` if matplotlib does not know the format, or the folder is not there.
     """
     path = pathlib.Path(path)

@@ -82,7 +82,11 @@ def residual_maps(quality: Quality, positions: Sequence[int] | None = None):
     """Residuals over the noise, sqrt(chi-square), element by band and position by band; the errors in dB where the
     covariance is unknown.
 
-    **Returns:** the figure and its two axes."""
+    **Arguments:** `quality`: of `jaxfrf.graybox.quality`. `positions`: names of the rows by position; their numbers by
+    default.
+
+    **Returns:** the figure and its two axes.
+    """
     positions = range(len(quality.weighted)) if positions is None else positions
     n_out, n_in = quality.chi_square.shape[2:]
     known = np.isfinite(quality.chi_square).any()
@@ -180,7 +184,10 @@ def correlation_map(fitted: Fit):
 def round_gaps(gap_db: Sequence[float], gap_degrees: Sequence[float]):
     """Difference of measured and simulated FRF in every round of a fit through the experiment.
 
-    **Returns:** the figure and its axes."""
+    **Arguments:** `gap_db`, `gap_degrees`: rms of magnitude, dB, and phase, degrees, one for each round.
+
+    **Returns:** the figure and its axes.
+    """
     figure = _style.new_figure(4.2, 2.3)
     axis = _style.add_axes(figure, 0.65, 0.45, 3.4, 1.7)
     rounds = np.arange(1, len(gap_db) + 1)

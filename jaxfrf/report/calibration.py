@@ -15,7 +15,10 @@ _OF_LINKS = ("mass", "com", "inertia")
 def write_calibration(path: str | os.PathLike, found: Calibration) -> None:
     """Write the page about a calibration, one HTML file that needs nothing beside itself.
 
-    **Raises:** `ImportError` without matplotlib; `jaxfrf.InputError` if the folder is not there."""
+    **Arguments:** `path`: of the file. `found`: what `jaxfrf.calibrate` returned.
+
+    **Raises:** `ImportError` without matplotlib; `jaxfrf.InputError` if the folder is not there.
+    """
     write_page(path, calibration_page(found))
 
 

@@ -62,7 +62,10 @@ details > summary { cursor: pointer; color: #0a5c96; margin: 4px 0 8px; font-siz
 def write_gap_report(path: str | os.PathLike, diagnosis: Any) -> None:
     """Write the page about a `diagnosis`, as `jaxfrf.gap.diagnose` returns it, one HTML file that needs nothing else.
 
-    **Raises:** `ImportError` without matplotlib; `jaxfrf.InputError` if the folder is not there."""
+    **Arguments:** `path`: of the file. `diagnosis`: a `jaxfrf.gap.Diagnosis`.
+
+    **Raises:** `ImportError` without matplotlib; `jaxfrf.InputError` if the folder is not there.
+    """
     write_page(path, gap_page(diagnosis))
 
 

@@ -17,7 +17,10 @@ _POSITIONS = 8  # whose Bode plots the page holds
 def write_identification(path: str | os.PathLike, found: Identification) -> None:
     """Write the page about a fit, one HTML file that needs nothing beside itself.
 
-    **Raises:** `ImportError` without matplotlib; `jaxfrf.InputError` if the folder is not there."""
+    **Arguments:** `path`: of the file. `found`: what `jaxfrf.identify` returned.
+
+    **Raises:** `ImportError` without matplotlib; `jaxfrf.InputError` if the folder is not there.
+    """
     write_page(path, identification_page(found))
 
 

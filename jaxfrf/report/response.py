@@ -84,9 +84,10 @@ def write_frf_page(
 ) -> None:
     """Write the page about one or several FRFs, one HTML file that needs nothing beside itself.
 
-    **Arguments:** `frfs` and the others as of `frf_page`.
+    **Arguments:** `path`: of the file. `frfs` and the others as of `frf_page`.
 
-    **Raises:** `jaxfrf.InputError` if the FRFs have other outputs and inputs, or the folder is not there."""
+    **Raises:** `jaxfrf.InputError` if the FRFs have other outputs and inputs, or the folder is not there.
+    """
     write_page(path, frf_page(frfs, labels, about=about))
 
 

@@ -61,12 +61,18 @@ def run_study(
 ) -> dict:
     """Make the whole study and write it to a folder: `index.html`, `study.json`, both figures.
 
-    Every finished step is kept in `parts` (`jaxfrf.parts.Parts`; by default in `<output>.parts`, until the study
-    stands). `workers`, `cluster`, `client`, `patience`, as of `jaxfrf.batch.outcomes`: who shares the steps; on other
-    machines paths must mean the same files.
+    **Arguments:**
+
+    - `settings`: sizes and seeds. `output`: the folder, new, empty or of a study.
+    - `say`: called with a line of progress.
+    - `parts`: keeps every finished step (`jaxfrf.parts.Parts`); by default in `<output>.parts`, until the study stands.
+    - `workers`, `cluster`, `client`, `patience` (s): as of `jaxfrf.batch.outcomes`: who shares the steps; on other
+      machines paths must mean the same files.
+
+    **Returns:** what `study.json` holds.
 
     **Raises:** `jaxfrf.InputError` if the folder holds something else than a study, and where it cannot be written;
-    `ImportError` without matplotlib.
+    `ImportError` without matplotlib; `ValueError` if JAX is set to 32 bit.
     """
     shared = {"workers": workers, "cluster": cluster, "client": client, "patience": patience}
     require_x64("A study")
