@@ -41,6 +41,9 @@ class CoulombFriction(AbstractStructure):
     In data: the torque residual steps with the sign of the speed; damping in G falls with amplitude, 2 level/(pi A)
     on a slow sine of speed A; odd distortion. In the linearised robot: by that gain, see
     `jaxfrf.robot.describing_friction`.
+
+    **Source:** Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138, where the sign is not
+    smoothed.
     """
 
     name: ClassVar = "coulomb_friction"
@@ -85,6 +88,8 @@ class ViscousFriction(AbstractStructure):
     plausible.
 
     In data: a torque residual that is linear in the speed. In the linearised robot: exactly.
+
+    **Source:** Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138.
     """
 
     name: ClassVar = "viscous_friction"
@@ -158,6 +163,9 @@ class StribeckFriction(AbstractFriction):
 
     In data: a hump of the torque residual near zero speed. In the linearised robot: by the describing gain, which
     vanishes for slow sines much faster than `width` (rise and fall cancel).
+
+    **Source:** Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138, the law with exponent 2,
+    smoothed.
     """
 
     name: ClassVar = "stribeck_friction"

@@ -90,6 +90,8 @@ class Backlash(AbstractStructure):
 
     In data: only where the gear carries no load; the resonance falls at low amplitude; odd distortion. In the
     linearised robot: exactly, by the tangent at the point of rest, a thousandth of k inside the gap.
+
+    **Source:** Nordin & Gutman, Automatica 38 (2002) 1633-1649: the dead-zone model, here with rounded corners.
     """
 
     name: ClassVar = "backlash"

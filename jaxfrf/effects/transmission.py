@@ -256,6 +256,8 @@ class GearHysteresis(AbstractGearTorque):
     In data: a loop of the gear's torque over its deflection that is the same at all speeds; odd distortion; damping
     and resonance fall with amplitude. In the linearised robot: not at all, its stiffness and damping are those of an
     amplitude. At rest it has relaxed: the spring carries all.
+
+    **Source:** Iwan, J. Applied Mechanics 33 (1966) 893-900: elements in parallel, here four.
     """
 
     name: ClassVar = "gear_hysteresis"

@@ -116,6 +116,9 @@ class Friction(AbstractFrictionLaw):
     `jaxfrf.robot.effective_friction`.
 
     **Arguments:** `viscous`: f, (axis,), N m s/rad. `coulomb`: c, (axis,), N m. `smoothing`: eps, rad/s.
+
+    **Source:** Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138, where the sign is not
+    smoothed.
     """
 
     viscous: Float[Array, "axis"]
@@ -142,6 +145,10 @@ def effective_friction(friction: AbstractFrictionLaw, amplitude: Float[Array, "a
     cleanly (A not large against the smoothing, or the excitation not small against A).
 
     **Arguments:** `amplitude`: A, motor side, (axis,) or a number, rad/s.
+
+    **Returns:** (axis,), N m s/rad.
+
+    **Source:** Gelb & Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design, 1968.
     """
     if not isinstance(friction, Friction):
         return friction.viscous

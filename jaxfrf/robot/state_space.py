@@ -68,6 +68,8 @@ def discretise(system: StateSpace, sampling_frequency: float) -> StateSpace:
     **Returns:** a `StateSpace` with `sample_time` 1/`sampling_frequency`, s.
 
     **Raises:** `jaxfrf.InputError` for a system that is discrete already.
+
+    **Source:** Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404.
     """
     if system.sample_time:
         raise input_error("system", f"sample_time {system.sample_time:g} s", "a continuous system", "Discretise once.")
