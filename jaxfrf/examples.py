@@ -63,7 +63,12 @@ def example(*, blocks: int = 2, periods: int = 2, noise: float = 2e-3, seed: int
 
 
 def example_response(frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "1 freq out in"]:
-    """The true FRF of `example` at `frequency`, (freq,), Hz, from held torque to motor speed: (1, freq, out, in)."""
+    """The true FRF of `example` from held torque to motor speed.
+
+    **Arguments:** `frequency`: (freq,), Hz.
+
+    **Returns:** (1, freq, out, in), rad/s over N m.
+    """
     A, B, C = _discrete()
     z = np.exp(2j * np.pi * np.asarray(frequency) / FS)
     return (C @ np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape))))[None]

@@ -57,7 +57,10 @@ def effect_from_table(
 
 
 def effect_to_table(effect: AbstractEffect, joint: str) -> dict[str, Any]:
-    """The table of an effect on the joint of this name: `effect_from_table` of it gives the same effect."""
+    """The table of an effect on the joint of this name: `effect_from_table` of it gives the same effect.
+
+    **Arguments:** `effect`: its parameters in their units, `effect.units`. `joint`: name.
+    """
     values = {key: getattr(effect, key) for key in effect.units}
     plain = {key: np.asarray(value).tolist() for key, value in values.items() if value is not None}
     return {"name": effect.name, "joint": joint, **plain}

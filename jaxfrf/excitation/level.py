@@ -25,7 +25,10 @@ class ExcitationLevels(eqx.Module):
 
 
 def rms(x: Float[Array, "*batch time channel"]) -> Float[np.ndarray, "*batch channel"]:
-    """Root mean square over time, in the unit of x."""
+    """Root mean square over time, in the unit of x.
+
+    **Arguments:** `x`: (*batch, time, channel), evenly sampled.
+    """
     return np.sqrt(np.mean(np.square(x), axis=-2))
 
 
@@ -44,7 +47,10 @@ def line_power(R: Complex[Array, "*batch freq channel"]) -> Float[np.ndarray, "*
 
 
 def levels(reference: Reference) -> ExcitationLevels:
-    """The levels of every experiment and channel of a reference."""
+    """The levels of every experiment and channel of a reference.
+
+    **Arguments:** `reference`: of `jaxfrf.reference`.
+    """
     design = reference.design
     steady = reference.r[:, -design.period :]
     slow, _ = one_period(design, np.zeros(design.amplitude.shape))

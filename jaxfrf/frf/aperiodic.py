@@ -17,6 +17,8 @@ def adapted(method: AbstractMethod, spectra: Spectra) -> AbstractMethod:
     count the distance between lines in Hz (a transient is smooth in frequency), and, where no width is given, choose
     their window at every line (`jaxfrf.Auto`): as wide as for a multisine is far too narrow for lines that lie as close
     as 1/duration and carry as little as a part of a sweep or of noise. Others stay as they are, and say what they need.
+
+    **Arguments:** `method`: any. `spectra`: of `jaxfrf.dft`, `jaxfrf.record_spectra` or `jaxfrf.segment_spectra`.
     """
     return method if spectra.periodic or spectra.segments else _without_period(method)
 

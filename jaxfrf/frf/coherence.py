@@ -16,7 +16,11 @@ def coherence(spectra: Spectra) -> Float[np.ndarray, "pos freq out in"]:
     Between 0 and 1, without a unit. Below 1 come noise, nonlinearity, leakage and, with several inputs, the *other*
     inputs: use `multiple_coherence` then. From few experiments it is biased high: unrelated signals give 1/n_exp.
 
+    **Arguments:** `spectra`: of two experiments or more, (pos, exp, freq, channel).
+
     **Raises:** `jaxfrf.InputError` with fewer than two experiments.
+
+    **Source:** Bendat & Piersol, Random Data, 4th ed. 2010.
     """
     expect("spectra", spectra, Spectra)
     if spectra.n_exp < 2:
@@ -34,7 +38,11 @@ def multiple_coherence(spectra: Spectra) -> Float[np.ndarray, "pos freq out"]:
     (unrelated signals give n_in/n_exp). With fewer, but several periods, the scatter between periods takes the place of
     the residual: then only noise lowers it, not nonlinearity.
 
+    **Arguments:** `spectra`: of more experiments than inputs, or of several periods, (pos, exp, freq, channel).
+
     **Raises:** `jaxfrf.InputError` where there are neither.
+
+    **Source:** Bendat & Piersol, Random Data, 4th ed. 2010.
     """
     expect("spectra", spectra, Spectra)
     U, Y = by_line(spectra.U), by_line(spectra.Y)

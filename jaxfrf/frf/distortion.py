@@ -223,6 +223,8 @@ def levels(spectra: Spectra) -> Levels:
     sigma_n^2 = mean_m var_p / P, sigma_tot^2 = var_m, sigma_S^2 = sigma_tot^2 - sigma_n^2 (Pintelon & Schoukens 2012,
     sec. 4.3), each for a single realisation; the mean over M has 1/M of them.
 
+    **Arguments:** `spectra`: of `jaxfrf.dft`, M blocks of n_in experiments.
+
     **Raises:** `jaxfrf.InputError` with fewer than two realisations (blocks of n_in experiments) or periods.
     """
     expect("spectra", spectra, Spectra)

@@ -87,7 +87,12 @@ class FRF(eqx.Module):
 
 
 def concatenate_positions(frfs: Sequence[FRF]) -> FRF:
-    """FRFs of different operating points, same lines and method, as one."""
+    """FRFs of different operating points, same lines and method, as one.
+
+    **Arguments:** `frfs`: each (pos, freq, out, in), at the same frequencies (Hz).
+
+    **Returns:** an FRF of all positions, in this order; what one of them lacks (`None`) none has.
+    """
     first = frfs[0]
 
     def join(name):

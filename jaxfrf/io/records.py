@@ -107,7 +107,10 @@ def write(path: str | os.PathLike, data: Experiment) -> None:
     `.mat` is v5, or v7.3 where an array is too large for v5 (2 GiB). Provenance and warnings are not written:
     they belong to the files that the data came from.
 
-    **Raises:** `jaxfrf.InputError` if the folder does not exist or the extension is not known.
+    **Arguments:** `path`: of the file. `data`: with u, y and r, (pos, exp, time, channel), which are stored with their
+    SI units.
+
+    **Raises:** `jaxfrf.InputError` if `data` is no experiment, the folder does not exist or the extension is not known.
     """
     expect("data", data, Experiment)
     units = {"u": input_unit(data), "r": UNITS[data.r_quantity], "y": output_unit(data)}

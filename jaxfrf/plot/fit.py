@@ -146,7 +146,10 @@ def _map(axis, values, edges, labels, name: str):
 def start_paths(fitted: Fit):
     """Cost of every start over its steps, and where it ended beside the best.
 
-    **Returns:** the figure and its axes."""
+    **Arguments:** `fitted`: of `jaxfrf.fit`, from one start or several.
+
+    **Returns:** the figure and its axes.
+    """
     figure = _style.new_figure(5.6, 2.5)
     axis = _style.add_axes(figure, 0.65, 0.45, 4.8, 1.9)
     best = min(s.cost for s in fitted.starts)
@@ -165,7 +168,10 @@ def start_paths(fitted: Fit):
 def correlation_map(fitted: Fit):
     """Correlations of the fitted parameters.
 
-    **Returns:** the figure and its axes."""
+    **Arguments:** `fitted`: of `jaxfrf.fit`.
+
+    **Returns:** the figure and its axes.
+    """
     names, rho = fitted.coordinates.names, fitted.uncertainty.correlation
     side = max(1.2, 0.17 * len(names))
     left = 0.25 + 0.05 * max(len(n) for n in names)

@@ -68,7 +68,12 @@ dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }
 
 
 def page(title: str, sections: Sequence[str], subtitle: str = "") -> str:
-    """A whole page: a title, a line below it, sections."""
+    """A whole page: a title, a line below it, sections.
+
+    **Arguments:** `title`, `subtitle`: plain text. `sections`: HTML, as of `section`.
+
+    **Returns:** the HTML of the page.
+    """
     under = f'<p class="subtitle">{html.escape(subtitle)}</p>' if subtitle else ""
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -80,13 +85,23 @@ def page(title: str, sections: Sequence[str], subtitle: str = "") -> str:
 
 
 def write_page(path: str | os.PathLike, text: str) -> None:
-    """Write a page, whole or not at all."""
+    """Write a page, whole or not at all.
+
+    **Arguments:** `path`: of the file. `text`: the HTML of `page`.
+
+    **Raises:** `jaxfrf.InputError` if the folder is not there.
+    """
     with replacing(pathlib.Path(path)) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
 def section(heading: str, *blocks: str) -> str:
-    """Blocks below a heading."""
+    """Blocks below a heading.
+
+    **Arguments:** `heading`: plain text. `blocks`: HTML; empty ones are left out.
+
+    **Returns:** HTML.
+    """
     return f"<section>\n<h2>{html.escape(heading)}</h2>\n" + "\n".join(b for b in blocks if b) + "\n</section>"
 
 
@@ -102,7 +117,12 @@ def listing(texts: Sequence[str]) -> str:
 
 
 def verdict(word: str, texts: Sequence[str], good: bool) -> str:
-    """What came out, in a word and in sentences; green at the edge where it is `good`, red where not."""
+    """What came out, in a word and in sentences; green at the edge where it is `good`, red where not.
+
+    **Arguments:** `word`, `texts`: plain text.
+
+    **Returns:** HTML.
+    """
     mood = "verdict" if good else "verdict bad"
     return f'<div class="{mood}"><strong>{html.escape(word)}</strong>{listing(texts)}</div>'
 
@@ -136,7 +156,11 @@ _NOTHING = 1e-60  # what rounding leaves of zero
 
 
 def number(x: object, digits: int = 4) -> str:
-    """A number as people write it: four significant digits, thousands whole, no exponent where there is room."""
+    """A number as people write it: four significant digits, thousands whole, no exponent where there is room.
+
+    **Arguments:** `x`: a number, or what stands for one: a text stays as it is, `None` becomes empty, a number that is
+    not finite a dash. `digits`: significant ones.
+    """
     if x is None:
         return ""
     if isinstance(x, str):
@@ -157,7 +181,12 @@ def facts(pairs: Mapping[str, object]) -> str:
 
 
 def figure(picture: Any, caption: str = "", kind: str = "svg") -> str:
-    """A matplotlib figure, `picture`, embedded: `svg` for few marks, `png` for many."""
+    """A matplotlib figure, `picture`, embedded: `svg` for few marks, `png` for many.
+
+    **Arguments:** `picture`: a matplotlib figure. `caption`: plain text below it. `kind`: `svg` or `png`.
+
+    **Returns:** HTML with the picture in it.
+    """
     buffer = io.BytesIO()
     options = {"dpi": 170} if kind == "png" else {"metadata": {"Date": None}}
     picture.savefig(buffer, format=kind, facecolor="white", **options)
@@ -175,8 +204,13 @@ def beside(*blocks: str) -> str:
 
 
 def choice(name: str, blocks: Mapping[str, str]) -> str:
-    """One of several blocks at a time, chosen by its label (all of them in print); no script. `name`: its own on the
-    page, letters only."""
+    """One of several blocks at a time, chosen by its label (all of them in print); no script.
+
+    **Arguments:** `name`: its own on the page, letters only. `blocks`: {label: HTML}; the first one is shown at the
+    beginning.
+
+    **Returns:** HTML.
+    """
     marks, rules = [], []
     for k, label in enumerate(blocks):
         checked = " checked" if k == 0 else ""

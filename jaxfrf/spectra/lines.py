@@ -22,6 +22,10 @@ def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
     designs, where each channel has lines of its own, those of all channels count. `found_lines` says how sure that is,
     `jaxfrf.periodic.find_lines` how it is done. Give `lines` where they are known.
 
+    **Arguments:** `data`: periodic, with `r` or without.
+
+    **Returns:** lines of one period, (freq,); line k is k fs/period Hz.
+
     **Raises:** `jaxfrf.InputError` if a channel carries no power.
     """
     expect("data", data, Experiment)
