@@ -358,7 +358,7 @@ def said(key) -> str:
 
 
 def _chosen(scored: Sequence[Scored], had) -> list[Scored]:
-    """The candidates of a ranking that are fitted; a number whose tolerance cannot be believed stands out from all
+    """The candidates of a ranking that are fitted; a number whose tolerance cannot be true stands out from all
     others, however little of the cost it is."""
     found: dict[tuple[str, str], Scored] = {}
     for this in scored:
@@ -366,7 +366,7 @@ def _chosen(scored: Sequence[Scored], had) -> list[Scored]:
             found.setdefault(this.key, this)
     best = list(found.values())
     promising = [s for s in best[:FINALISTS] if s.part >= max(SHARE * best[0].part, LEAST_PART)]
-    return [*promising, *[s for s in best if s.strained and all(s is not p for p in promising)][:FINALISTS]]
+    return [*promising, *[s for s in best if s.disbelieved and all(s is not p for p in promising)][:FINALISTS]]
 
 
 def _stands(this: Scored, had: Sequence[Step]) -> bool:

@@ -21,21 +21,21 @@ from ..trajectory.ripple import gear_orders
 from ..trajectory.signature import signature
 from .candidates import Candidate, candidates
 from .fitted import Fitted
-from .settings import OWN
+from .settings import DISBELIEVED, OWN
 
 _RIDGE = 1e-9  # of a column's square: products are made in single precision
 
 
 class Scored(eqx.Module):
     """A candidate. `effect`: as it would begin. `part`: of the cost. `t`: of the score, over the positions. `size`:
-    over the just visible one. `strained`: a number whose tolerance cannot be believed."""
+    over the just visible one. `disbelieved`: a number whose tolerance cannot be true."""
 
     effect: AbstractEffect
     joint: str = eqx.field(static=True)
     part: float = eqx.field(static=True)
     t: float = eqx.field(static=True)
     size: float = eqx.field(static=True)
-    strained: bool = eqx.field(static=True, default=False)
+    disbelieved: bool = eqx.field(static=True, default=False)
 
     @property
     def key(self) -> tuple[str, str]:
@@ -178,8 +178,9 @@ def _set_free(view: Fitted, record: Measured, cost: float) -> list[Scored]:
         typical, joint, own = errors[number.name]
         error = number.value(float(view.x[i])) - own.minus
         size = abs(error / float(getattr(typical, own.parameter)))
+        sure = view.strain_p_value(i) < DISBELIEVED
         effect = eqx.tree_at(operator.attrgetter(own.parameter), typical, error)
-        found.append(Scored(effect, joint, float(strain[i] ** 2 / cost), float(strain[i]), size, True))
+        found.append(Scored(effect, joint, float(strain[i] ** 2 / cost), float(strain[i]), size, sure))
     return found
 
 
