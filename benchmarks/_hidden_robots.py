@@ -31,17 +31,8 @@ MADE = {
 GAINS = 0.02
 LOGS = {"position": 0.0, "velocity": 0.02, "acceleration": 5.0}
 """What a log holds, and the white noise that its own sensor adds: rad, rad/s and rad/s^2, rms."""
-_TORQUE_ORDERS = (
-    7,
-    11,
-    13,
-    14,
-    15,
-    17,
-    19,
-    22,
-    23,
-)  # of the background: none that effects start from, or are hidden at
+# Of the background: none that effects start from, or are hidden at.
+_TORQUE_ORDERS = (7, 11, 13, 14, 15, 17, 19, 22, 23)
 _RESOLVER_ORDERS = (7, 9, 11)
 
 

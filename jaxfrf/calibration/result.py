@@ -124,10 +124,10 @@ class Calibration(eqx.Module):
             low, high = self.interval(number.name)
             text.append(f"{number.name} = {self.values[number.name]:.4g} {number.unit} ({low:.4g} to {high:.4g})")
         named = list(zip(self.given.axis_names, self.missed_before, self.missed_after, strict=True))
-        text.append("torque missed: " + ", ".join(f"{n} {100 * b:.3g} -> {100 * a:.2g} %" for n, b, a in named))
+        text.append("torque missed: " + ", ".join(f"{n} {percent(b, 3)} -> {percent(a)}" for n, b, a in named))
         if self.heldout is not None:
             pair = zip(self.given.axis_names, *self.heldout, strict=True)
-            text.append("held out: " + ", ".join(f"{n} {100 * b:.3g} -> {100 * a:.2g} %" for n, b, a in pair))
+            text.append("held out: " + ", ".join(f"{n} {percent(b, 3)} -> {percent(a)}" for n, b, a in pair))
         return text + self.doubts()
 
     def doubts(self) -> list[str]:
@@ -135,7 +135,7 @@ class Calibration(eqx.Module):
         if not self.unexplained:
             return []
         after = dict(zip(self.given.axis_names, self.missed_after, strict=True))
-        axes = ", ".join(f"{percent(float(after[n]), 2)} of {n}" for n in self.unexplained)
+        axes = ", ".join(f"{percent(after[n])} of {n}" for n in self.unexplained)
         return [
             f"the model does not explain the torque: {axes} is missed, which no interval above holds. Are units, "
             "payload, controller and positions right? If they are, an effect is missing."

@@ -34,26 +34,31 @@ def add_record_options(parser: argparse.ArgumentParser, method: str | None, defa
     estimator.completer = _methods  # type: ignore[attr-defined]
     parser.add_argument("--methods", action=_ListMethods, nargs=0, help="list the estimators and stop")
     parser.add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help="e.g. width=34, order=2")
-    parser.add_argument(
-        "--map",
-        action=Joined,
-        help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]; y=rec.act_vel; u=a.csv:tau1; columns "
-        "without headings by number, from 1",
-    )
-    parser.add_argument(
-        "--set",
-        action=Joined,
-        help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720,y_unit=deg/s",
-    )
-    parser.add_argument("--scale", action=Joined, help="factors to SI units: y=0.0174532925")
-    add_anyway_option(parser)
+    add_reading_options(parser)
     parser.add_argument(
         "--periods", metavar="A:B", help="use only these steady periods, counted from 0, B not included"
     )
     parser.add_argument("--band", metavar="LOW:HIGH", help="use only the lines in this band, Hz")
 
 
-class Joined(argparse.Action):
+def add_reading_options(parser: argparse.ArgumentParser) -> None:
+    """What files call their signals, and what they do not say of them."""
+    parser.add_argument(
+        "--map",
+        action=_Joined,
+        help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]; y=rec.act_vel; u=a.csv:tau1; columns "
+        "without headings by number, from 1",
+    )
+    parser.add_argument(
+        "--set",
+        action=_Joined,
+        help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720,y_unit=deg/s",
+    )
+    parser.add_argument("--scale", action=_Joined, help="factors to SI units: y=0.0174532925")
+    add_anyway_option(parser)
+
+
+class _Joined(argparse.Action):
     """Settings of several such options add up: `--scale u=10 --scale y=2` is `--scale u=10,y=2`."""
 
     def __call__(self, parser, namespace, values, option_string=None):

@@ -7,9 +7,8 @@ from .._text import number
 from ..io._formats import RECORDS
 from . import own_effects
 from .arguments import (
-    Joined,
-    add_anyway_option,
     add_memory_option,
+    add_reading_options,
     add_resume_option,
     add_tolerance_option,
     check_result,
@@ -57,14 +56,7 @@ def add(commands) -> None:
         metavar="N",
         help="positions that are kept to judge the result on (of FRFs and of records without a period: the last N)",
     )
-    parser.add_argument(
-        "--map", action=Joined, help="names in the files: u=iq_adx,y=omega_max,r=iq_refx; u=[tau1;tau2]"
-    )
-    parser.add_argument(
-        "--set", action=Joined, help="what the files do not say: fs=2500,period=2500,transient_periods=1"
-    )
-    parser.add_argument("--scale", action=Joined, help="factors to SI units: y=0.0174532925")
-    add_anyway_option(parser)
+    add_reading_options(parser)
     add_memory_option(parser)
     add_resume_option(parser)
     add_each_options(parser)

@@ -171,7 +171,7 @@ class AbstractEffect(eqx.Module):
         self, parameters: Sequence[str], covariance: Float[np.ndarray, "parameter parameter"]
     ) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of every parameter of what is `stated`, to first order, from the covariance of
-        these parameters."""
+        these parameters; first the one that says how much of the effect there is."""
         stds = np.sqrt(np.diag(covariance))
         return {p: (float(getattr(self, p)), float(std)) for p, std in zip(parameters, stds, strict=True)}
 

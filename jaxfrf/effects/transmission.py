@@ -151,18 +151,17 @@ class ToothWaves(AbstractGearError):
 
     def stated_values(self, parameters, covariance):
         error, rows = self._stated()
-        values = {}
+        waves = []
         for i, (amplitude, phase) in enumerate(zip(error.amplitude, error.phase, strict=True)):
             pair = [parameters.index(wave) for wave in WAVES[rows[i]]]
             std = polar_deviation(amplitude, phase, covariance[np.ix_(pair, pair)])
-            place = f"_{error.order[i]}" if len(error.order) > 1 else ""
-            values |= {f"amplitude{place}": (float(amplitude), std["amplitude"])}
-            values |= {f"phase{place}": (float(phase), std["phase"])}
-        times, std = (
-            error.teeth / self.teeth,
-            float(np.sqrt(covariance[parameters.index("teeth")][parameters.index("teeth")])),
-        )
-        return values | {"teeth": (float(error.teeth), float(times) * std)}
+            place = f"_{i + 1}" if len(error.order) > 1 else ""
+            values = {"amplitude": float(amplitude), "order": float(error.order[i]), "phase": float(phase)}
+            waves.append({f"{name}{place}": (value, std.get(name, 0.0)) for name, value in values.items()})
+        waves.sort(key=lambda wave: -next(value / max(std, 1e-300) for value, std in wave.values()))
+        teeth = parameters.index("teeth")
+        std = float(error.teeth / self.teeth) * float(np.sqrt(covariance[teeth, teeth]))
+        return {name: value for wave in waves for name, value in wave.items()} | {"teeth": (float(error.teeth), std)}
 
     def _stated(self) -> tuple[TransmissionError, tuple[slice, ...]]:
         """With the places of its waves; the second order alone is an error of twice as many teeth."""

@@ -38,7 +38,7 @@ from .settings import (
 
 class Conclusion(eqx.Module):
     """What is said. `base`, `extended`: robots that are written, without and with the effects that stand, where the
-    result is told."""
+    result is told. `records`: with the positions that were held out in the end."""
 
     verdict: str = eqx.field(static=True)
     says: str = eqx.field(static=True)
@@ -47,6 +47,7 @@ class Conclusion(eqx.Module):
     extended: Written
     last: Fitted
     steps: tuple[Step, ...]
+    records: Records
 
 
 def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
@@ -62,22 +63,12 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
     effects = (*(_named(step, last, given) for step in steps), *louder, *counting(records.whole, given))
     base = (before if steps else _without(last, louder, extended, told)) or extended
     worst, everywhere = _worst(last, extended, there), ""
-    if worst > UNEXPLAINED and not effects:
-        again = _at_all_positions(last, records)
-        if again is not None:
-            last, extended, worst = again
-            base, everywhere = extended, _EVERYWHERE
-    verdict, says = _verdict(
-        base,
-        bool(found.refused or found.steps),
-        steps,
-        effects,
-        last,
-        extended,
-        told,
-        worst,
-        bool(len(records.heldout)),
-    )
+    again = _at_all_positions(last, records) if worst > UNEXPLAINED and not effects else None
+    if again is not None:
+        records, last, extended, worst = again
+        base, told, everywhere = extended, records.every, _EVERYWHERE
+    looked_for, heldout = bool(found.refused or found.steps), bool(len(records.heldout))
+    verdict, says = _verdict(base, looked_for, steps, effects, last, extended, told, worst, heldout)
     if verdict == "unexplained":
         last, effects, steps = found.base, (), ()
         base = extended = written(found.base.written(), told) or base
@@ -88,7 +79,7 @@ def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
         says += " With so few positions those that were fitted decided, too: p-values are too small."
     if verdict != "unexplained":  # else numbers imitate what is missing
         says += _wrong_numbers(last)
-    return Conclusion(verdict, says, effects, base, extended, last, steps)
+    return Conclusion(verdict, says, effects, base, extended, last, steps, records)
 
 
 def _worst(last: Fitted, extended: Written, there: Written | None) -> float:
@@ -102,17 +93,16 @@ def _worst(last: Fitted, extended: Written, there: Written | None) -> float:
 _EVERYWHERE = " The held-out positions were fitted, too: the others did not tell the numbers that they need."
 
 
-def _at_all_positions(last: Fitted, records: Records) -> tuple[Fitted, Written, float] | None:
-    """The robot fitted to all positions, simulated where the result is told, and the worst that it leaves: whether
-    numbers explain a position is told by a fit to it, not by those of other positions, which may not tell them all.
-    `None` where they do not."""
+def _at_all_positions(last: Fitted, records: Records) -> tuple[Records, Fitted, Written, float] | None:
+    """The robot fitted to all positions, none being held out then, as it would be written, and the worst that it leaves
+    at any: whether numbers explain a position is told by a fit to it, not by those of other positions, which may not
+    tell them all. `None` where they do not."""
+    nowhere = records.heldout[:0]
+    records = Records(records.whole, records.every, np.union1d(records.opened, records.heldout), nowhere, nowhere)
     fit = further(last, records.whole, lambda text: None, FINAL_ROUNDS)
-    there = written(fit.written(), records.every.at(records.judged))
-    if there is None:
-        return None
-    each = 0.5 * np.mean(np.abs(fit.left / fit.look.evidence.plain) ** 2, axis=(1, 2))
-    worst = max(_worst(fit, there, None), float(np.max(each)))
-    return (fit, there, worst) if worst <= UNEXPLAINED else None
+    there = written(fit.written(), records.every)
+    worst = np.inf if there is None else _worst(fit, there, None)
+    return (records, fit, there, worst) if there is not None and worst <= UNEXPLAINED else None
 
 
 def _without(last: Fitted, louder, extended: Written, told: Measured) -> Written | None:

@@ -366,7 +366,8 @@ def _chosen(scored: Sequence[Scored], had) -> list[Scored]:
             found.setdefault(this.key, this)
     best = list(found.values())
     promising = [s for s in best[:FINALISTS] if s.part >= max(SHARE * best[0].part, LEAST_PART)]
-    return [*promising, *[s for s in best if s.disbelieved and all(s is not p for p in promising)][:FINALISTS]]
+    others = best[len(promising) :]
+    return [*promising, *[s for s in others if s.disbelieved][:FINALISTS]]
 
 
 def _stands(this: Scored, had: Sequence[Step]) -> bool:
@@ -396,7 +397,8 @@ def _costs(robots: Sequence[Fitted], like: Fitted) -> list[float]:
 
 def _against(winner: _Runner, results: Sequence[Comparison]) -> str:
     """What speaks against an effect, in words; empty where nothing does."""
-    name, value, std = winner.hypothesis.size(winner.found)
+    told = winner.hypothesis.told(winner.found)
+    name, (value, std) = next(iter(told.items()), ("", (np.inf, 0.0)))
     if abs(value - winner.hypothesis.effect.nothing) < 1.96 * std:
         return f"its {name} is {value:.3g} +- {1.96 * std:.2g}, which holds none of it"
     if not results:

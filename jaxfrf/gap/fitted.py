@@ -82,18 +82,9 @@ class Fitted(eqx.Module):
 
     def covariance(self, names: Sequence[str]) -> Float[np.ndarray, "name name"]:
         """Of numbers, in their units, as wide as their intervals are."""
-        return self._covariance(names, [self.deviation(name) for name in names])
-
-    def standing_covariance(self, names: Sequence[str]) -> Float[np.ndarray, "name name"]:
-        """The same without the step that a fit has still ahead, which a bent model may not let it take."""
-        rows = [self.place(name) for name in names]
-        half = self.look.posterior.half_width()
-        return self._covariance(names, [self.these[i].deviation(float(self.x[i]), float(half[i]) / _Z) for i in rows])
-
-    def _covariance(self, names: Sequence[str], deviations: Sequence[float]) -> Float[np.ndarray, "name name"]:
         rows = [self.place(name) for name in names]
         covariance = self.look.posterior.covariance[np.ix_(rows, rows)]
-        wide = np.array(deviations) / np.maximum(np.sqrt(np.diag(covariance)), 1e-300)
+        wide = np.array([self.deviation(name) for name in names]) / np.maximum(np.sqrt(np.diag(covariance)), 1e-300)
         return wide[:, None] * covariance * wide
 
     @property

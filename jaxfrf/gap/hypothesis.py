@@ -40,23 +40,12 @@ class Hypothesis(eqx.Module):
 
     def told(self, found: Fitted) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of every parameter of the effect in a robot that was fitted, as it is stated;
-        of times, no less than what the sampling leaves open."""
-        return self._values(found, found.covariance)
-
-    def _values(self, found: Fitted, covariance_of) -> dict[str, tuple[float, float]]:
+        of times, no less than what the sampling leaves open. The first says how much of it there is."""
         own, least = self._fitted_in(found), {"s": TIMING / found.look.evidence.scenes[0].fs}
-        covariance = covariance_of([o.number for o in own])
+        covariance = found.covariance([o.number for o in own])
         unresolved = [least.get(self.effect.units[o.parameter], 0.0) for o in own]
         moved = self._moved(found)
         return moved.stated_values([o.parameter for o in own], covariance + np.diag(np.square(unresolved)))
-
-    def size(self, found: Fitted) -> tuple[str, float, float]:
-        """The parameter that says how much of the effect there is, with its value and standard deviation where the fit
-        stands: the first, or of several amplitudes that which stands out most."""
-        told = self._values(found, found.standing_covariance)
-        names = [name for name in told if name.startswith("amplitude")] or list(told)[:1]
-        out = lambda name: abs(told[name][0] - self.effect.nothing) / max(told[name][1], 1e-300)
-        return max(((name, *told[name]) for name in names), key=lambda x: out(x[0]), default=("", math.inf, 0.0))
 
     def _fitted_in(self, found: Fitted) -> list[OwnNumber]:
         names = {n.name for n in found.these}

@@ -25,6 +25,7 @@ _NOTHING = 1e-3  # of the floor: a gap that is smaller has nothing to shrink
 def present(found: Contest, records: Records, given: Robot, compared: str) -> Diagnosis:
     """The result: of the robots that would be written, judged on the held-out positions."""
     end = concluded(found, records, given)
+    records = end.records
     values, changed = _parameters(end.last, given)
     maps = _maps(records, end)
     return Diagnosis(

@@ -49,21 +49,12 @@ _OF_ALL = (contradicted, quiet_lines)  # look at the record as a whole: its firs
 
 _ANY_CHANNEL = {"foreign", "noncausal"}  # of which another channel may be the cause
 
+_UNLIKE = {"odd period", "unsteady", "disturbed", "gain", "jitter", "noise"}  # periods that differ
+
 # Kinds that a fault of the first kind brings along in the same channel.
 _EXPLAINS = {
-    "clock": {
-        "lost",
-        "spikes",
-        "odd period",
-        "unsteady",
-        "disturbed",
-        "gain",
-        "jitter",
-        "noise",
-        "noncausal",
-        "foreign",
-    },
-    "lost": {"spikes", "odd period", "unsteady", "disturbed", "gain", "jitter", "noise", "noncausal", "foreign"},
+    "clock": {*_UNLIKE, "lost", "spikes", "noncausal", "foreign"},
+    "lost": {*_UNLIKE, "spikes", "noncausal", "foreign"},
     "held": {"spikes", "odd period", "unsteady", "disturbed", "gain", "jitter", "glitch", "clipped", "foreign"},
     "wrapped": {
         "spikes",
@@ -77,7 +68,7 @@ _EXPLAINS = {
         "foreign",
         "noncausal",
     },
-    "period length": {"odd period", "unsteady", "disturbed", "gain", "jitter", "noise"},
+    "period length": _UNLIKE,
     "odd period": {"spikes", "disturbed", "gain", "jitter"},
     "unsteady": {"spikes", "disturbed", "gain", "jitter"},
     "disturbed": {"spikes", "gain", "jitter"},

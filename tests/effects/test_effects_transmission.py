@@ -9,6 +9,7 @@ import scipy.optimize
 
 import jaxfrf as jf
 from jaxfrf import effects as ef
+from jaxfrf.effects.transmission import ToothWaves
 
 KEY = jr.key(2)
 LINK = {"type": "driven", "axis": [0.0, 0.0, 1.0], "offset": [0.0, 0.0, 0.0], "com": [0.0, 0.0, 0.0], "mass": 1.0}
@@ -227,6 +228,20 @@ def linear_robot():
             assert np.allclose(same.lead(angle), wave, atol=1e-15)
         assert error.in_numbers().stated().order == ((1,) if orders == (2,) else (1, 2))  # twice as many teeth
         assert ef.TransmissionError("joint1", [1e-5], 101.0, (3,)).in_numbers().order == (3,)
+
+    def test_values_of_an_error_that_was_fitted(self):
+        """Against draws; the order that stands out first."""
+        names = ["teeth", "cosine_2", "sine_1", "cosine_1", "sine_2"]
+        mean = dict(zip(names, [101.0, 4e-5, 5e-6, 1e-5, -3e-5], strict=True))
+        std = np.array([0.02, 1e-6, 4e-6, 2e-6, 3e-6])
+        told = ToothWaves("joint1", **mean).stated_values(names, np.diag(std**2))
+        draws = dict(zip(names, np.random.default_rng(0).normal(list(mean.values()), std, (100_000, 5)).T, strict=True))
+        for order, name in ((1, "amplitude_1"), (2, "amplitude_2")):
+            amplitude = np.hypot(draws[f"sine_{order}"], draws[f"cosine_{order}"])
+            assert told[name][0] == pytest.approx(np.hypot(mean[f"sine_{order}"], mean[f"cosine_{order}"]))
+            assert told[name][1] == pytest.approx(amplitude.std(), rel=0.05)
+        assert next(iter(told)) == "amplitude_2" and told["order_2"] == (2.0, 0.0)
+        assert told["teeth"] == pytest.approx((101.0, 0.02))
 
 
 class TestInTheLinearisation:
