@@ -185,6 +185,13 @@ def test_links_lead_somewhere():
                 assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
+def test_measured_figures_are_those_of_the_kept_results():
+    done = subprocess.run(
+        [sys.executable, ROOT / "benchmarks" / "measured.py", "--check"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 @pytest.mark.slow
 def test_the_book_is_built_without_a_warning(tmp_path):
     for name in ("sphinx", "myst_nb", "furo", "sphinx_copybutton"):

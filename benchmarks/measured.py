@@ -1,0 +1,224 @@
+"""Writes the tables of notebooks/measured.md from the results that are kept in `results/`.
+
+    python benchmarks/measured.py [--check]
+
+A table stands in the page between `<!-- NAME -->` and `<!-- end -->`, NAME being one of `TABLES`; the text around it is
+written by hand. `--check` writes nothing and ends with 1 where the page is not what the results say.
+"""
+
+import argparse
+import json
+import pathlib
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+HERE = pathlib.Path(__file__).parent
+PAGE = HERE.parent / "notebooks" / "measured.md"
+LINK = "../benchmarks/results/"
+KINDS = {
+    "stiffness": "stiffness",
+    "damping": "damping",
+    "coulomb_friction": "Coulomb friction",
+    "viscous_friction": "viscous friction",
+    "payload": "payload (the last link's mass)",
+    "motor_inertia": "rotors",
+    "stiffness_ratio": "spring ratio",
+    "stiffness_knee": "spring knee",
+}
+CALIBRATED = {
+    "r3x 6": "R3X, 6 experiments",
+    "r3x 6 torque_constant=0": "torque constants known",
+    "r3x 1": "R3X, 1",
+    "small 6": "small, 6",
+    "small 1": "small, 1",
+    "light 6": "light, 6",
+}
+HIDDEN: tuple[tuple[str, tuple[str, ...]], ...] = (
+    (
+        "one effect, clear (twice the just visible size or more, beyond what a number's tolerance believes): effect "
+        "and joint named",
+        ("single_clear", "effect_and_joint"),
+    ),
+    ("... class and joint", ("single_clear", "class_and_joint")),
+    ("one effect of any size: effect and joint", ("single", "effect_and_joint")),
+    ("two effects: both named", ("double", "both")),
+    ("nothing hidden: false alarms", ("false_alarm",)),
+    ("... called *unexplained*", ("false_unexplained",)),
+    ("... a number said to be off by more than its tolerance", ("false_numbers",)),
+    ("outside the library: *unexplained* or *ambiguous*", ("outside_honest",)),
+    ("named: an axis is missed by a tenth more on held-out positions", ("grows",)),
+    ("95 % intervals of main parameters that hold", ("parameter_error", "covered")),
+)
+
+
+def results(name: str) -> str:
+    return (HERE / "results" / name).read_text(encoding="utf-8")
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    line = lambda cells: f"| {' | '.join(cells)} |"
+    return "\n".join([line(head), line(["---"] * len(head)), *map(line, rows)])
+
+
+def calibration() -> str:
+    """Mean and largest error of each kind of number, the newest run of every robot (it stands first)."""
+    row = re.compile(r"(\w+ \d(?: torque_constant=0)?) +(\w+) +([\d.]+) \(([\d.]+)-([\d.]+)\) +([\d.]+)")
+    held = re.compile(r"(\w+ \d(?: torque_constant=0)?) +95 %.*?: (\d+ of \d+) hold")
+    missed = re.compile(r"(\w+ \d(?: torque_constant=0)?) +torque missed ([\d.]+) %")
+    found: dict[tuple[str, str], str] = {}
+    newest, _, _ = results("calibration.txt").partition("# all that follows")
+    for line in newest.splitlines():
+        if this := row.match(line):
+            found.setdefault((this[1], this[2]), f"{this[3]} ({this[6]})")
+        elif this := held.match(line):
+            found.setdefault((this[1], "held"), this[2])
+        elif this := missed.match(line):
+            found.setdefault((this[1], "missed"), this[2])
+    rows = {**KINDS, "held": '95 % intervals of what "the data tell" that hold', "missed": "torque missed after it"}
+    cells = [[text, *(found.get((run, kind), "") for run in CALIBRATED)] for kind, text in rows.items()]
+    return table(["mean (largest) error, %", *CALIBRATED.values()], cells)
+
+
+def hidden() -> str:
+    """What the diagnosis found, of all cases, of each robot and of each simulator."""
+    found = json.loads(results("gap.json"))
+    groups: dict[str, Mapping[str, Any]] = {"all": found["all"]}
+    for by in ("robot", "simulator"):
+        if len(found[by]) > 1:
+            groups |= found[by]
+    cell = lambda its: (
+        f"{its['k']} of {its['n']} ({100 * its['low']:.0f}-{100 * its['high']:.0f} %)" if its["n"] else ""
+    )
+    rows = [[text, *(cell(_inside(group, path)) for group in groups.values())] for text, path in HIDDEN]
+    return table(["with 95 % intervals", *(f"{name}, {group['cases']} cases" for name, group in groups.items())], rows)
+
+
+def _share(its: Mapping[str, Any]) -> str:
+    return f"{its['k']} of {its['n']} ({100 * its['low']:.0f}-{100 * its['high']:.0f} %)" if its["n"] else ""
+
+
+def _inside(found: Any, path: Sequence[str]) -> Any:
+    for key in path:
+        found = found[key]
+    return found
+
+
+def speed() -> str:
+    """`jaxfrf.estimate` with covariance against the loop that its table begins with; the newest run of each case."""
+    case = re.compile(r"(.+): (\d+) windows, (1) core; compiled in ([\d.]+) s")
+    row = re.compile(r" +(.+?) +([\d.]+) +([\d.]+) +([\d.]+) \(([\d.]+)-([\d.]+)\) +([\d.]+) +\S+$")
+    found: dict[str, list[str]] = {}
+    for file in ("local.txt", "local_busy.txt"):
+        commit, now, first = "", None, ""
+        for line in results(file).splitlines():
+            if line.lower().startswith("commit "):
+                commit = line.split()[1]
+            elif this := case.match(line):
+                now, first = this, ""
+            elif now is not None and (this := row.match(line)):
+                if not first:
+                    first = f"{this[1]}: {_three(this[2])}"
+                elif this[1].startswith("jaxfrf.estimate"):
+                    times = f"{float(this[4]):.2g} ({float(this[5]):.2g}-{float(this[6]):.2g})"
+                    ours = _three(this[2])
+                    origin = f"[{commit}]({LINK}{file})"
+                    found[now[1]] = [first, ours, times, f"{float(this[7]):.2g}", now[4], origin]
+            elif not line.strip():
+                now = None
+    head = [
+        "method",
+        "baseline, ms",
+        "jaxfrf, ms",
+        "times, by the clock",
+        "by processor time",
+        "compiled in, s",
+        "commit",
+    ]
+    return table(head, [[name, *cells] for name, cells in found.items()])
+
+
+def _three(text: str) -> str:
+    """A number to three digits, without an exponent."""
+    return f"{float(f'{float(text):.3g}'):g}"
+
+
+def coverage() -> str:
+    """Share of 95 % regions that hold: all lines / at resonances, first run of every plant."""
+    plants: dict[str, dict[str, str]] = {}
+    now: dict[str, str] | None = None
+    title = re.compile(r"(.+?),.* n_e = (\d+), (\d+) seeds$")
+    for line in results("coverage.txt").splitlines():
+        if this := title.match(line):
+            name = f"{this[1]}, {this[2]}"
+            now = plants.setdefault(name, {}) if name not in plants else None
+        elif (cells := line.split()) and now is not None and len(cells) == 6 and line.startswith("  "):
+            now[cells[0]] = f"{float(cells[1]):.2f} / {float(cells[2]):.2f}".replace("0.", ".")
+        elif not cells:
+            now = None
+    methods = dict.fromkeys(m for found in plants.values() for m in found)
+    return table(["method", *plants], [[f"`{m}`", *(found.get(m, "") for found in plants.values())] for m in methods])
+
+
+def faults() -> str:
+    """The last lines of the table of faults."""
+    lines = results("faults.txt").splitlines()
+    of = re.compile(r"nothing said though|nothing said, FRF|clean records with|^\d+ faults:")
+    pairs = [
+        line.rsplit(": ", 1) if "faults:" not in line else line.split(": ", 1) for line in lines if of.search(line)
+    ]
+    return table(["records with something wrong", lines[0].split("; ")[0]], pairs)
+
+
+def large() -> str:
+    """The first run of the largest data set."""
+    _, when, size, first, second, gain, *_ = results("scale.txt").splitlines()
+    rows = [re.split(r" {3,}", line.strip(), maxsplit=1) for line in (first, second)]
+    told = [[name, ", ".join(re.split(r" {2,}", text))] for name, text in rows]
+    head = [f"{size.removeprefix('data: ')}, {when.split(', ')[1]}", "time"]
+    return table(head, [*told, ["two workers", gain.strip()]])
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "speed": speed,
+    "coverage": coverage,
+    "calibration": calibration,
+    "hidden": hidden,
+    "faults": faults,
+    "large": large,
+}
+
+
+def filled(page: str) -> str:
+    """The page with its tables made anew."""
+    for name in _names(page):
+        block = f"<!-- {name} -->\n\n{TABLES[name]()}\n\n<!-- end -->"
+        page = re.sub(rf"<!-- {name} -->\n.*?<!-- end -->", lambda _, block=block: block, page, flags=re.DOTALL)
+    return page
+
+
+def _names(page: str) -> Iterator[str]:
+    for name in re.findall(r"<!-- (\w+) -->", page):
+        if name in TABLES:
+            yield name
+        elif name != "end":
+            raise SystemExit(f"measured.md: no table {name!r}; those there are: {', '.join(TABLES)}.")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; 1 where the page is another")
+    check = parser.parse_args().check
+    page = PAGE.read_text(encoding="utf-8")
+    made = filled(page)
+    if check and made != page:
+        print("measured.md does not say what benchmarks/results holds: run `python benchmarks/measured.py`.")
+        return 1
+    if not check:
+        PAGE.write_text(made, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
