@@ -90,14 +90,14 @@ def clusters(gram: Gram) -> Int[np.ndarray, "run"]:
     return np.arange(len(gram.position))
 
 
-def solve(gram: Gram, these: Sequence[Number], x: Float[np.ndarray, "number"]) -> Posterior:
+def solve(gram: Gram, numbers: Sequence[Number], x: Float[np.ndarray, "number"]) -> Posterior:
     """The step of the numbers from x, and the coefficients of all columns behind theirs, which have no prior.
 
     Minimises |r - J dx|^2/effect + sum prior (x + dx)^2.
     """
     count = gram.b.shape[1]
-    prior = np.concatenate([[n.prior for n in these], np.zeros(count - len(these))])
-    at = np.concatenate([np.asarray(x, float), np.zeros(count - len(these))])
+    prior = np.concatenate([[n.prior for n in numbers], np.zeros(count - len(numbers))])
+    at = np.concatenate([np.asarray(x, float), np.zeros(count - len(numbers))])
     which = clusters(gram)
     A = np.stack([gram.A[which == c].sum(axis=0) for c in np.unique(which)])
     b = np.stack([gram.b[which == c].sum(axis=0) for c in np.unique(which)])

@@ -333,10 +333,10 @@ def counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
 def wrong_numbers(last: Fitted) -> list[tuple[str, str, float]]:
     """Numbers that are further off than their tolerance, by the record: by how much, and the p-value of that among all
     numbers. Those that stand out, and those that the data tell."""
-    told, strained = last.look.posterior.told, last.strained
+    told, strained = last.iterate.posterior.told, last.strained
     return [
         (n.name, _change(n, float(x)), last.strain_p_value(i))
-        for i, (n, x) in enumerate(zip(last.these, last.x, strict=True))
+        for i, (n, x) in enumerate(zip(last.numbers, last.x, strict=True))
         if i in strained or (n.prior > 0 and n.kind != "smoothing" and n.positive and abs(x) > OFF and told[i] > TOLD)
     ]
 

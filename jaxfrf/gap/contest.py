@@ -145,7 +145,7 @@ def contest(
         if kept is not None:
             step = _remembered(kept, now, records, misses, say)
         else:
-            also_given = not steps and now.look.left > FLOOR
+            also_given = not steps and now.iterate.left > FLOOR
             views = [now, given or as_given(robot, fit, say)] if also_given else [now]
             heat = _Heat(now, records, own, misses, say)
             step, refused = heat.best(views, steps)
@@ -164,7 +164,7 @@ def contest(
 def _misses(now: Fitted, records: Records, say: Say) -> bool:
     """Whether one axis in one band is beyond the floor, on the fitted positions and on those that decide."""
     frequency = records.whole.frequency
-    cells = np.mean(by_band(now.left, now.look.evidence.plain, frequency), axis=(0, 1))
+    cells = np.mean(by_band(now.left, now.iterate.evidence.plain, frequency), axis=(0, 1))
     say(f"at most {cells.max():.3g} times the floor is left")
     if cells.max() <= FLOOR:
         return False
@@ -177,7 +177,7 @@ def _misses(now: Fitted, records: Records, say: Say) -> bool:
 
 
 def _strained(now: Fitted) -> list[str]:
-    return [now.these[i].name for i in now.strained]
+    return [now.numbers[i].name for i in now.strained]
 
 
 def _on_all(now: Fitted, records: Records, say: Say) -> Fitted:
@@ -390,8 +390,8 @@ def _costs(robots: Sequence[Fitted], like: Fitted) -> list[float]:
 
     How many is told by the robot in which they are fewest: what an effect leaves that is not there repeats from line to
     line, and would make its robot look as if little were known."""
-    effect = min(found.look.posterior.effect for found in robots)
-    over = lambda found: float(np.sum(np.abs(found.left / like.look.evidence.plain) ** 2))
+    effect = min(found.iterate.posterior.effect for found in robots)
+    over = lambda found: float(np.sum(np.abs(found.left / like.iterate.evidence.plain) ** 2))
     return [over(found) / effect + found.priced for found in robots]
 
 

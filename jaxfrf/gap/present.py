@@ -78,7 +78,7 @@ def gap_between(records: Records, base: Written, extended: Written) -> Gap:
 def _parameters(last: Fitted, given: Robot):
     """Stiffnesses and dampings of the robot that is written, and what else is told of the robot's positive numbers."""
     values, changed = {}, {}
-    for number in last.these:
+    for number in last.numbers:
         if number.kind in ("stiffness", "damping") and number.joint in given.joint_names:
             value = last.value(number.name)
             values[number.name] = EstimatedValue(value, last.deviation(number.name), number.unit)

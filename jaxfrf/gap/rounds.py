@@ -34,9 +34,11 @@ class KeptRound:
 
     @classmethod
     def of(cls, found: Fitted, effect=None, joint: str = "", told=None) -> "KeptRound":
-        at = zip(found.these, found.look.x, strict=True)
+        at = zip(found.numbers, found.iterate.x, strict=True)
         values = {n.name: n.value(float(x)) for n, x in at}
-        return cls(effect, joint, values, found.look.orders, found.look.begun, found.near, found.inside, told or {})
+        return cls(
+            effect, joint, values, found.iterate.orders, found.iterate.start_floor, found.near, found.inside, told or {}
+        )
 
 
 def read_round(parts: Parts | None, number: int) -> KeptRound | None:

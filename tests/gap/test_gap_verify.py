@@ -145,16 +145,16 @@ class TestStrain:
 
     @staticmethod
     def found(robot, x, told=1e-4):
-        these = numbers(robot)
-        normal = np.diag(np.where([n.prior > 0 for n in these], 1.0 / told, 1.0))
-        look = SimpleNamespace(posterior=SimpleNamespace(normal=normal))
-        return Fitted(robot, Tolerances(), these, np.asarray(x, float), look, False, (), True)
+        uncertain = numbers(robot)
+        normal = np.diag(np.where([n.prior > 0 for n in uncertain], 1.0 / told, 1.0))
+        iterate = SimpleNamespace(posterior=SimpleNamespace(normal=normal))
+        return Fitted(robot, Tolerances(), uncertain, np.asarray(x, float), iterate, False, (), True)
 
     def test_against_the_formula(self, robot):
-        these = numbers(robot)
-        x = np.random.default_rng(0).standard_normal(len(these))
+        uncertain = numbers(robot)
+        x = np.random.default_rng(0).standard_normal(len(uncertain))
         found = self.found(robot, x)
-        known = np.array([n.prior > 0 and n.kind != "smoothing" for n in these])
+        known = np.array([n.prior > 0 and n.kind != "smoothing" for n in uncertain])
         for i in np.flatnonzero(known):
             other = known & (np.arange(len(x)) != i)
             factor = min(1.0, np.sum(x[other] ** 2) / (np.sum(other) * (1 - 1e-4)))
@@ -163,13 +163,13 @@ class TestStrain:
 
     def test_one_that_stands_out(self, robot):
         """Two tolerances are much where all others are known better than was said."""
-        these = numbers(robot)
-        place = [n.name for n in these].index("elbow.torque_constant")
-        x = np.full(len(these), 0.3)
+        uncertain = numbers(robot)
+        place = [n.name for n in uncertain].index("elbow.torque_constant")
+        x = np.full(len(uncertain), 0.3)
         x[place] = 2.5
         found = self.found(robot, x)
         assert found.strained == (place,)
-        others = sum(n.prior > 0 and n.kind != "smoothing" for n in these) - 1
+        others = sum(n.prior > 0 and n.kind != "smoothing" for n in uncertain) - 1
         expected = 2 * (others + 1) * scipy.stats.t(others).sf(2.5 / 0.3)
         assert found.strain_p_value(place) == pytest.approx(expected, rel=0.1)
         assert self.found(robot, 2.5 * np.sign(x)).strained == ()  # all are off: none stands out
@@ -177,11 +177,11 @@ class TestStrain:
     @pytest.mark.parametrize("count", [1, 3, 6, 20])
     def test_false_alarms(self, robot, count):
         """Where every tolerance is what is stated, the least p-value of all numbers is as rare as it says."""
-        these = tuple(n for n in numbers(robot) if n.prior > 0 and n.kind != "smoothing")[:count]
+        uncertain = tuple(n for n in numbers(robot) if n.prior > 0 and n.kind != "smoothing")[:count]
         rng, draws, least = np.random.default_rng(0), 500, []
-        look = SimpleNamespace(posterior=SimpleNamespace(normal=np.eye(count) * 1e4))
+        iterate = SimpleNamespace(posterior=SimpleNamespace(normal=np.eye(count) * 1e4))
         for _ in range(draws):
-            found = Fitted(robot, Tolerances(), these, rng.standard_normal(count), look, False, (), True)
+            found = Fitted(robot, Tolerances(), uncertain, rng.standard_normal(count), iterate, False, (), True)
             least.append(found.strain_p_value(int(np.argmax(np.abs(found.strain)))))
         assert scipy.stats.binom.sf(np.sum(np.array(least) < 0.05) - 1, draws, 0.05) > 1e-3
 
@@ -203,8 +203,8 @@ class TestWaves:
         orders = (Order("torque", 0, 2.0), Order("torque", 1, 3.0), Order("torque", 1, 7.0))
         jackknifed = np.random.default_rng(1).standard_normal((6, 8))  # two numbers before the sines and cosines
         posterior = Posterior(np.zeros(8), 1.0, np.eye(8), jackknifed, np.zeros(8))
-        look = SimpleNamespace(posterior=posterior, orders=orders)
-        found = Fitted(robot, Tolerances(), (), np.zeros(0), look, False, (), True).wave_covariance("torque", 1)
+        iterate = SimpleNamespace(posterior=posterior, orders=orders)
+        found = Fitted(robot, Tolerances(), (), np.zeros(0), iterate, False, (), True).wave_covariance("torque", 1)
         assert sorted(found) == [3.0, 7.0]
         expected = np.cov(jackknifed[:, 6:], rowvar=False, bias=True) * 5.0  # of a jackknife: (n - 1) mean squares
         np.testing.assert_allclose(found[7.0], expected * (scipy.stats.t.ppf(0.975, 5) / 1.959964) ** 2, rtol=1e-5)
@@ -213,14 +213,14 @@ class TestWaves:
 class TestHypotheses:
     @staticmethod
     def view(robot):
-        these = numbers(robot)
-        return Fitted(robot, Tolerances(), these, np.zeros(len(these)), None, False, (), False)
+        uncertain = numbers(robot)
+        return Fitted(robot, Tolerances(), uncertain, np.zeros(len(uncertain)), None, False, (), False)
 
     def unknown(self, robot, effect):
         found = hypothesis(self.view(robot), effect, effect.joint)
-        these = numbers(found.robot.with_tolerances(found.unknown))
+        uncertain = numbers(found.robot.with_tolerances(found.unknown))
         own = {o.number for o in found.own}
-        return found, {n.name: n.given for n in these if n.name in own}
+        return found, {n.name: n.given for n in uncertain if n.name in own}
 
     @pytest.mark.parametrize(
         ("effect", "own"),
