@@ -151,7 +151,7 @@ def _result(descent: Descent, kept: Rounds, judged: Measured | None) -> Calibrat
         x=x,
         covariance=posterior.covariance[part, part],
         half_width=posterior.half_width()[part],
-        told=posterior.told[part],
+        data_share=posterior.data_share[part],
         dependence=np.linalg.inv(posterior.normal)[part, part],
         orders=tuple(o for o, _ in waves),
         waves=np.array([w for _, w in waves]).reshape(-1, 2),

@@ -228,7 +228,7 @@ def _result(robot, numbers, x, posterior: Posterior, done, converged, fitted, ju
         x=x,
         covariance=posterior.covariance,
         half_width=posterior.half_width(),
-        told=posterior.told,
+        data_share=posterior.data_share,
         dependence=np.linalg.inv(posterior.normal),
         orders=(),
         waves=np.zeros((0, 2)),

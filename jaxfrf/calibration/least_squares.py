@@ -78,8 +78,8 @@ class Posterior:
         return np.sqrt(t**2 * np.diag(self._from_data) + bands * self._from_bands + z**2 * np.diag(self._from_prior))
 
     @property
-    def told(self) -> Float[np.ndarray, "column"]:
-        """Part of a number that the data tell, the rest being what was known before: 1 - posterior/prior variance."""
+    def data_share(self) -> Float[np.ndarray, "column"]:
+        """Part of a number that the data determine, the rest being known before: 1 - posterior/prior variance."""
         return 1.0 - self.prior * np.diag(np.linalg.inv(self.normal))
 
 

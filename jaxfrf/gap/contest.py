@@ -131,10 +131,10 @@ def contest(
     steps: list[Step] = []
     first: tuple[Scored, ...] = ()
     while len(steps) < MOST:
-        misses, strained = _misses(now, records, say), _strained(now)
-        if strained:
-            say(f"{', '.join(strained)}: off by more than is known")
-        if not misses and not strained:
+        misses, out_of_tolerance = _misses(now, records, say), _out_of_tolerance(now)
+        if out_of_tolerance:
+            say(f"{', '.join(out_of_tolerance)}: off by more than is known")
+        if not misses and not out_of_tolerance:
             break
         kept = read_round(parts, len(steps) + 1)
         if kept is not None:
@@ -176,8 +176,8 @@ def _misses(now: Fitted, records: Records, say: Say) -> bool:
     return bool(np.any(there[cells > FLOOR] > FLOOR))
 
 
-def _strained(now: Fitted) -> list[str]:
-    return [now.numbers[i].name for i in now.strained]
+def _out_of_tolerance(now: Fitted) -> list[str]:
+    return [now.numbers[i].name for i in now.out_of_tolerance]
 
 
 def _on_all(now: Fitted, records: Records, say: Say) -> Fitted:
@@ -204,13 +204,13 @@ def _again(kept: KeptRound, robot: Robot, unknown: Tolerances, record: Measured,
 def _round(step: Step | None, refused: str) -> KeptRound:
     if step is None:
         return KeptRound(refused=refused)
-    told = {
+    details = {
         "cost": step.cost,
         "scored": [step.scored.part, step.scored.t, step.scored.size],
         "on_select": [getattr(step.on_select, n) for n in COMPARED],
         "rivals": [[*r.key, r.cost, r.near] for r in step.rivals],
     }
-    return KeptRound.of(step.found, step.hypothesis.effect.stated(), step.hypothesis.joint, told)
+    return KeptRound.of(step.found, step.hypothesis.effect.stated(), step.hypothesis.joint, details)
 
 
 def _remembered(kept: KeptRound, now: Fitted, records: Records, misses: bool, say: Say) -> Step | None:
@@ -219,11 +219,11 @@ def _remembered(kept: KeptRound, now: Fitted, records: Records, misses: bool, sa
     if begun is None:
         return None
     found = _again(kept, begun.robot, begun.unknown, records.fitted, say)
-    told = kept.told
-    rivals = tuple(Rival((name, joint), cost, near) for name, joint, cost, near in told["rivals"])
-    scored = Scored(begun.effect, begun.joint, *told["scored"])
+    details = kept.details
+    rivals = tuple(Rival((name, joint), cost, near) for name, joint, cost, near in details["rivals"])
+    scored = Scored(begun.effect, begun.joint, *details["scored"])
     without = to_beat(now, begun, found, misses)[-1]
-    return Step(begun, scored, found, without, Comparison(*told["on_select"]), told["cost"], rivals)
+    return Step(begun, scored, found, without, Comparison(*details["on_select"]), details["cost"], rivals)
 
 
 def to_beat(now: Fitted, begun: Hypothesis, found: Fitted, misses: bool) -> list[Robot]:
@@ -232,7 +232,7 @@ def to_beat(now: Fitted, begun: Hypothesis, found: Fitted, misses: bool) -> list
     number: the one before had most of that error already."""
     if begun.is_number:
         return [found.written(given=[o.number for o in begun.own])]
-    return [now.written() if misses else now.written(given=_strained(now))]
+    return [now.written() if misses else now.written(given=_out_of_tolerance(now))]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -340,8 +340,8 @@ class _Heat:
 
     def _finish(self, runner: _Runner) -> None:
         runner.fit.go_on(MORE_ROUNDS)
-        told = runner.hypothesis.told(runner.found)
-        values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in told.items())
+        estimates = runner.hypothesis.estimates(runner.found)
+        values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in estimates.items())
         self.say(f"  {said(runner.hypothesis.key)}: {values}")
 
     def _in_order(self, runners: Sequence[_Runner]) -> tuple[list[_Runner], list[float], float]:
@@ -392,13 +392,13 @@ def _costs(robots: Sequence[Fitted], like: Fitted) -> list[float]:
     line, and would make its robot look as if little were known."""
     effect = min(found.iterate.posterior.effect for found in robots)
     over = lambda found: float(np.sum(np.abs(found.left / like.iterate.evidence.plain) ** 2))
-    return [over(found) / effect + found.priced for found in robots]
+    return [over(found) / effect + found.prior_cost for found in robots]
 
 
 def _against(winner: _Runner, results: Sequence[Comparison]) -> str:
     """What speaks against an effect, in words; empty where nothing does."""
-    told = winner.hypothesis.told(winner.found)
-    name, (value, std) = next(iter(told.items()), ("", (np.inf, 0.0)))
+    estimates = winner.hypothesis.estimates(winner.found)
+    name, (value, std) = next(iter(estimates.items()), ("", (np.inf, 0.0)))
     if abs(value - winner.hypothesis.effect.nothing) < 1.96 * std:
         return f"its {name} is {value:.3g} +- {1.96 * std:.2g}, which holds none of it"
     if not results:

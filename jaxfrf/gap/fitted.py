@@ -22,7 +22,7 @@ from ..robot import Robot, Tolerances
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import excess, remainder
 from ..trajectory.ripple import Order, Wave, with_ripple
-from .settings import FAR, FLOOR, OTHERS, ROUNDS, SLOW, STRAINED
+from .settings import FAR, FLOOR, OTHERS, OUT_OF_TOLERANCE, ROUNDS, SLOW
 
 Say = Callable[[str], None]
 
@@ -47,7 +47,7 @@ class Fitted(eqx.Module):
     settled: bool = eqx.field(static=True)
 
     @property
-    def priced(self) -> float:
+    def prior_cost(self) -> float:
         """Squares of tolerances that the numbers are off by behind the next step, as `left` is; how Coulomb friction is
         smoothed has no true value."""
         behind = self.iterate.x + self.iterate.posterior.change[: len(self.numbers)]
@@ -88,23 +88,23 @@ class Fitted(eqx.Module):
         return wide[:, None] * covariance * wide
 
     @property
-    def strain(self) -> Float[np.ndarray, "number"]:
-        """Of every number's tolerance: what it is off by, over the standard deviation that it would have if all
-        tolerances were true, but for one factor (data snooping: Baarda, A Testing Procedure for Use in Geodetic
-        Networks, 1968; with the factor of all other numbers: Pope, The Statistics of Residuals, NOAA 1976). 0 where
-        nothing is known beforehand. No tolerance is taken to be wider than it is stated; the factor is one where fewer
-        than `OTHERS` others tell it."""
-        known, told = self._known, self._told
-        squares, others = np.where(known, self.x**2, 0.0), told.sum() - told
+    def tolerance_statistic(self) -> Float[np.ndarray, "number"]:
+        """What every number is off by, over the standard deviation that this would have if all tolerances were true, up
+        to one factor (data snooping: Baarda, A Testing Procedure for Use in Geodetic Networks, 1968; with the factor
+        of all other numbers: Pope, The Statistics of Residuals, NOAA 1976). 0 where nothing is known beforehand. No
+        tolerance is taken to be wider than it is stated; the factor is one where fewer than `OTHERS` others tell it.
+        """
+        known, share = self._known, self._data_share
+        squares, others = np.where(known, self.x**2, 0.0), share.sum() - share
         factor = np.where(others < OTHERS, 1.0, (squares.sum() - squares) / np.maximum(others, 1e-6))
-        return np.where(known, self.x / np.sqrt(np.maximum(told, 1e-6) * np.clip(factor, 1e-6, 1.0)), 0.0)
+        return np.where(known, self.x / np.sqrt(np.maximum(share, 1e-6) * np.clip(factor, 1e-6, 1.0)), 0.0)
 
-    def strain_p_value(self, i: int) -> float:
-        """Of a number's strain among those of all numbers, were all tolerances true: its factor is known as well as so
-        many others tell it."""
-        others = float(self._told.sum() - self._told[i])
+    def tolerance_p_value(self, i: int) -> float:
+        """Of a number's statistic among those of all numbers, were all tolerances true: its factor is known as well as
+        so many others tell it."""
+        others = float(self._data_share.sum() - self._data_share[i])
         one = scipy.stats.norm.sf if others < OTHERS else scipy.stats.t(others).sf
-        return float(min(1.0, np.sum(self._known) * 2.0 * one(abs(self.strain[i]))))
+        return float(min(1.0, np.sum(self._known) * 2.0 * one(abs(self.tolerance_statistic[i]))))
 
     @property
     def _known(self) -> Bool[np.ndarray, "number"]:
@@ -112,16 +112,16 @@ class Fitted(eqx.Module):
         return np.array([n.prior > 0 and n.kind != "smoothing" for n in self.numbers], bool)
 
     @property
-    def _told(self) -> Float[np.ndarray, "number"]:
-        """Part of every tolerance that the record tells."""
+    def _data_share(self) -> Float[np.ndarray, "number"]:
+        """Part of every number that the record determines, of those with a tolerance."""
         own = np.diag(np.linalg.inv(self.iterate.posterior.normal))[: len(self.numbers)]
         return np.where(self._known, np.clip(1.0 - own, 1e-6, 1.0), 0.0)
 
     @property
-    def strained(self) -> tuple[int, ...]:
+    def out_of_tolerance(self) -> tuple[int, ...]:
         """Numbers whose tolerance the record does not let one believe, worst first."""
-        order = np.argsort(-np.abs(self.strain))
-        return tuple(int(i) for i in order if self.strain_p_value(i) < STRAINED and abs(self.x[i]) > FAR)
+        order = np.argsort(-np.abs(self.tolerance_statistic))
+        return tuple(int(i) for i in order if self.tolerance_p_value(i) < OUT_OF_TOLERANCE and abs(self.x[i]) > FAR)
 
     @property
     def waves(self) -> tuple[Wave, ...]:

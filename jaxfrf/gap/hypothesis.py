@@ -38,7 +38,7 @@ class Hypothesis(eqx.Module):
     def key(self) -> tuple[str, str]:
         return self.effect.name, self.joint
 
-    def told(self, found: Fitted) -> dict[str, tuple[float, float]]:
+    def estimates(self, found: Fitted) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of every parameter of the effect in a robot that was fitted, as it is stated;
         of times, no less than what the sampling leaves open. The first says how much of it there is."""
         own, least = self._fitted_in(found), {"s": TIMING / found.iterate.evidence.scenes[0].fs}

@@ -66,12 +66,12 @@ def _maps(records: Records, end: Conclusion) -> Maps:
 
 def gap_between(records: Records, base: Written, extended: Written) -> Gap:
     """Of robots that were simulated where the result is told."""
-    told, floor = records.every.at(records.judged), base.evidence.plain
+    judged, floor = records.every.at(records.judged), base.evidence.plain
     b, a = (float(np.sqrt(np.mean(over_floor(x.residual, floor) ** 2))) for x in (base, extended))
     low = min(np.sqrt(FLOOR), _AT_MOST * b)
     shrink = float(np.clip(1.0 - (a - low) / max(b - low, _NOTHING), -9.0, 1.0))
     on = "held-out positions" if len(records.heldout) else "the fitted positions (none were held out)"
-    before, after = (relative_torque(told, x.residual) for x in (base, extended))
+    before, after = (relative_torque(judged, x.residual) for x in (base, extended))
     return Gap(b, a, float(low), shrink, "1", on, before, after)
 
 

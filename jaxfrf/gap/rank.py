@@ -51,7 +51,7 @@ def ranked(
     The cost is |residual/floor|^2/effect + the squares of the tolerances that numbers are off by; a column takes off it
     what is its own beside the numbers, and what it saves them. A number whose tolerance cannot be believed is set
     free."""
-    cost = squares(view.iterate.weighed.gram, view.iterate.posterior) + view.priced
+    cost = squares(view.iterate.weighed.gram, view.iterate.posterior) + view.prior_cost
     numbers = _set_free(view, record, cost)
     terms = _columns(view, record, own) if misses or not numbers else []
     return sorted([*terms, *numbers], key=lambda s: -s.part)
@@ -169,18 +169,18 @@ def _t(each, positions) -> float:
 
 def _set_free(view: Fitted, record: Measured, cost: float) -> list[Scored]:
     """What it would save to know nothing of a number beforehand: exact, where a cost is quadratic."""
-    strain, found = view.strain, []
-    errors = _errors(view.robot, _largest(record)) if view.strained else {}
-    for i in view.strained:
+    statistic, found = view.tolerance_statistic, []
+    errors = _errors(view.robot, _largest(record)) if view.out_of_tolerance else {}
+    for i in view.out_of_tolerance:
         number = view.numbers[i]
         if number.name not in errors:
             continue
         typical, joint, own = errors[number.name]
         error = number.value(float(view.x[i])) - own.minus
         size = abs(error / float(getattr(typical, own.parameter)))
-        sure = view.strain_p_value(i) < DISBELIEVED
+        sure = view.tolerance_p_value(i) < DISBELIEVED
         effect = eqx.tree_at(operator.attrgetter(own.parameter), typical, error)
-        found.append(Scored(effect, joint, float(strain[i] ** 2 / cost), float(strain[i]), size, sure))
+        found.append(Scored(effect, joint, float(statistic[i] ** 2 / cost), float(statistic[i]), size, sure))
     return found
 
 

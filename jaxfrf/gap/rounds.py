@@ -20,7 +20,7 @@ PART_FILES = ("round-[0-9]*.json",)
 class KeptRound:
     """Where a round ended: the effect as its fit began, `None` where nothing more was found, or of the base; the
     numbers by name, orders of ripple beside them, the floor, whether the robot was near the truth and the ripple that
-    was simulated then; what else was told of it; why nothing was taken."""
+    was simulated then; `details` of the step; why nothing was taken."""
 
     effect: AbstractEffect | None = None
     joint: str = ""
@@ -29,15 +29,22 @@ class KeptRound:
     floor: np.ndarray | None = None
     near: bool = False
     inside: tuple[Wave, ...] = ()
-    told: dict = dataclasses.field(default_factory=dict)
+    details: dict = dataclasses.field(default_factory=dict)
     refused: str = ""
 
     @classmethod
-    def of(cls, found: Fitted, effect=None, joint: str = "", told=None) -> "KeptRound":
+    def of(cls, found: Fitted, effect=None, joint: str = "", details=None) -> "KeptRound":
         at = zip(found.numbers, found.iterate.x, strict=True)
         values = {n.name: n.value(float(x)) for n, x in at}
         return cls(
-            effect, joint, values, found.iterate.orders, found.iterate.start_floor, found.near, found.inside, told or {}
+            effect,
+            joint,
+            values,
+            found.iterate.orders,
+            found.iterate.start_floor,
+            found.near,
+            found.inside,
+            details or {},
         )
 
 
@@ -77,7 +84,7 @@ def keep_round(parts: Parts | None, number: int, found: KeptRound) -> bool:
         "floor": None if found.floor is None else np.asarray(found.floor).tolist(),
         "near": found.near,
         "inside": [[[o.kind, o.axis, o.order], wave] for o, wave in found.inside],
-        "told": found.told,
+        "told": found.details,
         "refused": found.refused,
     }
     with replacing(parts.path(_name(number))) as draft:

@@ -16,13 +16,13 @@ IN_THE_RACE = 1.5  # times the least cost: more after the first heat is not fitt
 
 # What is beyond a robot whose numbers are fitted
 FLOOR = 1.0  # mean square over the floor of one axis in one band: an honest model leaves less everywhere
-STRAINED = 0.01  # p-value of one number among all of a robot, from which on its tolerance is not believed
+OUT_OF_TOLERANCE = 0.01  # p-value of one number among all of a robot, from which on its tolerance is not believed
 DISBELIEVED = 1e-3  # the same, from which on it is tried however little of the cost it is: nothing else speaks for it
 OTHERS = 3.0  # numbers that tell a common factor of all tolerances, at least
 FAR = 2.0  # tolerances that such a number is off by at least
 HOPELESS = 9.0  # tolerances: a robot in which one is further off explains nothing
 OFF = 1.0  # tolerances from which on a number is told to be off
-TOLD = 0.9  # of what was not known of a number, by the record, before it is told to be off
+DATA_SHARE = 0.9  # of what was not known of a number, from the record, before it is told to be off
 
 # Which candidates are fitted
 FINALISTS = 2  # of every view, by the cost that they promise to take away

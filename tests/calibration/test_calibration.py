@@ -199,7 +199,7 @@ def test_intervals_hold_where_errors_repeat_from_line_to_line():
         half = found.half_width()
         held.append(abs(found.change[0] - truth[0]) < half[0])
         pulled.append(abs(found.change[1] - truth[1]) < half[1])
-        assert found.told[0] > 0.9 and found.told[1] < 0.01
+        assert found.data_share[0] > 0.9 and found.data_share[1] < 0.01
     for hits in (held, pulled):
         low, high = scipy.stats.binomtest(sum(hits), len(hits)).proportion_ci(0.99)
         assert low < 0.95 < high or np.mean(hits) > 0.95

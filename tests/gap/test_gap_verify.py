@@ -29,7 +29,9 @@ from jaxfrf.trajectory.evidence import band_edges, by_band
 from jaxfrf.trajectory.ripple import Order, with_ripple
 
 FLOOR = np.full((41, 2), 0.1)
-TOLD = SimpleNamespace(U=np.ones((2, 2, 41, 2), complex), frequency=np.arange(41.0))  # a torque of 1 N m in every line
+JUDGED = SimpleNamespace(
+    U=np.ones((2, 2, 41, 2), complex), frequency=np.arange(41.0)
+)  # a torque of 1 N m in every line
 
 
 @pytest.fixture(scope="module")
@@ -65,18 +67,18 @@ class TestHeldOutPositions:
         ],
     )
     def test_gap_of_every_axis(self, joint, heldout, says):
-        against = against_it(TOLD, leaving(3.0, 2.0), leaving(*heldout), joint)
+        against = against_it(JUDGED, leaving(3.0, 2.0), leaving(*heldout), joint)
         assert (says in against) if says else against == ""
 
     def test_an_axis_within_its_floor_may_move(self):
         """But not that of the effect itself."""
         base, extended = leaving(3.0, 0.3), leaving(1.0, 0.6)
-        assert against_it(TOLD, base, extended, "shoulder") == ""
-        assert "torque of elbow itself" in against_it(TOLD, base, extended, "elbow")
+        assert against_it(JUDGED, base, extended, "shoulder") == ""
+        assert "torque of elbow itself" in against_it(JUDGED, base, extended, "elbow")
 
     def test_nothing_beyond_the_floor(self):
         """Whatever an effect takes away within it is no effect's."""
-        assert "nowhere beyond its floor" in against_it(TOLD, leaving(0.9, 0.9), leaving(0.1, 0.1), "elbow")
+        assert "nowhere beyond its floor" in against_it(JUDGED, leaving(0.9, 0.9), leaving(0.1, 0.1), "elbow")
 
     def test_rms_over_the_floor(self):
         np.testing.assert_allclose(over_floor(leaving(3.0, 2.0).residual, FLOOR), [3.0, 2.0])
@@ -144,9 +146,9 @@ class TestStrain:
     """Numbers that are off by more than is known, against Pope's test with all covariances written out."""
 
     @staticmethod
-    def found(robot, x, told=1e-4):
+    def found(robot, x, variance=1e-4):
         uncertain = numbers(robot)
-        normal = np.diag(np.where([n.prior > 0 for n in uncertain], 1.0 / told, 1.0))
+        normal = np.diag(np.where([n.prior > 0 for n in uncertain], 1.0 / variance, 1.0))
         iterate = SimpleNamespace(posterior=SimpleNamespace(normal=normal))
         return Fitted(robot, Tolerances(), uncertain, np.asarray(x, float), iterate, False, (), True)
 
@@ -158,8 +160,8 @@ class TestStrain:
         for i in np.flatnonzero(known):
             other = known & (np.arange(len(x)) != i)
             factor = min(1.0, np.sum(x[other] ** 2) / (np.sum(other) * (1 - 1e-4)))
-            assert found.strain[i] == pytest.approx(x[i] / np.sqrt((1 - 1e-4) * factor))
-        assert found.strained == ()
+            assert found.tolerance_statistic[i] == pytest.approx(x[i] / np.sqrt((1 - 1e-4) * factor))
+        assert found.out_of_tolerance == ()
 
     def test_one_that_stands_out(self, robot):
         """Two tolerances are much where all others are known better than was said."""
@@ -168,11 +170,11 @@ class TestStrain:
         x = np.full(len(uncertain), 0.3)
         x[place] = 2.5
         found = self.found(robot, x)
-        assert found.strained == (place,)
+        assert found.out_of_tolerance == (place,)
         others = sum(n.prior > 0 and n.kind != "smoothing" for n in uncertain) - 1
         expected = 2 * (others + 1) * scipy.stats.t(others).sf(2.5 / 0.3)
-        assert found.strain_p_value(place) == pytest.approx(expected, rel=0.1)
-        assert self.found(robot, 2.5 * np.sign(x)).strained == ()  # all are off: none stands out
+        assert found.tolerance_p_value(place) == pytest.approx(expected, rel=0.1)
+        assert self.found(robot, 2.5 * np.sign(x)).out_of_tolerance == ()  # all are off: none stands out
 
     @pytest.mark.parametrize("count", [1, 3, 6, 20])
     def test_false_alarms(self, robot, count):
@@ -182,7 +184,7 @@ class TestStrain:
         iterate = SimpleNamespace(posterior=SimpleNamespace(normal=np.eye(count) * 1e4))
         for _ in range(draws):
             found = Fitted(robot, Tolerances(), uncertain, rng.standard_normal(count), iterate, False, (), True)
-            least.append(found.strain_p_value(int(np.argmax(np.abs(found.strain)))))
+            least.append(found.tolerance_p_value(int(np.argmax(np.abs(found.tolerance_statistic)))))
         assert scipy.stats.binom.sf(np.sum(np.array(least) < 0.05) - 1, draws, 0.05) > 1e-3
 
 
