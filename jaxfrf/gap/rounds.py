@@ -64,7 +64,7 @@ def _read(path: pathlib.Path) -> KeptRound:
     inside = tuple((_order(*order), (float(sine), float(cosine))) for order, (sine, cosine) in said["inside"])
     floor = None if said["floor"] is None else np.array(said["floor"], float)
     where = said["joint"], said["values"], orders, floor, bool(said["near"]), inside
-    return KeptRound(effect, *where, said["told"], said["refused"])
+    return KeptRound(effect, *where, said["details"], said["refused"])
 
 
 def _order(kind: str, axis: float, order: float) -> Order:
@@ -84,7 +84,7 @@ def keep_round(parts: Parts | None, number: int, found: KeptRound) -> bool:
         "floor": None if found.floor is None else np.asarray(found.floor).tolist(),
         "near": found.near,
         "inside": [[[o.kind, o.axis, o.order], wave] for o, wave in found.inside],
-        "told": found.details,
+        "details": found.details,
         "refused": found.refused,
     }
     with replacing(parts.path(_name(number))) as draft:

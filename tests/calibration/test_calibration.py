@@ -316,9 +316,9 @@ def test_a_machine_that_is_off_everywhere():
     for kind, limit in {"stiffness": 0.02, "coulomb_friction": 0.03, "damping": 0.1}.items():
         for name in (n for n in truth if n.endswith(f".{kind}")):
             assert found.values[name] == pytest.approx(truth[name], rel=limit), name
-    told = [n for n in truth if n != "friction.smoothing" and found.told_by(n) == "data"]
-    hits = [low <= truth[n] <= high for n in told for low, high in [found.interval(n)]]
-    assert len(told) >= 8 and np.mean(hits) >= 0.7
+    determined = [n for n in truth if n != "friction.smoothing" and found.determined_by(n) == "data"]
+    hits = [low <= truth[n] <= high for n in determined for low, high in [found.interval(n)]]
+    assert len(determined) >= 8 and np.mean(hits) >= 0.7
     before, after = found.heldout
     assert np.all(after < 0.2 * before)
 
@@ -417,7 +417,7 @@ def test_the_command_fits_the_whole_robot(commanded):
         entry = found["parameters"][name]
         assert entry["value"] == pytest.approx(truth[name], rel=0.05), name
         assert entry["interval95"][0] < entry["value"] < entry["interval95"][1]
-        assert entry["told_by"] == "data" and entry["start"] != truth[name]
+        assert entry["determined_by"] == "data" and entry["start"] != truth[name]
     assert np.all(np.array(found["torque_missed"]["after"]) < 0.2 * np.array(found["torque_missed"]["before"]))
     robot = jf.io.read_robot(commanded / "found.toml")
     stiffness = float(parameters(robot)["elbow.stiffness"])
