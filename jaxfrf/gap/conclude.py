@@ -1,4 +1,4 @@
-"""What stands of a contest once the held-out positions are opened: verdict, words, effects, and the robot to write."""
+"""What stands of a selection once the held-out positions are opened: verdict, words, effects, the robot to write."""
 
 import functools
 from collections.abc import Mapping, Sequence
@@ -14,12 +14,12 @@ from ..effects._place import axis_of
 from ..robot import Robot
 from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order, ripple_effects
-from .contest import Contest, Records, Step, said, shows_nothing
 from .fitted import Fitted, further, is_loud
 from .hypothesis import one_class
 from .judge import Comparison, Written, compared, each_written, over_floor, relative_torque, simulated, written
 from .quantised import resolution
 from .result import EstimatedValue, Named
+from .selection import Records, Selection, Step, said, shows_nothing
 from .settings import (
     DATA_SHARE,
     EXPLAINED,
@@ -50,7 +50,7 @@ class Conclusion(eqx.Module):
     records: Records
 
 
-def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
+def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
     """The verdict: effects stand as far as the robot written with each makes the gap on the held-out positions smaller
     than that of the one before."""
     judged, deciding = records.every.at(records.judged), records.deciding
@@ -113,7 +113,7 @@ def _without(last: Fitted, louder, extended: Written, judged: Measured) -> Writt
     return written(last.written(lambda o, w: _ripple_of(last.robot, o) in names), judged)
 
 
-def _standing(found: Contest, judged: Measured) -> tuple[tuple[Step, ...], list[str], Written | None]:
+def _standing(found: Selection, judged: Measured) -> tuple[tuple[Step, ...], list[str], Written | None]:
     """Effects that stand, what speaks against others, and the robot without the first."""
     kept, refused = 0, []
     played = each_written([r for step in found.steps for r in (step.without, step.found.written())], judged)
@@ -174,13 +174,13 @@ def _verdict(
         on = "the held-out positions" if heldout else "the fitted positions, none being held out"
         return _named_verdict(steps, effects, base, extended, on)
     met = relative_torque(judged, extended.residual)
-    looked = "no effect explains more of the rest on positions that chose nothing"
+    why = "no effect explains more of the rest on positions that chose nothing"
     if not looked_for:
-        looked = "what is left is nowhere beyond its floor, so that no effect was looked for"
+        why = "what is left is nowhere beyond its floor, so that no effect was looked for"
     if np.all(met < TOLERANCE) and np.all(np.abs(last.x) < HOPELESS):
         return "sufficient", (
             f"Nothing is missing that these data show: the torque is met within {100 * met.max():.1f} % (rms, worst "
-            f"axis), and {looked}."
+            f"axis), and {why}."
         )
     return "inconclusive", "No effect stands out, but the gap is not bounded below the tolerance either."
 

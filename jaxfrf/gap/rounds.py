@@ -1,4 +1,4 @@
-"""Rounds of a contest that were finished, kept, so that an interrupted run need not simulate them again."""
+"""Rounds of a selection that were finished, kept, so that an interrupted run need not simulate them again."""
 
 import dataclasses
 import json

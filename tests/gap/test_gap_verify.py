@@ -16,13 +16,13 @@ from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
 from jaxfrf.effects._harmonics import polar_deviation
 from jaxfrf.gap.conclude import against_it, close_rivals, counting
-from jaxfrf.gap.contest import _chosen
 from jaxfrf.gap.diagnose import split
 from jaxfrf.gap.fitted import Fitted
 from jaxfrf.gap.hypothesis import hypothesis
 from jaxfrf.gap.judge import beyond, compared, over_floor
 from jaxfrf.gap.maps import shown_samples
 from jaxfrf.gap.rank import Scored, is_had
+from jaxfrf.gap.selection import _chosen
 from jaxfrf.robot import Tolerances
 from jaxfrf.trajectory.alike import alike, alike_as_written
 from jaxfrf.trajectory.evidence import band_edges, by_band

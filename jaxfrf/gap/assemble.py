@@ -1,4 +1,4 @@
-"""From a contest to what a person reads: verdict, effects, where, gap, maps."""
+"""From a selection of effects to what a person reads: verdict, effects, where, gap, maps."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,18 +11,18 @@ from ..frf import LRM
 from ..graybox.indirect import default_method, measured_frf
 from ..robot import Robot
 from .conclude import Conclusion, concluded, next_experiment
-from .contest import Contest, Records
 from .fitted import Fitted
 from .judge import Written, each_written, over_floor, relative_torque
 from .maps import largest_cells, maps_of
 from .result import Diagnosis, EstimatedValue, Gap, Maps, Ranked
+from .selection import Records, Selection
 from .settings import FLOOR, LEAST_SIZE, SHOWN
 
 _AT_MOST = 0.9  # of the gap is floor: a steady torque alone hardly lifts the rms of all lines
 _NOTHING = 1e-3  # of the floor: a gap that is smaller has nothing to shrink
 
 
-def present(found: Contest, records: Records, given: Robot, compared: str) -> Diagnosis:
+def assembled(found: Selection, records: Records, given: Robot, compared: str) -> Diagnosis:
     """The result: of the robots that would be written, judged on the held-out positions."""
     end = concluded(found, records, given)
     records = end.records
@@ -86,7 +86,7 @@ def _parameters(last: Fitted, given: Robot):
     return values, changed
 
 
-def _ranking(found: Contest, end: Conclusion) -> tuple[Ranked, ...]:
+def _ranking(found: Selection, end: Conclusion) -> tuple[Ranked, ...]:
     taken = {step.key: i for i, step in enumerate(end.steps)}
     taken_back = {step.key for step in found.steps} - set(taken)
     fitted = {
