@@ -99,7 +99,7 @@ class Calibration(eqx.Module):
         prior = self.numbers[i].prior
         if (prior and self.data_share[i] >= _DATA_SHARE) or (not prior and np.sqrt(self.covariance[i, i]) < _SURE):
             return "data"
-        if self.partners(name) and (1.0 - alone >= _TOLD if prior else alone < _SURE**2):
+        if self.partners(name) and (1.0 - alone >= _DATA_SHARE if prior else alone < _SURE**2):
             return "data in combination"
         return "prior" if prior else "nothing"
 
