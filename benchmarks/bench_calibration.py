@@ -123,7 +123,7 @@ def entry(machine: Robot, given: Robot, data) -> dict:
             "value": found.values[number.name],
             "true": truth[number.name],
             "given": number.given,
-            "told_by": found.told_by(number.name),
+            "determined_by": found.determined_by(number.name),
             "held": bool(low <= truth[number.name] <= high),
         }
     missed = {"before": found.missed_before.tolist(), "after": found.missed_after.tolist()}
@@ -150,7 +150,7 @@ def main() -> None:
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / "found.json"
-    done = json.loads(path.read_text()) if path.exists() else {}
+    done = json.loads(path.read_text().replace('"told_by"', '"determined_by"')) if path.exists() else {}
     for name in options.robots:
         for seed in options.seeds:
             words = [*(f"{kind}=0" for kind in options.known), str(seed)]
@@ -184,18 +184,20 @@ def report(done: dict) -> None:
             means = [100 * np.mean(r) for r in rows]
             spread = f"{np.median(means):.2f} ({min(means):.2f}-{max(means):.2f})"
             print(f"{group:24}{kind:16}{spread:>40}{100 * max(map(max, rows)):>14.2f}")
-        told = [r for e in entries for r in e["numbers"].values() if r["told_by"] == "data"]
-        told = [r for r in told if r["kind"] != "smoothing"]
-        held, after = sum(r["held"] for r in told), np.concatenate([e["missed"]["after"] for e in entries])
-        low, high = scipy.stats.binomtest(held, len(told)).proportion_ci(method="exact")
-        print(f"{group:24}95 % intervals of what the data tell: {held} of {len(told)} hold ({low:.1%} to {high:.1%})")
+        determined = [r for e in entries for r in e["numbers"].values() if r["determined_by"] == "data"]
+        determined = [r for r in determined if r["kind"] != "smoothing"]
+        held, after = sum(r["held"] for r in determined), np.concatenate([e["missed"]["after"] for e in entries])
+        low, high = scipy.stats.binomtest(held, len(determined)).proportion_ci(method="exact")
+        hold = f"{held} of {len(determined)} hold ({low:.1%} to {high:.1%})"
+        print(f"{group:24}95 % intervals of what the data determine: {hold}")
         print(f"{group:24}torque missed {100 * np.median(after):.2f} % (largest {100 * max(after):.2f} %)")
         seconds, rounds = (np.median([e[name] for e in entries]) for name in ("seconds", "rounds"))
         print(f"{group:24}{seconds:.0f} s, {rounds:.0f} rounds (medians)")
-    told = [r for k, v in done.items() if not k.startswith("springs") for r in v["numbers"].values()]
-    told = [r["held"] for r in told if r["told_by"] == "data" and r["kind"] != "smoothing"]
-    low, high = scipy.stats.binomtest(sum(told), len(told)).proportion_ci(method="exact")
-    print(f"all: 95 % intervals of what the data tell: {sum(told)} of {len(told)} hold ({low:.1%} to {high:.1%})")
+    determined = [r for k, v in done.items() if not k.startswith("springs") for r in v["numbers"].values()]
+    determined = [r["held"] for r in determined if r["determined_by"] == "data" and r["kind"] != "smoothing"]
+    low, high = scipy.stats.binomtest(sum(determined), len(determined)).proportion_ci(method="exact")
+    hold = f"{sum(determined)} of {len(determined)} hold ({low:.1%} to {high:.1%})"
+    print(f"all: 95 % intervals of what the data determine: {hold}")
     rows = [v for k, v in done.items() if k.startswith("springs")]
     for kind in ("stiffness", "damping") if rows else ():
         means = [100 * np.mean([x for n, x in r.items() if n.endswith(kind)]) for r in rows]

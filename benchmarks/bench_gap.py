@@ -42,11 +42,11 @@ from _hidden_robots import PLANTS
 
 from jaxfrf.effects import AbstractEffect
 from jaxfrf.effects.catalogue import effect_from_table
+from jaxfrf.gap.assemble import gap_between
 from jaxfrf.gap.diagnose import diagnose, split
 from jaxfrf.gap.fitted import fitted, fitted_from
 from jaxfrf.gap.hypothesis import hypothesis
 from jaxfrf.gap.judge import written
-from jaxfrf.gap.present import gap_between
 from jaxfrf.gap.settings import EXPERIMENTS, JUDGING
 from jaxfrf.io._json import write_json
 from jaxfrf.io.gaps import gap_contents
@@ -58,7 +58,7 @@ _ROUNDS = 8  # of an oracle's fit
 _FORGET = 10  # cases after which compiled programs are dropped: they keep memory
 
 
-class Looked:
+class Diagnosed:
     """A case, and what the diagnosis found."""
 
     def __init__(self, folder: pathlib.Path):
@@ -66,7 +66,7 @@ class Looked:
         self.found = diagnose(self.robot, self._record)
 
     @functools.cached_property
-    def _begun(self):
+    def _fitted(self):
         """The record's positions, the robot with its own numbers fitted, and that written."""
         records = split(measured(fewer(self._record, EXPERIMENTS)), measured(fewer(self._record, JUDGING)), None)
         base, _ = fitted(self.robot, records.fitted, _silent)
@@ -75,12 +75,12 @@ class Looked:
     def shrink(self, effects: list[AbstractEffect]) -> float | None:
         """Shrink of the gap on the held-out positions once these effects, started from these values, are fitted with
         the robot's own numbers; `None` where that cannot be told."""
-        records, now, before = self._begun
+        records, now, before = self._fitted
         for effect in effects:
-            begun = hypothesis(now, effect, str(effect.joint))
-            if begun is None:
+            start = hypothesis(now, effect, str(effect.joint))
+            if start is None:
                 return None
-            now = fitted_from(begun.robot, begun.unknown, records.fitted, now, _silent, _ROUNDS)
+            now = fitted_from(start.robot, start.unknown, records.fitted, now, _silent, _ROUNDS)
         after = written(now.written(), records.every.at(records.judged))
         return None if after is None or before is None else gap_between(records, before, after).shrink
 
@@ -167,30 +167,30 @@ def _diagnosed(case: Case, folder: pathlib.Path, result: pathlib.Path, refits: b
     """Diagnose a case, then refit the true effects and others in their place; a few words about the end."""
     place = folder / "cases" / case.name
     start = time.monotonic()
-    looked = None
+    diagnosed = None
     _reset_peak()
     try:
-        looked = Looked(place)
-        found = gap_contents(looked.found)
+        diagnosed = Diagnosed(place)
+        found = gap_contents(diagnosed.found)
     except Exception as error:  # one case must not end the others; it counts as failed
         found = {"verdict": "failed", "error": f"{type(error).__name__}: {error}", "where": traceback.format_exc()}
     found |= {"wall_s": time.monotonic() - start, "peak_mb": _peak_mb()}
-    if looked is not None and _names(found):
+    if diagnosed is not None and _names(found):
         (folder / "extended").mkdir(exist_ok=True)
-        write_robot(looked.found.extended, folder / "extended" / f"{case.name}.toml")
+        write_robot(diagnosed.found.extended, folder / "extended" / f"{case.name}.toml")
     truth = json.loads((folder / "truth" / f"{case.name}.json").read_text())
-    if refits and case.kind in ("single", "double") and looked is not None:
-        found["oracle"] = _oracle(looked, truth["effects"])
-        found["placebo"] = looked.shrink(_others(case, looked.robot))
+    if refits and case.kind in ("single", "double") and diagnosed is not None:
+        found["oracle"] = _oracle(diagnosed, truth["effects"])
+        found["placebo"] = diagnosed.shrink(_others(case, diagnosed.robot))
     result.parent.mkdir(parents=True, exist_ok=True)
     write_json(result, found)
     named = ", ".join(f"{e['name']} {e.get('joint') or ''}".strip() for e in found.get("effects") or ())
     return f"{found['verdict']} {named}".strip()
 
 
-def _oracle(looked: Looked, hidden: list[dict]) -> float | None:
+def _oracle(diagnosed: Diagnosed, hidden: list[dict]) -> float | None:
     """Shrink with the true effects, fitted from their true values."""
-    return looked.shrink([_hidden(effect) for effect in hidden])
+    return diagnosed.shrink([_hidden(effect) for effect in hidden])
 
 
 def _hidden(effect: dict) -> AbstractEffect:

@@ -287,14 +287,14 @@ class TestDamagedParts:
             assert again.path("00001.json").read_text() == text
 
     def test_rounds_of_a_search(self, tmp_path):
-        told = {"rivals": [["torque_delay", "elbow", 1.5, True]]}
+        details = {"rivals": [["torque_delay", "elbow", 1.5, True]]}
         effect, orders = jf.effects.CoulombFriction("elbow", 0.15), (Order("torque", 1, 6.0),)
-        found = KeptRound(effect, "elbow", {"elbow.stiffness": 3e4}, orders, np.array([[0.1, 0.2]]), told=told)
+        found = KeptRound(effect, "elbow", {"elbow.stiffness": 3e4}, orders, np.array([[0.1, 0.2]]), details=details)
         with Parts(tmp_path / "gap.json", "diagnose") as kept:
             kept.begin({}, PART_FILES)
             keep_round(kept, 0, found)
             again = read_round(kept, 0)
-            assert (again.effect.name, again.joint, again.told) == ("coulomb_friction", "elbow", told)
+            assert (again.effect.name, again.joint, again.details) == ("coulomb_friction", "elbow", details)
             assert (again.values, again.orders) == (found.values, orders)
             np.testing.assert_array_equal(again.floor, found.floor)
             text = kept.path("round-0.json").read_text()

@@ -26,7 +26,7 @@ def parameters(data: jf.Experiment, frf: jf.FRF) -> None:
     assert_type(jf.fit_through_experiment(model, data).fit, jf.Fit)
     found = jf.calibrate(robot, data)
     assert_type(found, jf.Calibration)
-    assert_type(found.told_by("joint1.mass"), str)
+    assert_type(found.determined_by("joint1.mass"), str)
 
 
 def simulated(robot: jf.robot.Robot) -> jf.Experiment:

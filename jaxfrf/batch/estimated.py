@@ -28,7 +28,7 @@ from ..io.blocks import Block, DataSet, Told, file_warnings
 from ..io.responses import read_frf, write_frf, writing_frf
 from ..io.uff import write_uff
 from ..parts import Parts, files_text
-from ..screening import Finding, Looked, Severity, across_all
+from ..screening import Finding, ScreenedPart, Severity, across_all
 from ..spectra import Spectra, added_power, check_power, lines_in, select_positions, silent_lines, weighed_power
 from .engine import Done, crew, outcomes, positions_text, raised
 
@@ -259,16 +259,16 @@ def _position(spectra: Spectra, data: Experiment, i: int) -> tuple[Spectra, Expe
 
 def _told(told: Told) -> dict:
     """What is kept beside the parts, as JSON."""
-    looked = told.looked
-    found = [[_finding(f) for f in of] for of in looked.found]
-    across = [_finding(f) for f in looked.across]
+    screened = told.screened
+    found = [[_finding(f) for f in of] for of in screened.found]
+    across = [_finding(f) for f in screened.across]
     return {
         "first": told.first,
         "files": told.files,
         "remarks": told.remarks,
         "found": found,
         "across": across,
-        "marks": looked.marks,
+        "marks": screened.marks,
     }
 
 
@@ -280,8 +280,8 @@ def _read_told(path: pathlib.Path) -> Told:
     said = json.loads(path.read_text(encoding="utf-8"))
     back = lambda x: Finding(**x | {"severity": Severity(x["severity"])})
     found = tuple(tuple(map(back, of)) for of in said["found"])
-    looked = Looked(found, tuple(map(back, said["across"])), said["marks"])
-    return Told(said["first"], looked, tuple(said["files"]), tuple(map(tuple, said["remarks"])))
+    screened = ScreenedPart(found, tuple(map(back, said["across"])), said["marks"])
+    return Told(said["first"], screened, tuple(said["files"]), tuple(map(tuple, said["remarks"])))
 
 
 def _checked(outcome: Done, piece: range, parts: Parts) -> Told:
@@ -297,7 +297,7 @@ def _assembled(path, data: DataSet, parts: Parts, told: Sequence[Told]) -> FRF:
     frf = concatenate_positions(light)
     warnings = [
         *file_warnings(data.files, told),
-        *(across_all([x.looked for x in told]) if len(data.files) * data.n_pos * data.n_exp > 1 else ()),
+        *(across_all([x.screened for x in told]) if len(data.files) * data.n_pos * data.n_exp > 1 else ()),
         *(text for text in frf.warnings if text.partition(" estimates: ")[2] not in ADVICE.values()),
         *describe(frf.status & int(SERIOUS)),
     ]

@@ -95,14 +95,14 @@ def calibrate(
     data = joined(records)
     each = [r.n_pos * r.n_exp // together(records) for r in records]
     carried = [p for p, times in zip(_carried(payloads, records), each, strict=True) for _ in range(times)]
-    these = numbers(robot)
-    if not these:
+    uncertain = numbers(robot)
+    if not uncertain:
         raise input_error(
             f"{robot.name}: tolerances", "0 for every number", "something that is not exact", "State a tolerance."
         )
     fitted, judged = _split(measured(data, carried if any(p is not None for p in carried) else ()), heldout)
-    kept = Rounds(parts, robot, these, fitted, heldout)
-    descent = Descent(robot, fitted, these, say, near_rest_columns(robot))
+    kept = Rounds(parts, robot, uncertain, fitted, heldout)
+    descent = Descent(robot, fitted, uncertain, say, near_rest_columns(robot))
     descent.run(rounds, kept)
     return _result(descent, kept, judged)
 
@@ -138,20 +138,20 @@ def _split(record: Measured, heldout: Sequence[int]) -> tuple[Measured, Measured
 
 
 def _result(descent: Descent, kept: Rounds, judged: Measured | None) -> Calibration:
-    robot, these, look, fitted = descent.robot, descent.these, descent.look, descent.record
-    posterior, count = look.posterior, len(these)
+    robot, uncertain, iterate, fitted = descent.robot, descent.numbers, descent.iterate, descent.record
+    posterior, count = iterate.posterior, len(uncertain)
     x = np.where(np.abs(descent.x) < _NOTHING, 0.0, descent.x)
     waves = descent.found_waves
-    found = with_numbers(with_ripple(robot, waves), these, x)
+    found = with_numbers(with_ripple(robot, waves), uncertain, x)
     part = slice(0, count)
     return Calibration(
         given=robot,
         robot=found,
-        numbers=tuple(these),
+        numbers=tuple(uncertain),
         x=x,
         covariance=posterior.covariance[part, part],
         half_width=posterior.half_width()[part],
-        told=posterior.told[part],
+        data_share=posterior.data_share[part],
         dependence=np.linalg.inv(posterior.normal)[part, part],
         orders=tuple(o for o, _ in waves),
         waves=np.array([w for _, w in waves]).reshape(-1, 2),

@@ -31,22 +31,23 @@ OF_LINKS = ("mass", "com", "inertia")
 _RESISTS = ("stiffness", "damping", "motor_inertia", "viscous_friction", "coulomb_friction", "mass", "inertia")
 
 
-def number_columns(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "number"]) -> list[Column]:
+def number_columns(robot: Robot, numbers: Sequence[Number], x: Float[np.ndarray, "number"]) -> list[Column]:
     """Derivatives by x, along a motion of the robot that stands at x.
 
     `robot`: as given, whose numbers these are.
     """
     x = np.asarray(x, float)
-    now = with_numbers(robot, these, x)
-    links = [i for i, number in enumerate(these) if number.kind in OF_LINKS]
-    given, linked = _OnceAScene(_given), _OnceAScene(_Links(now, [these[i] for i in links], x[links]))
+    now = with_numbers(robot, numbers, x)
+    links = [i for i, number in enumerate(numbers) if number.kind in OF_LINKS]
+    given, linked = _OnceAScene(_given), _OnceAScene(_Links(now, [numbers[i] for i in links], x[links]))
     return [
-        _one_of(linked, links.index(i)) if i in links else _column(robot, these, x, i, given) for i in range(len(these))
+        _one_of(linked, links.index(i)) if i in links else _column(robot, numbers, x, i, given)
+        for i in range(len(numbers))
     ]
 
 
-def _column(robot: Robot, these, x, i: int, given: "_OnceAScene") -> Column:
-    number = these[i]
+def _column(robot: Robot, numbers, x, i: int, given: "_OnceAScene") -> Column:
+    number = numbers[i]
     joint = number.joint
     if number.kind == "torque_constant":
         axis, part = robot.axis_names.index(joint), number.size / (1.0 + number.value(x[i]))
@@ -58,14 +59,14 @@ def _column(robot: Robot, these, x, i: int, given: "_OnceAScene") -> Column:
         _, name, parameter = number.name.split(".")
         now = next(
             e
-            for j, e, p in effect_parameters(with_numbers(robot, these, x))
+            for j, e, p in effect_parameters(with_numbers(robot, numbers, x))
             if (j, e.name, p) == (joint, name, parameter)
         )
         sides = [_with(now, parameter, number.value(x[i] + sign * step)) for sign in (1.0, -1.0)]
         return lambda scene: (signature(sides[0], scene) - signature(sides[1], scene)) / (2 * step)
     moved = x.copy()
     moved[i] += step
-    changed = with_numbers(robot, these, moved)
+    changed = with_numbers(robot, numbers, moved)
     # What a scene carries is its own.
     return lambda scene: scene.by_robot(dataclasses.replace(changed, chain=scene.robot.chain)) / step
 
@@ -141,18 +142,18 @@ def _resists(effect: AbstractEffect) -> bool:
 class _Links:
     """Columns of masses, centres and inertias, all at once: torques are linear in the links' parameters."""
 
-    def __init__(self, now: Robot, these: Sequence[Number], x):
-        self.slopes = link_slopes(now, these, x)
+    def __init__(self, now: Robot, numbers: Sequence[Number], x):
+        self.slopes = link_slopes(now, numbers, x)
 
     def __call__(self, scene: Scene) -> list[Signature]:
         return scene.by_links(self.slopes)
 
 
-def link_slopes(now: Robot, these: Sequence[Number], x) -> Float[np.ndarray, "number joint parameter"]:
+def link_slopes(now: Robot, numbers: Sequence[Number], x) -> Float[np.ndarray, "number joint parameter"]:
     """Derivatives of the links' parameters (`link_regressor`) by numbers of the links, of a robot that stands at x."""
     values = {kind: np.asarray(getattr(now.chain, kind), float) for kind in OF_LINKS}
-    slopes = np.zeros((len(these), len(now.joint_names), PER_LINK))
-    for slope, number, at in zip(slopes, these, x, strict=True):
+    slopes = np.zeros((len(numbers), len(now.joint_names), PER_LINK))
+    for slope, number, at in zip(slopes, numbers, x, strict=True):
         joint = now.joint_names.index(number.joint)
         for sign in (1.0, -1.0):
             moved = {kind: np.array(value[joint]) for kind, value in values.items()}

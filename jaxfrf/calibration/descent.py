@@ -21,11 +21,11 @@ from .numbers import Number
 from .result import Round, missed
 from .ripple import found_waves
 from .rounds import Kept, Rounds
-from .search import Look, Say, Search
+from .search import Iterate, Say, Search
 
-_LOOKS_FOR_RIPPLE = 4  # first rounds in which more orders are looked for: far from the truth some are not there
-_FEW_LOOKS = 2  # with less, ripple of a motor is not found yet
-_LOOKS_AGAIN = 2  # the same, of rounds with ripple that is simulated: weak orders drowned before
+_ROUNDS_FOR_RIPPLE = 4  # first rounds in which more orders are looked for: far from the truth some are not there
+_FEW_ROUNDS = 2  # with less, ripple of a motor is not found yet
+_ROUNDS_AGAIN = 2  # the same, of rounds with ripple that is simulated: weak orders drowned before
 _NEAR = 0.15  # of the misfit: where a step leaves more, the robot is near
 _SAME = 0.99  # of the misfit: rounds near the truth that leave more, one after the other, bring nothing
 _WORSE = 1.05  # of what was left: ripple with which more is left is not simulated
@@ -34,21 +34,21 @@ _WORSE = 1.05  # of what was left: ripple with which more is left is not simulat
 class Descent:
     """A robot's numbers on their way, round by round.
 
-    **Fields:** `look`: the last simulation. `near`: whether the robot is so near the truth that ripple and the turn of
-    its friction are simulated. `inside`: ripple that it had beside the robot's own. `settled`: whether the numbers
-    stay.
+    **Fields:** `iterate`: the last simulation. `near`: whether the robot is so near the truth that ripple and the
+    smoothing of its friction are simulated. `inside`: ripple that it had beside the robot's own. `settled`: whether the
+    numbers stay.
     """
 
     def __init__(
         self,
         robot: Robot,
         record: Measured,
-        these: Sequence[Number],
+        numbers: Sequence[Number],
         say: Say,
         beside: Sequence[Column] = (),
     ):
-        self.robot, self.record, self.these, self.say, self.beside = robot, record, these, say, tuple(beside)
-        self.settled, self._looks = False, 0
+        self.robot, self.record, self.numbers, self.say, self.beside = robot, record, numbers, say, tuple(beside)
+        self.settled, self._rounds = False, 0
         self._before: float | None = None  # misfit of the round before
 
     def run(self, rounds: int, kept: Rounds) -> None:
@@ -61,13 +61,13 @@ class Descent:
         """One simulation further; whether there was one that leaves less."""
         if self.settled:
             return False
-        look = self._nearer()
-        if look is None:
-            look = self._further()
-        if look is None:
+        iterate = self._nearer()
+        if iterate is None:
+            iterate = self._further()
+        if iterate is None:
             self.say("no step makes the misfit smaller")
             return False
-        self.look = look
+        self.iterate = iterate
         self._keep(kept)
         return True
 
@@ -75,14 +75,14 @@ class Descent:
         """Simulate the robot as it was given, or where the last of the finished rounds had it."""
         if not kept.done:
             self._take(False, (), None)
-            self.look = self.search.look(np.zeros(len(self.these)), (), True)
+            self.iterate = self.search.evaluate(np.zeros(len(self.numbers)), (), True)
             self._keep(kept)
             return
         last = kept.done[-1]
         self._take(last.near, last.inside, last.floor)
-        self._looks = sum(one.near == last.near for one in kept.done)
+        self._rounds = sum(one.near == last.near for one in kept.done)
         self._before = kept.done[-2].round.misfit if len(kept.done) > 1 else None
-        self.look = self.search.look(last.x, last.orders, False)
+        self.iterate = self.search.evaluate(last.x, last.orders, False)
         self.settled = self._settles()
         self.say(f"goes on behind round {len(kept.done)}")
 
@@ -90,23 +90,23 @@ class Descent:
         self.near, self.inside = near, tuple(inside)
         robot = alike(self.robot, inside)
         orders = [o for o, _ in inside]
-        # Laws of friction that turn over some speed of their own tell it together with the robot's.
-        turns = near and not any(isinstance(e, AbstractFriction) for e in robot.effects)
-        self.search = Search(robot, self.record, self.these, self.say, self.beside, orders, turns)
+        # Laws of friction with a smoothing of their own tell it together with the robot's.
+        by_difference = near and not any(isinstance(e, AbstractFriction) for e in robot.effects)
+        self.search = Search(robot, self.record, self.numbers, self.say, self.beside, orders, by_difference)
         self.search.floor = floor
 
     def _keep(self, kept: Rounds) -> None:
-        look, self._looks = self.look, self._looks + 1
+        iterate, self._rounds = self.iterate, self._rounds + 1
         self._before = kept.done[-1].round.misfit if kept.done else None
         self.settled = self._settles()
-        round = Round(look.misfit, look.left, look.posterior.effect)
-        torque = missed(look.evidence, self.record)
-        kept.keep(Kept(look.x, look.orders, look.begun, round, self.near, self.inside, torque))
+        round = Round(iterate.misfit, iterate.left, iterate.posterior.effect)
+        torque = missed(iterate.evidence, self.record)
+        kept.keep(Kept(iterate.x, iterate.orders, iterate.start_floor, round, self.near, self.inside, torque))
         self.say(
-            f"round {len(kept.done)}: {look.misfit**0.5:.3g} times the floor, {look.left**0.5:.3g} after its step; "
-            f"{len(look.orders)} orders of ripple"
+            f"round {len(kept.done)}: {iterate.misfit**0.5:.3g} times the floor, "
+            f"{iterate.left**0.5:.3g} after its step; {len(iterate.orders)} orders of ripple"
             + (f", {len(self.inside)} of them simulated" if self.inside else "")
-            + f", {look.posterior.effect:.3g} lines count as one"
+            + f", {iterate.posterior.effect:.3g} lines count as one"
         )
 
     def _settles(self) -> bool:
@@ -114,48 +114,48 @@ class Descent:
         along what the record does not tell."""
         if not self.near and self._refines:
             return False
-        before, look = self._before, self.look
-        same = before is not None and look.misfit > _SAME * before and look.left > _SAME * look.misfit
-        return self.search.stays(look) or (self.near and self._looks > _LOOKS_AGAIN and same)
+        before, iterate = self._before, self.iterate
+        same = before is not None and iterate.misfit > _SAME * before and iterate.left > _SAME * iterate.misfit
+        return self.search.has_converged(iterate) or (self.near and self._rounds > _ROUNDS_AGAIN and same)
 
     @property
     def _refines(self) -> bool:
         """Whether there is anything that is simulated near the truth only."""
-        return bool(self.found_waves) or any(n.kind == "smoothing" for n in self.these)
+        return bool(self.found_waves) or any(n.kind == "smoothing" for n in self.numbers)
 
     @property
     def found_waves(self) -> tuple[Wave, ...]:
         """Ripple of the robot as it would be written."""
-        return found_waves(self.look.orders, self.look.posterior, self.inside)
+        return found_waves(self.iterate.orders, self.iterate.posterior, self.inside)
 
     @property
     def x(self) -> Float[np.ndarray, "number"]:
         """Where the numbers are."""
         if not self.settled:
-            return self.look.x
-        return self.search.followed(self.look.x + self.look.posterior.change[: len(self.these)])
+            return self.iterate.x
+        return self.search.followed(self.iterate.x + self.iterate.posterior.change[: len(self.numbers)])
 
-    def _further(self) -> Look | None:
-        return self.search.further(self.look, self._looks < (_LOOKS_AGAIN if self.near else _LOOKS_FOR_RIPPLE))
+    def _further(self) -> Iterate | None:
+        return self.search.further(self.iterate, self._rounds < (_ROUNDS_AGAIN if self.near else _ROUNDS_FOR_RIPPLE))
 
-    def _nearer(self) -> Look | None:
+    def _nearer(self) -> Iterate | None:
         """The next robot, its motors turning as they were found to; `None` where it is too early, where they turn
         evenly, and where that leaves more."""
-        before, waves = self.look, self.found_waves
-        early = self._looks < _FEW_LOOKS or before.left < _NEAR * before.misfit
+        before, waves = self.iterate, self.found_waves
+        early = self._rounds < _FEW_ROUNDS or before.left < _NEAR * before.misfit
         if self.near or early or not self._refines:
             return None
-        x, floor, self._looks = self.search.next(before), self.search.floor, 0
+        x, floor, self._rounds = self.search.next(before), self.search.floor, 0
         self._take(True, waves, floor)
         if not waves:
             return None
         try:
-            look = self.search.look(x, tuple(o for o, _ in waves), True)
+            iterate = self.search.evaluate(x, tuple(o for o, _ in waves), True)
         except InputError as error:
             self.say(f"with the ripple that was found: {error}")
         else:
-            if look.left < _WORSE * before.left:
-                return look
+            if iterate.left < _WORSE * before.left:
+                return iterate
             self.say("ripple that is simulated leaves more: it stays beside the robot")
         self._take(True, (), floor)
         return None

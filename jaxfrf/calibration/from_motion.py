@@ -23,7 +23,7 @@ from .result import Calibration, Round
 _KNOWN = (WristCoupling, TorqueConstant, FrictionAsymmetry, TorqueDelay)
 _BLOCKS = 20  # of all records together, at least two of each: what their scatter is seen from
 _LONGEST = 0.7  # of a logarithm, in one step
-_STAYS = 0.05  # of its standard deviation that every number moves less
+_CONVERGED = 0.05  # of its standard deviation that every number moves less
 
 
 class Rows(eqx.Module):
@@ -73,9 +73,9 @@ def calibrate_from_motion(
     _check_effects(robot)
     held = heldout_numbers(heldout, sum(record.n_pos for record in records))
     largest = np.max([np.abs(np.asarray(record.u)).max(axis=(0, 1, 2)) for record in records], axis=0)
-    these = numbers(robot, offset_size=0.05 * largest)
+    uncertain = numbers(robot, offset_size=0.05 * largest)
     # Filters that have no phase would hide a delay, and how much motors of a wrist turn each other is exact.
-    these = tuple(number for number in these if number.kind not in ("delay", "effect"))
+    uncertain = tuple(number for number in uncertain if number.kind not in ("delay", "effect"))
     rows: list[Rows] = []
     owner: list[int] = []
     for record, payload in zip(records, payloads, strict=True):
@@ -85,25 +85,25 @@ def calibrate_from_motion(
     judge = np.isin(owner, held)
     fitted = [r for r, h in zip(rows, judge, strict=True) if not h]
     judged = [r for r, h in zip(rows, judge, strict=True) if h]
-    x, scale = np.zeros(len(these)), np.sqrt(_by_axis(fitted, lambda r: r.torque))
+    x, scale = np.zeros(len(uncertain)), np.sqrt(_by_axis(fitted, lambda r: r.torque))
     done: list[Round] = []
     converged = False
     while len(done) < rounds and not converged:
-        left = [r.torque - needed(robot, these, x, r) for r in fitted]
-        gram = _gram(robot, these, x, fitted, left, scale)
-        posterior = solve(gram, these, x)
+        left = [r.torque - needed(robot, uncertain, x, r) for r in fitted]
+        gram = _gram(robot, uncertain, x, fitted, left, scale)
+        posterior = solve(gram, uncertain, x)
         step = posterior.change
-        longest = max((abs(n.size * s) for n, s in zip(these, step, strict=True) if n.positive), default=0.0)
+        longest = max((abs(n.size * s) for n, s in zip(uncertain, step, strict=True) if n.positive), default=0.0)
         part = min(1.0, _LONGEST / longest) if longest > 0 else 1.0
         std = np.sqrt(np.diag(posterior.covariance))
-        converged = bool(np.all(np.abs(step) < _STAYS * std))
+        converged = bool(np.all(np.abs(step) < _CONVERGED * std))
         before = _square(left, scale)
         x = x + part * step
-        left = [r.torque - needed(robot, these, x, r) for r in fitted]
+        left = [r.torque - needed(robot, uncertain, x, r) for r in fitted]
         scale = np.sqrt(_mean_square(left))
         done.append(Round(before, _square(left, scale), posterior.effect))
         say(f"round {len(done)}: torque missed {100 * _all(fitted, left):.3g} %")
-    return _result(robot, these, x, posterior, done, converged, fitted, judged, records)
+    return _result(robot, uncertain, x, posterior, done, converged, fitted, judged, records)
 
 
 def _rows(robot: Robot, motion: MeasuredMotion, payload: Payload | None) -> Rows:
@@ -134,26 +134,26 @@ def _unmixed(robot: Robot):
     return np.eye(robot.n_axes) if coupling is None else np.linalg.inv(np.asarray(coupling))
 
 
-def needed(robot: Robot, these: Sequence[Number], x, rows: Rows) -> Float[np.ndarray, "row axis"]:
+def needed(robot: Robot, numbers: Sequence[Number], x, rows: Rows) -> Float[np.ndarray, "row axis"]:
     """Torque command that the robot needs at these numbers."""
-    now = with_numbers(robot, these, x)
+    now = with_numbers(robot, numbers, x)
     drives = now.drives
     torque = rows.links @ (_parameters_of(now) + rows.carried) + np.asarray(drives.motor_inertia) * rows.acceleration
     torque = torque + thinned(rows.motion, np.asarray(drives.friction.torque(rows.motion.speed)))
-    return (torque + _offsets(now, these, x)) / _gains(now, these, x)
+    return (torque + _offsets(now, numbers, x)) / _gains(now, numbers, x)
 
 
-def _offsets(robot: Robot, these, x):
-    return _of_axes(robot, these, x, "torque_offset", 0.0)
+def _offsets(robot: Robot, numbers, x):
+    return _of_axes(robot, numbers, x, "torque_offset", 0.0)
 
 
-def _gains(robot: Robot, these, x):
-    return 1.0 + _of_axes(robot, these, x, "torque_constant", 0.0)
+def _gains(robot: Robot, numbers, x):
+    return 1.0 + _of_axes(robot, numbers, x, "torque_constant", 0.0)
 
 
-def _of_axes(robot: Robot, these, x, kind: str, otherwise: float):
+def _of_axes(robot: Robot, numbers, x, kind: str, otherwise: float):
     values = np.full(robot.n_axes, otherwise)
-    for number, at in zip(these, x, strict=True):
+    for number, at in zip(numbers, x, strict=True):
         if number.kind == kind:
             values[robot.axis_names.index(number.joint)] = number.value(float(at))
     return values
@@ -171,18 +171,18 @@ def _law(robot: Robot) -> Friction:
     return law
 
 
-def _slopes(robot: Robot, these: Sequence[Number], x, rows: Rows) -> Float[np.ndarray, "row axis number"]:
+def _slopes(robot: Robot, numbers: Sequence[Number], x, rows: Rows) -> Float[np.ndarray, "row axis number"]:
     """Derivatives of the needed torque by x."""
-    now = with_numbers(robot, these, x)
+    now = with_numbers(robot, numbers, x)
     friction, speed = _law(now), rows.motion.speed
     corner, level = float(friction.smoothing), np.asarray(friction.coulomb)
-    gain, own = _gains(robot, these, x), needed(robot, these, x, rows)
+    gain, own = _gains(robot, numbers, x), needed(robot, numbers, x, rows)
     sign = thinned(rows.motion, np.tanh(speed / corner))
-    found = np.zeros((*rows.torque.shape, len(these)))
-    links = [i for i, number in enumerate(these) if number.kind in OF_LINKS]
-    slopes = link_slopes(now, [these[i] for i in links], np.asarray(x, float)[links])
+    found = np.zeros((*rows.torque.shape, len(numbers)))
+    links = [i for i, number in enumerate(numbers) if number.kind in OF_LINKS]
+    slopes = link_slopes(now, [numbers[i] for i in links], np.asarray(x, float)[links])
     found[..., links] = rows.links @ slopes.reshape(len(links), rows.links.shape[-1]).T
-    for i, (number, at) in enumerate(zip(these, x, strict=True)):
+    for i, (number, at) in enumerate(zip(numbers, x, strict=True)):
         by = number.size * (number.value(float(at)) if number.positive else 1.0)
         if number.kind in OF_LINKS:
             continue
@@ -204,46 +204,46 @@ def _slopes(robot: Robot, these: Sequence[Number], x, rows: Rows) -> Float[np.nd
     return found / gain[:, None]
 
 
-def _gram(robot: Robot, these, x, records: Sequence[Rows], left, scale) -> Gram:
+def _gram(robot: Robot, numbers, x, records: Sequence[Rows], left, scale) -> Gram:
     """Products of slopes and residuals of every stretch."""
     each = max(2, -(-_BLOCKS // len(records)))
     A, b, rr = [], [], []
     for rows, rest in zip(records, left, strict=True):
-        J = (_slopes(robot, these, x, rows) / scale[:, None]).reshape(len(rest), -1, len(these))
+        J = (_slopes(robot, numbers, x, rows) / scale[:, None]).reshape(len(rest), -1, len(numbers))
         r = rest / scale
         for part in np.array_split(np.arange(len(r)), each):
-            columns, residual = J[part].reshape(-1, len(these)), r[part].ravel()
+            columns, residual = J[part].reshape(-1, len(numbers)), r[part].ravel()
             A.append(columns.T @ columns)
             b.append(columns.T @ residual)
             rr.append(residual @ residual)
     return Gram(np.array(A), np.array(b), np.array(rr), np.arange(len(A)), int(left[0].size // each))
 
 
-def _result(robot, these, x, posterior: Posterior, done, converged, fitted, judged, records) -> Calibration:
-    zero = np.zeros(len(these))
+def _result(robot, numbers, x, posterior: Posterior, done, converged, fitted, judged, records) -> Calibration:
+    zero = np.zeros(len(numbers))
     return Calibration(
         given=robot,
-        robot=with_numbers(robot, these, x),
-        numbers=tuple(these),
+        robot=with_numbers(robot, numbers, x),
+        numbers=tuple(numbers),
         x=x,
         covariance=posterior.covariance,
         half_width=posterior.half_width(),
-        told=posterior.told,
+        data_share=posterior.data_share,
         dependence=np.linalg.inv(posterior.normal),
         orders=(),
         waves=np.zeros((0, 2)),
         rounds=tuple(done),
         converged=converged,
-        missed_before=_missed(robot, these, zero, fitted),
-        missed_after=_missed(robot, these, x, fitted),
-        heldout=(_missed(robot, these, zero, judged), _missed(robot, these, x, judged)) if judged else None,
+        missed_before=_missed(robot, numbers, zero, fitted),
+        missed_after=_missed(robot, numbers, x, fitted),
+        heldout=(_missed(robot, numbers, zero, judged), _missed(robot, numbers, x, judged)) if judged else None,
         compared="by the torque that the model needs for the measured motion: its transmissions are rigid",
         sources=tuple(source for record in records for source in record.sources),
     )
 
 
-def _missed(robot: Robot, these, x, records: Sequence[Rows]) -> Float[np.ndarray, "axis"]:
-    left = [r.torque - needed(robot, these, x, r) for r in records]
+def _missed(robot: Robot, numbers, x, records: Sequence[Rows]) -> Float[np.ndarray, "axis"]:
+    left = [r.torque - needed(robot, numbers, x, r) for r in records]
     return np.sqrt(_mean_square(left) / _by_axis(records, lambda r: r.torque))
 
 

@@ -78,8 +78,8 @@ class Posterior:
         return np.sqrt(t**2 * np.diag(self._from_data) + bands * self._from_bands + z**2 * np.diag(self._from_prior))
 
     @property
-    def told(self) -> Float[np.ndarray, "column"]:
-        """Part of a number that the data tell, the rest being what was known before: 1 - posterior/prior variance."""
+    def data_share(self) -> Float[np.ndarray, "column"]:
+        """Part of a number that the data determine, the rest being known before: 1 - posterior/prior variance."""
         return 1.0 - self.prior * np.diag(np.linalg.inv(self.normal))
 
 
@@ -90,14 +90,14 @@ def clusters(gram: Gram) -> Int[np.ndarray, "run"]:
     return np.arange(len(gram.position))
 
 
-def solve(gram: Gram, these: Sequence[Number], x: Float[np.ndarray, "number"]) -> Posterior:
+def solve(gram: Gram, numbers: Sequence[Number], x: Float[np.ndarray, "number"]) -> Posterior:
     """The step of the numbers from x, and the coefficients of all columns behind theirs, which have no prior.
 
     Minimises |r - J dx|^2/effect + sum prior (x + dx)^2.
     """
     count = gram.b.shape[1]
-    prior = np.concatenate([[n.prior for n in these], np.zeros(count - len(these))])
-    at = np.concatenate([np.asarray(x, float), np.zeros(count - len(these))])
+    prior = np.concatenate([[n.prior for n in numbers], np.zeros(count - len(numbers))])
+    at = np.concatenate([np.asarray(x, float), np.zeros(count - len(numbers))])
     which = clusters(gram)
     A = np.stack([gram.A[which == c].sum(axis=0) for c in np.unique(which)])
     b = np.stack([gram.b[which == c].sum(axis=0) for c in np.unique(which)])

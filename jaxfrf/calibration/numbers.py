@@ -186,18 +186,18 @@ def _of_drive(robot: Robot, kind: str, axis: int) -> float:
     return stated(robot, effect, axis, field)
 
 
-def with_numbers(robot: Robot, these: Sequence[Number], x: Float[np.ndarray, "number"]) -> Robot:
+def with_numbers(robot: Robot, numbers: Sequence[Number], x: Float[np.ndarray, "number"]) -> Robot:
     """The robot with these numbers where their coordinates x, in tolerances, say; the others as they are.
 
-    **Arguments:** `robot`: that they were made of. `these`: of `numbers`. `x`: (number,), coordinates in tolerances, 0
+    **Arguments:** `robot`: as given. `numbers`: some of `numbers(robot)`. `x`: (number,), coordinates in tolerances, 0
     as given.
 
     **Returns:** a robot whose arrays hold the new values, in their SI units.
     """
-    fields = {kind: parameter_field(robot, kind) for kind in {n.kind for n in these} & set(PARAMETER_UNITS)}
+    fields = {kind: parameter_field(robot, kind) for kind in {n.kind for n in numbers} & set(PARAMETER_UNITS)}
     arrays: dict[str, np.ndarray] = {}
     drives: list[tuple[str, str, float]] = []
-    for number, at in zip(these, x, strict=True):
+    for number, at in zip(numbers, x, strict=True):
         value, joint = number.value(float(at)), number.joint
         if number.kind in _DRIVE:
             drives.append((number.kind, joint, value))

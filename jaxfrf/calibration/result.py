@@ -14,9 +14,9 @@ from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order
 from .numbers import Number
 
-_TOLD = 0.9  # of the prior's variance that the data take away: less is not told by the data
-_SURE = 0.3  # in x: a number of which nothing was known before is told where its deviation is below
-_TOGETHER = 0.5  # correlation of numbers that are told in combination only
+_DATA_SHARE = 0.9  # of the prior's variance that the data take away: less is not determined by the data
+_SURE = 0.3  # in x: a number of which nothing was known before is determined where its deviation is below
+_TOGETHER = 0.5  # correlation of numbers that are determined in combination only
 _MUCH = 0.1  # of an axis's torque: a robot that misses more lacks something, or was not given what moved
 
 
@@ -42,8 +42,8 @@ class Calibration(eqx.Module):
 
     - `given`: the robot as it was given; `robot`: as it was found, with the ripple of its motors.
     - `numbers`: that were fitted, and `x`: where, in tolerances from what was given. `covariance`: of x.
-      `half_width`: of the 95 % intervals, in x. `told`: part of each that the data tell, the rest being what was known
-      before. `dependence`: inverse of the normal matrix, in x.
+      `half_width`: of the 95 % intervals, in x. `data_share`: part of each that the data determine, the rest being what
+      was known before. `dependence`: inverse of the normal matrix, in x.
     - `orders`, `waves`: of ripple, with coefficients of sine and cosine, (order, 2), N m or rad.
     - `rounds`: of simulation. `converged`: whether another round would hardly change a number, which
       does not say that they explain the records: see `unexplained`.
@@ -57,7 +57,7 @@ class Calibration(eqx.Module):
     x: Float[np.ndarray, "number"]
     covariance: Float[np.ndarray, "number number"]
     half_width: Float[np.ndarray, "number"]
-    told: Float[np.ndarray, "number"]
+    data_share: Float[np.ndarray, "number"]
     dependence: Float[np.ndarray, "number number"]
     orders: tuple[Order, ...]
     waves: Float[np.ndarray, "order 2"]
@@ -92,14 +92,14 @@ class Calibration(eqx.Module):
         interval."""
         return tuple(n for n, x in zip(self.given.axis_names, self.missed_after, strict=True) if not x <= _MUCH)
 
-    def told_by(self, name: str) -> str:
+    def determined_by(self, name: str) -> str:
         """ "data", "prior", or "data in combination" where the data know it only together with others."""
         i = [n.name for n in self.numbers].index(name)
         alone = 1.0 / np.linalg.inv(self.dependence)[i, i]  # variance of x where all others were known
         prior = self.numbers[i].prior
-        if (prior and self.told[i] >= _TOLD) or (not prior and np.sqrt(self.covariance[i, i]) < _SURE):
+        if (prior and self.data_share[i] >= _DATA_SHARE) or (not prior and np.sqrt(self.covariance[i, i]) < _SURE):
             return "data"
-        if self.partners(name) and (1.0 - alone >= _TOLD if prior else alone < _SURE**2):
+        if self.partners(name) and (1.0 - alone >= _DATA_SHARE if prior else alone < _SURE**2):
             return "data in combination"
         return "prior" if prior else "nothing"
 
@@ -112,13 +112,13 @@ class Calibration(eqx.Module):
 
     def lines(self) -> list[str]:
         """A short summary, line by line."""
-        told = [n for n in self.numbers if self.told_by(n.name) == "data"]
+        determined = [n for n in self.numbers if self.determined_by(n.name) == "data"]
         text = [
-            f"{self.given.name}: {len(self.numbers)} numbers, {len(told)} of them told by the data, "
+            f"{self.given.name}: {len(self.numbers)} numbers, {len(determined)} of them determined by the data, "
             f"{len(self.rounds)} rounds" + ("" if self.converged else "; not converged"),
             f"compared {self.compared}",
         ]
-        for number in told:
+        for number in determined:
             if number.kind in ("com", "inertia"):
                 continue
             low, high = self.interval(number.name)
@@ -171,7 +171,7 @@ class Calibration(eqx.Module):
             "unit": number.unit,
             "start": number.given,
             "interval95": list(self.interval(name)),
-            "told_by": self.told_by(name),
-            "with": list(self.partners(name))[:3] if self.told_by(name) == "data in combination" else [],
-            "identifiable": self.told_by(name) == "data",
+            "determined_by": self.determined_by(name),
+            "with": list(self.partners(name))[:3] if self.determined_by(name) == "data in combination" else [],
+            "identifiable": self.determined_by(name) == "data",
         }

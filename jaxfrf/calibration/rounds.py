@@ -37,12 +37,12 @@ class Kept:
 class Rounds:
     """The finished rounds of these data and this robot; keeps nothing without `parts`."""
 
-    def __init__(self, parts: Parts | None, robot: Robot, these: Sequence[Number], record: Measured, heldout):
+    def __init__(self, parts: Parts | None, robot: Robot, numbers: Sequence[Number], record: Measured, heldout):
         self.parts = parts
         self.done: list[Kept] = []
         if parts is None:
             return
-        parts.begin(_about(robot, these, record, heldout), PART_FILES)
+        parts.begin(_about(robot, numbers, record, heldout), PART_FILES)
         while (found := parts.read(_name(len(self.done)), _read)) is not None:
             self.done.append(found)
 
@@ -80,7 +80,7 @@ def _order(kind: str, axis: float, order: float) -> Order:
     return Order(kind, int(axis), float(order))
 
 
-def _about(robot: Robot, these: Sequence[Number], record: Measured, heldout) -> dict:
+def _about(robot: Robot, numbers: Sequence[Number], record: Measured, heldout) -> dict:
     """What a round depends on."""
     data = record.data
     return {
@@ -88,7 +88,7 @@ def _about(robot: Robot, these: Sequence[Number], record: Measured, heldout) -> 
         "data": files_text(data.sources),
         "output": data.y_quantity,
         "joints": [*robot.joint_names, *(f"{e.name} of {getattr(e, 'joint', '')}" for e in robot.effects)],
-        "numbers": [[n.name, n.given, n.size, n.prior] for n in these],
+        "numbers": [[n.name, n.given, n.size, n.prior] for n in numbers],
         "numbers of the robot": numbers_text(*jax.tree.leaves(robot)),
         "numbers of the data": numbers_text(*jax.tree.leaves(data)),
         "heldout": list(heldout),

@@ -27,22 +27,22 @@ _REWEIGHED = 2  # times in a round
 _FEW, _BANDS = 4, 8  # runs whose scatter says too little: bands of lines stand for runs then
 _FINE_BANDS = 24  # of lines, beside positions
 _GAIN = 0.97  # of the misfit: a step that leaves more is of no use
-_STAYS = 0.3  # of its standard deviation that every number moves less
+_CONVERGED = 0.3  # of its standard deviation that every number moves less
 
-_TURN = 0.3  # of the logarithm of the friction's smoothing, by which its column is simulated
-_SAME_TURN = 0.1  # of that logarithm: a column is not simulated again
-_FARTHEST_TURN = 1.0  # of that logarithm, in one step
+_PERTURBATION = 0.3  # of the logarithm of the friction's smoothing, by which its column is simulated
+_SAME_COLUMN = 0.1  # of that logarithm: a column is not simulated again
+_FARTHEST = 1.0  # of that logarithm, in one step
 _AT_BOUND = 1e-9
 _MARGIN = 1.03  # between the sharpest friction that steps follow and the one that is simulated
 
 Say = Callable[[str], None]
 
 
-class Look(eqx.Module):
-    """One simulation of the robot at x, and the step that it asks for.
+class Iterate(eqx.Module):
+    """A point x of the Gauss-Newton search: the robot simulated there, and the step that follows.
 
     **Fields:** `misfit`: mean square over the plain floor that ripple alone leaves. `left`: what all columns leave.
-    `begun`: the floor that it began with, and with which it can be made again; `None`: the plain one.
+    `start_floor`: the floor that it began with, and with which it can be made again; `None`: the plain one.
     """
 
     x: Float[np.ndarray, "number"]
@@ -52,17 +52,17 @@ class Look(eqx.Module):
     posterior: Posterior = eqx.field(static=True)
     misfit: float
     left: float
-    begun: Float[np.ndarray, "line axis"] | None
+    start_floor: Float[np.ndarray, "line axis"] | None
 
 
 class Search:
     """What stays the same from round to round, and the floor, which follows what is left.
 
     `beside`: columns that stand beside those of the numbers. `inside`: orders of ripple that the robot has, whose
-    columns correct them. `turns`: whether the column of the friction's smoothing is the difference of two simulations:
-    a motor that stands still for a moment moves as its friction lets it, and the column along a given motion is many
-    times too large. The smoothing is not simulated finer than the robot's steps follow; beyond, its column stands
-    beside the robot.
+    columns correct them. `by_difference`: whether the column of the friction's smoothing is the difference of two
+    simulations: a motor that stands still for a moment moves as its friction lets it, and the column along a given
+    motion is many times too large. The smoothing is not simulated finer than the robot's steps follow; beyond, its
+    column stands beside the robot.
 
     All rounds with their beginning and end: `descent`."""
 
@@ -70,70 +70,71 @@ class Search:
         self,
         robot: Robot,
         record: Measured,
-        these: Sequence[Number],
+        numbers: Sequence[Number],
         say: Say,
         beside: Sequence[Column] = (),
         inside: Sequence[Order] = (),
-        turns: bool = False,
+        by_difference: bool = False,
     ):
-        self.robot, self.record, self.these, self.say = robot, record, these, say
-        kinds = [n.kind for n in these]
+        self.robot, self.record, self.numbers, self.say = robot, record, numbers, say
+        kinds = [n.kind for n in numbers]
         self.smoothing = kinds.index("smoothing") if "smoothing" in kinds else -1
-        self.turns = turns and self.smoothing >= 0
-        self._turned: tuple[float, np.ndarray] | None = None
+        self.by_difference = by_difference and self.smoothing >= 0
+        self._difference: tuple[float, np.ndarray] | None = None
         self.floor: np.ndarray | None = None
         self.beside = tuple(beside)
         self.inside = {order_key(o) for o in inside}
 
-    def look(self, x, orders: tuple[Order, ...], more: bool) -> Look:
+    def evaluate(self, x, orders: tuple[Order, ...], more: bool) -> Iterate:
         """Simulate, differentiate, solve; `more`: whether to look for more orders of ripple."""
         x = self.followed(x)
-        evidence, *turned = shared(
-            lambda x: Evidence(with_numbers(self.robot, self.these, x), self.record),
-            [x, *self._to_turn(x)],
+        evidence, *perturbed = shared(
+            lambda x: Evidence(with_numbers(self.robot, self.numbers, x), self.record),
+            [x, *self._perturbations(x)],
             lapack_threads(),
         )
-        begun = self.floor
-        if begun is not None:
-            evidence.floor = begun
-        own = number_columns(self.robot, self.these, x)
-        if self.turns:
-            own[self.smoothing] = self._turning(x, evidence, turned)
+        start_floor = self.floor
+        if start_floor is not None:
+            evidence.floor = start_floor
+        own = number_columns(self.robot, self.numbers, x)
+        if self.by_difference:
+            own[self.smoothing] = self._difference_column(x, evidence, perturbed)
         weighed = weigh(evidence, [*own, *self.beside, *order_columns(orders)])
-        posterior = solve(weighed.gram, self.these, x)
+        posterior = solve(weighed.gram, self.numbers, x)
         if more:
             orders, weighed = with_found_orders(evidence, weighed, orders, posterior.change)
-            posterior = solve(weighed.gram, self.these, x)
-        free = np.arange(len(self.these), weighed.gram.b.shape[1])
+            posterior = solve(weighed.gram, self.numbers, x)
+        free = np.arange(len(self.numbers), weighed.gram.b.shape[1])
         misfit = _misfit(evidence, weighed, np.concatenate([self._at_bound(x), free]))
         for _ in range(_REWEIGHED):
             left = remainder(evidence, weighed, posterior.change)
             floor = usual_size(left, evidence.noise)
             weighed = refloored(weighed, evidence.floor, floor)
             evidence.floor = floor
-            posterior = solve(weighed.gram, self.these, x)
+            posterior = solve(weighed.gram, self.numbers, x)
         runs = len(weighed.gram.A)
         weighed = precise(weighed, _BANDS) if runs < _FEW else placed(precise(weighed), places(self.record.data))
-        posterior = solve(weighed.gram, self.these, x)
+        posterior = solve(weighed.gram, self.numbers, x)
         if runs >= _FEW:
             posterior = with_bands(posterior, weighed, _FINE_BANDS)
         self.floor = evidence.floor
         left = remainder(evidence, weighed, posterior.change)
         left_square = mean_square(left / evidence.plain)
-        return Look(np.asarray(x, float), evidence, weighed, orders, posterior, misfit, left_square, begun)
+        return Iterate(np.asarray(x, float), evidence, weighed, orders, posterior, misfit, left_square, start_floor)
 
-    def further(self, look: Look, more: bool) -> Look | None:
+    def further(self, iterate: Iterate, more: bool) -> Iterate | None:
         """The next robot, by a step that is short enough to leave less."""
-        sure = sure_orders(look.orders, look.posterior)
-        sure = [is_sure or order_key(o) in self.inside for o, is_sure in zip(look.orders, sure, strict=True)]
-        orders = tuple(o for o, is_sure in zip(look.orders, sure, strict=True) if is_sure)
+        sure = sure_orders(iterate.orders, iterate.posterior)
+        sure = [is_sure or order_key(o) in self.inside for o, is_sure in zip(iterate.orders, sure, strict=True)]
+        orders = tuple(o for o, is_sure in zip(iterate.orders, sure, strict=True) if is_sure)
         # Orders that go take nothing away any more: what they took is no reason to refuse a step.
         kept = np.flatnonzero(np.concatenate([np.ones(len(self.beside), bool), np.repeat(sure, 2)]))
-        before = _misfit(look.evidence, look.weighed, np.concatenate([self._at_bound(look.x), len(self.these) + kept]))
-        step, part, longest = self._step(look)
+        explained = np.concatenate([self._at_bound(iterate.x), len(self.numbers) + kept])
+        before = _misfit(iterate.evidence, iterate.weighed, explained)
+        step, part, longest = self._step(iterate)
         for _ in range(_HALVINGS):
             try:
-                found = self.look(look.x + part * step, orders, more)
+                found = self.evaluate(iterate.x + part * step, orders, more)
             except InputError as error:
                 self.say(f"a step too far: {error}")
             else:
@@ -142,71 +143,72 @@ class Search:
             part /= 2
         return None
 
-    def next(self, look: Look) -> Float[np.ndarray, "number"]:
+    def next(self, iterate: Iterate) -> Float[np.ndarray, "number"]:
         """Where the step goes, no further than columns hold."""
-        step, part, _ = self._step(look)
-        return look.x + part * step
+        step, part, _ = self._step(iterate)
+        return iterate.x + part * step
 
-    def _step(self, look: Look):
-        step = look.posterior.change[: len(self.these)].copy()
-        if self.turns:
-            farthest = _FARTHEST_TURN / self.these[self.smoothing].size
+    def _step(self, iterate: Iterate):
+        step = iterate.posterior.change[: len(self.numbers)].copy()
+        if self.by_difference:
+            farthest = _FARTHEST / self.numbers[self.smoothing].size
             step[self.smoothing] = np.clip(step[self.smoothing], -farthest, farthest)
-        lengths = [abs(n.size * s) for n, s in zip(self.these, step, strict=True) if n.positive and not self._turn(n)]
+        logarithms = [n.positive and not self._is_perturbed(n) for n in self.numbers]
+        lengths = [abs(n.size * s) for n, s, is_log in zip(self.numbers, step, logarithms, strict=True) if is_log]
         longest = max(lengths, default=0.0)
         return step, min(1.0, _LONGEST / longest) if longest > 0 else 1.0, longest
 
-    def _turn(self, number: Number) -> bool:
-        return self.turns and number.kind == "smoothing"
+    def _is_perturbed(self, number: Number) -> bool:
+        return self.by_difference and number.kind == "smoothing"
 
     def _finest(self, x) -> float:
         """Where the friction's smoothing is what the robot's steps follow, as a coordinate."""
-        number = self.these[self.smoothing]
-        now = with_numbers(self.robot, self.these, x)
+        number = self.numbers[self.smoothing]
+        now = with_numbers(self.robot, self.numbers, x)
         return number.coordinate(_MARGIN * finest_smoothing(now, like=self.robot))
 
     def followed(self, x) -> Float[np.ndarray, "number"]:
         """The same coordinates, the friction no sharper than it is simulated."""
         x = np.array(x, float)
-        if self.turns:
+        if self.by_difference:
             x[self.smoothing] = max(x[self.smoothing], self._finest(x))
         return x
 
     def _at_bound(self, x) -> np.ndarray:
         """The smoothing's column, where it may not become less."""
-        if self.turns and x[self.smoothing] <= self._finest(x) + _AT_BOUND:
+        if self.by_difference and x[self.smoothing] <= self._finest(x) + _AT_BOUND:
             return np.array([self.smoothing])
         return np.array([], int)
 
-    def _to_turn(self, x) -> list[np.ndarray]:
-        """Where the robot is simulated, too, for the column of its friction's smoothing; nowhere, where another round
-        had nearly the same."""
-        if not self.turns:
+    def _perturbations(self, x) -> list[np.ndarray]:
+        """Where the robot is simulated, too, for the finite difference by its friction's smoothing; nowhere, where
+        another round had nearly the same."""
+        if not self.by_difference:
             return []
-        size, at = self.these[self.smoothing].size, float(x[self.smoothing])
-        if self._turned is not None and abs(at - self._turned[0]) * size <= _SAME_TURN:
+        size, at = self.numbers[self.smoothing].size, float(x[self.smoothing])
+        if self._difference is not None and abs(at - self._difference[0]) * size <= _SAME_COLUMN:
             return []
         more = x.copy()
-        more[self.smoothing] += _TURN / size
+        more[self.smoothing] += _PERTURBATION / size
         return [more]
 
-    def _turning(self, x, evidence: Evidence, turned: Sequence[Evidence]) -> Column:
-        """The column of the friction's smoothing, by this other simulation or that of another round."""
-        for other in turned:
-            slope = (evidence.residual - other.residual) * (self.these[self.smoothing].size / _TURN)
-            self._turned = float(x[self.smoothing]), slope
-        assert self._turned is not None
-        columns = {id(scene): column for scene, column in zip(evidence.scenes, self._turned[1], strict=True)}
+    def _difference_column(self, x, evidence: Evidence, perturbed: Sequence[Evidence]) -> Column:
+        """The column of the friction's smoothing, from this perturbed simulation or that of another round."""
+        for other in perturbed:
+            slope = (evidence.residual - other.residual) * (self.numbers[self.smoothing].size / _PERTURBATION)
+            self._difference = float(x[self.smoothing]), slope
+        assert self._difference is not None
+        columns = {id(scene): column for scene, column in zip(evidence.scenes, self._difference[1], strict=True)}
         return lambda scene: columns[id(scene)]
 
-    def stays(self, look: Look) -> bool:
+    def has_converged(self, iterate: Iterate) -> bool:
         """Whether the next step would be small beside what is known of every number, and take little off the misfit.
         How Coulomb friction is smoothed has no true value where a machine's friction is another law: it may creep."""
-        step, count = look.posterior.change, len(self.these)
-        std = np.sqrt(np.diag(look.posterior.covariance))
-        counts = np.array([n.kind != "smoothing" for n in self.these])
-        small = np.abs(step[:count]) < _STAYS * std[:count]
-        return bool(np.all(small[counts])) and look.left > _GAIN * look.misfit
+        step, count = iterate.posterior.change, len(self.numbers)
+        std = np.sqrt(np.diag(iterate.posterior.covariance))
+        counts = np.array([n.kind != "smoothing" for n in self.numbers])
+        small = np.abs(step[:count]) < _CONVERGED * std[:count]
+        return bool(np.all(small[counts])) and iterate.left > _GAIN * iterate.misfit
 
 
 def mean_square(z) -> float:

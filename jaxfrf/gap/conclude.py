@@ -1,4 +1,4 @@
-"""What stands of a contest once the held-out positions are opened: verdict, words, effects, and the robot to write."""
+"""What stands of a selection once the held-out positions are opened: verdict, words, effects, the robot to write."""
 
 import functools
 from collections.abc import Mapping, Sequence
@@ -14,13 +14,14 @@ from ..effects._place import axis_of
 from ..robot import Robot
 from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order, ripple_effects
-from .contest import Contest, Records, Step, said, shows_nothing
 from .fitted import Fitted, further, is_loud
 from .hypothesis import one_class
 from .judge import Comparison, Written, compared, each_written, over_floor, relative_torque, simulated, written
 from .quantised import resolution
 from .result import EstimatedValue, Named
+from .selection import Records, Selection, Step, said, shows_nothing
 from .settings import (
+    DATA_SHARE,
     EXPLAINED,
     FINAL_ROUNDS,
     FLOOR,
@@ -30,7 +31,6 @@ from .settings import (
     PRICE,
     RISES,
     SIGNIFICANT,
-    TOLD,
     TOLERANCE,
     UNEXPLAINED,
 )
@@ -38,7 +38,7 @@ from .settings import (
 
 class Conclusion(eqx.Module):
     """What is said. `base`, `extended`: robots that are written, without and with the effects that stand, where the
-    result is told. `records`: with the positions that were held out in the end."""
+    result is judged. `records`: with the positions that were held out in the end."""
 
     verdict: str = eqx.field(static=True)
     says: str = eqx.field(static=True)
@@ -50,28 +50,28 @@ class Conclusion(eqx.Module):
     records: Records
 
 
-def concluded(found: Contest, records: Records, given: Robot) -> Conclusion:
+def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
     """The verdict: effects stand as far as the robot written with each makes the gap on the held-out positions smaller
     than that of the one before."""
-    told, deciding = records.every.at(records.judged), records.deciding
-    steps, refused, before = _standing(found, told)
+    judged, deciding = records.every.at(records.judged), records.deciding
+    steps, refused, before = _standing(found, judged)
     last = found.last if len(steps) == len(found.steps) else steps[-1].found if steps else found.base
     end = last.written()
-    extended, there = shared(functools.partial(written, end), (told, deciding), lapack_threads())
-    extended = extended or simulated(given, told)
-    louder = _loud_ripple(last, extended, there, deciding, told)
+    extended, there = shared(functools.partial(written, end), (judged, deciding), lapack_threads())
+    extended = extended or simulated(given, judged)
+    louder = _loud_ripple(last, extended, there, deciding, judged)
     effects = (*(_named(step, last, given) for step in steps), *louder, *counting(records.whole, given))
-    base = (before if steps else _without(last, louder, extended, told)) or extended
+    base = (before if steps else _without(last, louder, extended, judged)) or extended
     worst, everywhere = _worst(last, extended, there), ""
     again = _at_all_positions(last, records) if worst > UNEXPLAINED and not effects else None
     if again is not None:
         records, last, extended, worst = again
-        base, told, everywhere = extended, records.every, _EVERYWHERE
+        base, judged, everywhere = extended, records.every, _EVERYWHERE
     looked_for, heldout = bool(found.refused or found.steps), bool(len(records.heldout))
-    verdict, says = _verdict(base, looked_for, steps, effects, last, extended, told, worst, heldout)
+    verdict, says = _verdict(base, looked_for, steps, effects, last, extended, judged, worst, heldout)
     if verdict == "unexplained":
         last, effects, steps = found.base, (), ()
-        base = extended = written(found.base.written(), told) or base
+        base = extended = written(found.base.written(), judged) or base
     if verdict not in ("named", "ambiguous"):
         taken_back = "".join(f" {text[0].upper() + text[1:]}." for text in (*refused, found.refused) if text)
         says += taken_back + everywhere
@@ -105,24 +105,24 @@ def _at_all_positions(last: Fitted, records: Records) -> tuple[Records, Fitted, 
     return (records, fit, there, worst) if there is not None and worst <= UNEXPLAINED else None
 
 
-def _without(last: Fitted, louder, extended: Written, told: Measured) -> Written | None:
+def _without(last: Fitted, louder, extended: Written, judged: Measured) -> Written | None:
     """The robot as it would be written without the ripple that is named."""
     names = {(type(x.effect), x.joint) for x in louder}
     if not names:
         return extended
-    return written(last.written(lambda o, w: _ripple_of(last.robot, o) in names), told)
+    return written(last.written(lambda o, w: _ripple_of(last.robot, o) in names), judged)
 
 
-def _standing(found: Contest, told: Measured) -> tuple[tuple[Step, ...], list[str], Written | None]:
+def _standing(found: Selection, judged: Measured) -> tuple[tuple[Step, ...], list[str], Written | None]:
     """Effects that stand, what speaks against others, and the robot without the first."""
     kept, refused = 0, []
-    played = each_written([r for step in found.steps for r in (step.without, step.found.written())], told)
+    played = each_written([r for step in found.steps for r in (step.without, step.found.written())], judged)
     for count, (step, before, after) in enumerate(zip(found.steps, played[::2], played[1::2], strict=True), 1):
         against = "it cannot be simulated there" if after is None else ""
         if before is None and after is not None:
             against = "the robot without it cannot be simulated there"
         if before is not None and after is not None:
-            against = against_it(told, before, after, step.key[1])
+            against = against_it(judged, before, after, step.key[1])
         if against:
             refused.append((count, f"{said(step.key)} was taken back: {against}"))
         else:
@@ -131,11 +131,11 @@ def _standing(found: Contest, told: Measured) -> tuple[tuple[Step, ...], list[st
     return found.steps[:kept], [text for count, text in refused if count > kept], first
 
 
-def against_it(told: Measured, before: Written, after: Written, joint: str) -> str:
+def against_it(judged: Measured, before: Written, after: Written, joint: str) -> str:
     """What positions that were opened last say against an effect on this joint, "" for all of them; empty where
     nothing."""
     floor, names = before.evidence.plain, before.robot.axis_names
-    nothing = shows_nothing(compared(before.residual, after.residual, floor, told.frequency))
+    nothing = shows_nothing(compared(before.residual, after.residual, floor, judged.frequency))
     if nothing:
         return nothing
     old, new = (over_floor(x.residual, floor) for x in (before, after))
@@ -146,7 +146,7 @@ def against_it(told: Measured, before: Written, after: Written, joint: str) -> s
     if joint not in names:
         return ""
     own = names.index(joint)
-    missed = tuple(relative_torque(told, x.residual)[own] for x in (before, after))
+    missed = tuple(relative_torque(judged, x.residual)[own] for x in (before, after))
     if new[own] > max(old[own], FLOOR) or (missed[1] > RISES * missed[0] and new[own] > FLOOR / 2):
         return f"with it the torque of {joint} itself is missed by {missed[1]:.2%}, by {missed[0]:.2%} without"
     return ""
@@ -159,11 +159,11 @@ def _verdict(
     effects,
     last: Fitted,
     extended: Written,
-    told: Measured,
+    judged: Measured,
     worst: float,
     heldout: bool,
 ) -> tuple[str, str]:
-    result = compared(base.residual, extended.residual, base.evidence.plain, told.frequency)
+    result = compared(base.residual, extended.residual, base.evidence.plain, judged.frequency)
     if worst > UNEXPLAINED and (not effects or result.after > (1 - EXPLAINED) * result.before):
         return "unexplained", (
             f"In one axis the misfit is {worst:.3g} times the floor's, everywhere or at one position, whatever the "
@@ -172,20 +172,20 @@ def _verdict(
         )
     if effects:
         on = "the held-out positions" if heldout else "the fitted positions, none being held out"
-        return _told(steps, effects, base, extended, on)
-    met = relative_torque(told, extended.residual)
-    looked = "no effect explains more of the rest on positions that chose nothing"
+        return _named_verdict(steps, effects, base, extended, on)
+    met = relative_torque(judged, extended.residual)
+    why = "no effect explains more of the rest on positions that chose nothing"
     if not looked_for:
-        looked = "what is left is nowhere beyond its floor, so that no effect was looked for"
+        why = "what is left is nowhere beyond its floor, so that no effect was looked for"
     if np.all(met < TOLERANCE) and np.all(np.abs(last.x) < HOPELESS):
         return "sufficient", (
             f"Nothing is missing that these data show: the torque is met within {100 * met.max():.1f} % (rms, worst "
-            f"axis), and {looked}."
+            f"axis), and {why}."
         )
     return "inconclusive", "No effect stands out, but the gap is not bounded below the tolerance either."
 
 
-def _told(steps: Sequence[Step], effects, base: Written, extended: Written, on: str) -> tuple[str, str]:
+def _named_verdict(steps: Sequence[Step], effects, base: Written, extended: Written, on: str) -> tuple[str, str]:
     names = lambda some: " and ".join(said((e.name, e.joint)).replace(" of ", " on ") for e in some)
     rivals = close_rivals(steps)
     if rivals:
@@ -215,13 +215,13 @@ def close_rivals(steps: Sequence[Step]) -> list[tuple[str, str]]:
 
 def _named(step: Step, last: Fitted, given: Robot) -> Named:
     effect, joint = step.hypothesis.effect_in(last), step.hypothesis.joint
-    told = step.hypothesis.told(last)
+    estimates = step.hypothesis.estimates(last)
     near = (r.key[0] for r in step.rivals if r.near and r.key[0] != effect.name)
     equivalent = tuple(dict.fromkeys([*effect.same_law, *near]))
     return Named(
         effect=effect,
         joint=joint,
-        parameters={n: EstimatedValue(float(v), float(s), _unit(effect, n)) for n, (v, s) in told.items()}
+        parameters={n: EstimatedValue(float(v), float(s), _unit(effect, n)) for n, (v, s) in estimates.items()}
         or _waves(effect),
         p_value=step.on_select.p_value,
         equivalent=equivalent,
@@ -257,7 +257,7 @@ def _ripple_of(robot: Robot, order: Order) -> tuple[type[AbstractEffect], str]:
 
 
 def _loud_ripple(
-    last: Fitted, extended: Written, there: Written | None, deciding: Measured, told: Measured
+    last: Fitted, extended: Written, there: Written | None, deciding: Measured, judged: Measured
 ) -> tuple[Named, ...]:
     """Ripple that is more than motors have, and without which more is beyond the floor on positions that chose nothing,
     `deciding`; `there`: the robot on these."""
@@ -270,11 +270,11 @@ def _loud_ripple(
     found = []
     for effect in effects:
         quiet = _quiet(last, (type(effect), str(effect.joint)))
-        before, heldout = shared(functools.partial(written, quiet), (deciding, told), lapack_threads())
+        before, heldout = shared(functools.partial(written, quiet), (deciding, judged), lapack_threads())
         if before is None or heldout is None:
             continue
         against = against_it(deciding, before, there, str(effect.joint))
-        if not against and not against_it(told, heldout, extended, str(effect.joint)):
+        if not against and not against_it(judged, heldout, extended, str(effect.joint)):
             floor, frequency = before.evidence.plain, deciding.frequency
             found.append(_ripple(effect, last, compared(before.residual, there.residual, floor, frequency)))
     return tuple(found)
@@ -333,11 +333,12 @@ def counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
 def wrong_numbers(last: Fitted) -> list[tuple[str, str, float]]:
     """Numbers that are further off than their tolerance, by the record: by how much, and the p-value of that among all
     numbers. Those that stand out, and those that the data tell."""
-    told, strained = last.look.posterior.told, last.strained
+    data_share, out_of_tolerance = last.iterate.posterior.data_share, last.out_of_tolerance
+    sure = lambda n, i: n.prior > 0 and n.kind != "smoothing" and n.positive and data_share[i] > DATA_SHARE
     return [
-        (n.name, _change(n, float(x)), last.strain_p_value(i))
-        for i, (n, x) in enumerate(zip(last.these, last.x, strict=True))
-        if i in strained or (n.prior > 0 and n.kind != "smoothing" and n.positive and abs(x) > OFF and told[i] > TOLD)
+        (n.name, _change(n, float(x)), last.tolerance_p_value(i))
+        for i, (n, x) in enumerate(zip(last.numbers, last.x, strict=True))
+        if i in out_of_tolerance or (sure(n, i) and abs(x) > OFF)
     ]
 
 

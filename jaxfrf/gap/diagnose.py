@@ -17,12 +17,12 @@ from ..trajectory.following import compared
 from ..trajectory.joined import joined, places
 from ..trajectory.measured import Measured, fewer, measured
 from ..trajectory.rigid_motion import check_rigid
+from .assemble import assembled
 from .channels import AbstractChannel, channel_of
 from .channels.conclude import concluded
-from .contest import Records, contest
 from .fitted import Say
-from .present import present
 from .result import Diagnosis
+from .selection import Records, select_effects
 from .settings import EXPERIMENTS, FEW, JUDGING, SELECT
 
 
@@ -38,7 +38,7 @@ def diagnose(
 ) -> Diagnosis:
     """Which effect a robot's model lacks, from periodic records at several positions.
 
-    A contest of robots. First all numbers of the robot that are not exactly known are fitted, as `jaxfrf.calibrate`
+    A comparison of robots. First all numbers of the robot that are not exactly known are fitted, as `jaxfrf.calibrate`
     does, each within what is known of it: where they explain the record, nothing is missing, and those that are off
     are told. Otherwise every effect of the library on every joint is scored beside these numbers by what its law,
     evaluated along the simulated motion, takes off the residual (torque, at every line from 0 to the highest excited
@@ -90,8 +90,8 @@ def diagnose(
     require_x64("A diagnosis")
     record, say = joined([x for x in records if isinstance(x, Experiment)]), say or (lambda text: None)
     parts_of = split(measured(fewer(record, EXPERIMENTS)), measured(fewer(record, JUDGING)), heldout_count)
-    found = contest(robot, parts_of, tuple(own), say, progress or (lambda part: None), parts)
-    return present(found, parts_of, robot, compared(robot, record))
+    found = select_effects(robot, parts_of, tuple(own), say, progress or (lambda part: None), parts)
+    return assembled(found, parts_of, robot, compared(robot, record))
 
 
 def _by_channel(

@@ -17,12 +17,12 @@ from ..calibration.numbers import Number, numbers, with_numbers
 from ..calibration.result import Round
 from ..calibration.ripple import TRIED, found_waves
 from ..calibration.rounds import Kept, Rounds
-from ..calibration.search import Look
+from ..calibration.search import Iterate
 from ..robot import Robot, Tolerances
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import excess, remainder
 from ..trajectory.ripple import Order, Wave, with_ripple
-from .settings import FAR, FLOOR, OTHERS, ROUNDS, SLOW, STRAINED
+from .settings import FAR, FLOOR, OTHERS, OUT_OF_TOLERANCE, ROUNDS, SLOW
 
 Say = Callable[[str], None]
 
@@ -33,105 +33,105 @@ class Fitted(eqx.Module):
     """A robot as it was given or extended, the numbers of it that are not exact, and where a record puts them.
 
     **Fields:** `unknown`: numbers of which nothing is known before, whatever the robot says. `x`: where the numbers
-    are, in tolerances. `look`: the last simulation. `near`: whether ripple and the turn of friction were simulated;
-    `inside`: the ripple that was. `settled`: whether another round would hardly change a number.
+    are, in tolerances. `iterate`: the last simulation. `near`: whether ripple and the smoothing of friction were
+    simulated; `inside`: the ripple that was. `settled`: whether another round would hardly change a number.
     """
 
     robot: Robot
     unknown: Tolerances = eqx.field(static=True)
-    these: tuple[Number, ...]
+    numbers: tuple[Number, ...]
     x: Float[np.ndarray, "number"]
-    look: Look
+    iterate: Iterate
     near: bool = eqx.field(static=True)
     inside: tuple[Wave, ...] = eqx.field(static=True)
     settled: bool = eqx.field(static=True)
 
     @property
-    def priced(self) -> float:
+    def prior_cost(self) -> float:
         """Squares of tolerances that the numbers are off by behind the next step, as `left` is; how Coulomb friction is
         smoothed has no true value."""
-        behind = self.look.x + self.look.posterior.change[: len(self.these)]
-        return float(sum(n.prior * x**2 for n, x in zip(self.these, behind, strict=True) if n.kind != "smoothing"))
+        behind = self.iterate.x + self.iterate.posterior.change[: len(self.numbers)]
+        return float(sum(n.prior * x**2 for n, x in zip(self.numbers, behind, strict=True) if n.kind != "smoothing"))
 
     @property
     def left(self):
         """What is left of the record behind the next step, N m, (pos, exp, line, axis)."""
-        return remainder(self.look.evidence, self.look.weighed, self.look.posterior.change)
+        return remainder(self.iterate.evidence, self.iterate.weighed, self.iterate.posterior.change)
 
     def excess(self, record: Measured) -> float:
         """Mean square over the floor where most is left: of one axis in one band."""
-        return excess(self.left, self.look.evidence.plain, record.frequency)
+        return excess(self.left, self.iterate.evidence.plain, record.frequency)
 
     @property
     def of_axes(self) -> Float[np.ndarray, "axis"]:
         """Mean square over the floor that is left of every axis."""
-        return 0.5 * np.mean(np.abs(self.left / self.look.evidence.plain) ** 2, axis=(0, 1, 2))
+        return 0.5 * np.mean(np.abs(self.left / self.iterate.evidence.plain) ** 2, axis=(0, 1, 2))
 
     def place(self, name: str) -> int:
-        return [n.name for n in self.these].index(name)
+        return [n.name for n in self.numbers].index(name)
 
     def value(self, name: str) -> float:
         i = self.place(name)
-        return self.these[i].value(float(self.x[i]))
+        return self.numbers[i].value(float(self.x[i]))
 
     def deviation(self, name: str) -> float:
         """Half of the 95 % interval over 1.96, in the number's unit; with the step that a fit has still ahead."""
-        i, own = self.place(name), self.look.posterior
-        ahead = float(self.look.x[i] + own.change[i] - self.x[i])
-        return self.these[i].deviation(float(self.x[i]), math.hypot(float(own.half_width()[i]) / _Z, ahead))
+        i, own = self.place(name), self.iterate.posterior
+        ahead = float(self.iterate.x[i] + own.change[i] - self.x[i])
+        return self.numbers[i].deviation(float(self.x[i]), math.hypot(float(own.half_width()[i]) / _Z, ahead))
 
     def covariance(self, names: Sequence[str]) -> Float[np.ndarray, "name name"]:
         """Of numbers, in their units, as wide as their intervals are."""
         rows = [self.place(name) for name in names]
-        covariance = self.look.posterior.covariance[np.ix_(rows, rows)]
+        covariance = self.iterate.posterior.covariance[np.ix_(rows, rows)]
         wide = np.array([self.deviation(name) for name in names]) / np.maximum(np.sqrt(np.diag(covariance)), 1e-300)
         return wide[:, None] * covariance * wide
 
     @property
-    def strain(self) -> Float[np.ndarray, "number"]:
-        """Of every number's tolerance: what it is off by, over the standard deviation that it would have if all
-        tolerances were true, but for one factor (data snooping: Baarda, A Testing Procedure for Use in Geodetic
-        Networks, 1968; with the factor of all other numbers: Pope, The Statistics of Residuals, NOAA 1976). 0 where
-        nothing is known beforehand. No tolerance is taken to be wider than it is stated; the factor is one where fewer
-        than `OTHERS` others tell it."""
-        known, told = self._known, self._told
-        squares, others = np.where(known, self.x**2, 0.0), told.sum() - told
+    def tolerance_statistic(self) -> Float[np.ndarray, "number"]:
+        """What every number is off by, over the standard deviation that this would have if all tolerances were true, up
+        to one factor (data snooping: Baarda, A Testing Procedure for Use in Geodetic Networks, 1968; with the factor
+        of all other numbers: Pope, The Statistics of Residuals, NOAA 1976). 0 where nothing is known beforehand. No
+        tolerance is taken to be wider than it is stated; the factor is one where fewer than `OTHERS` others tell it.
+        """
+        known, share = self._known, self._data_share
+        squares, others = np.where(known, self.x**2, 0.0), share.sum() - share
         factor = np.where(others < OTHERS, 1.0, (squares.sum() - squares) / np.maximum(others, 1e-6))
-        return np.where(known, self.x / np.sqrt(np.maximum(told, 1e-6) * np.clip(factor, 1e-6, 1.0)), 0.0)
+        return np.where(known, self.x / np.sqrt(np.maximum(share, 1e-6) * np.clip(factor, 1e-6, 1.0)), 0.0)
 
-    def strain_p_value(self, i: int) -> float:
-        """Of a number's strain among those of all numbers, were all tolerances true: its factor is known as well as so
-        many others tell it."""
-        others = float(self._told.sum() - self._told[i])
+    def tolerance_p_value(self, i: int) -> float:
+        """Of a number's statistic among those of all numbers, were all tolerances true: its factor is known as well as
+        so many others tell it."""
+        others = float(self._data_share.sum() - self._data_share[i])
         one = scipy.stats.norm.sf if others < OTHERS else scipy.stats.t(others).sf
-        return float(min(1.0, np.sum(self._known) * 2.0 * one(abs(self.strain[i]))))
+        return float(min(1.0, np.sum(self._known) * 2.0 * one(abs(self.tolerance_statistic[i]))))
 
     @property
     def _known(self) -> Bool[np.ndarray, "number"]:
         """Numbers with a tolerance that is one."""
-        return np.array([n.prior > 0 and n.kind != "smoothing" for n in self.these], bool)
+        return np.array([n.prior > 0 and n.kind != "smoothing" for n in self.numbers], bool)
 
     @property
-    def _told(self) -> Float[np.ndarray, "number"]:
-        """Part of every tolerance that the record tells."""
-        own = np.diag(np.linalg.inv(self.look.posterior.normal))[: len(self.these)]
+    def _data_share(self) -> Float[np.ndarray, "number"]:
+        """Part of every number that the record determines, of those with a tolerance."""
+        own = np.diag(np.linalg.inv(self.iterate.posterior.normal))[: len(self.numbers)]
         return np.where(self._known, np.clip(1.0 - own, 1e-6, 1.0), 0.0)
 
     @property
-    def strained(self) -> tuple[int, ...]:
+    def out_of_tolerance(self) -> tuple[int, ...]:
         """Numbers whose tolerance the record does not let one believe, worst first."""
-        order = np.argsort(-np.abs(self.strain))
-        return tuple(int(i) for i in order if self.strain_p_value(i) < STRAINED and abs(self.x[i]) > FAR)
+        order = np.argsort(-np.abs(self.tolerance_statistic))
+        return tuple(int(i) for i in order if self.tolerance_p_value(i) < OUT_OF_TOLERANCE and abs(self.x[i]) > FAR)
 
     @property
     def waves(self) -> tuple[Wave, ...]:
         """Ripple that is there beyond chance or was simulated, with the coefficients of sine and cosine."""
-        return found_waves(self.look.orders, self.look.posterior, self.inside)
+        return found_waves(self.iterate.orders, self.iterate.posterior, self.inside)
 
     def wave_p_value(self, kind: str, axis: int) -> float:
         """Of the surest order of one motor's ripple of a kind, were there none, among all that were tried."""
-        spread = np.sqrt(np.diag(self.look.posterior.covariance))[-2 * len(self.look.orders) :].reshape(-1, 2)
-        scatter = {(o.kind, o.axis, o.order): s for o, s in zip(self.look.orders, spread, strict=True)}
+        spread = np.sqrt(np.diag(self.iterate.posterior.covariance))[-2 * len(self.iterate.orders) :].reshape(-1, 2)
+        scatter = {(o.kind, o.axis, o.order): s for o, s in zip(self.iterate.orders, spread, strict=True)}
         own = [
             np.sum((np.array(w) / np.maximum(scatter[(o.kind, o.axis, o.order)], 1e-300)) ** 2)
             for o, w in self.waves
@@ -142,8 +142,8 @@ class Fitted(eqx.Module):
 
     def wave_covariance(self, kind: str, axis: int) -> dict[float, Float[np.ndarray, "2 2"]]:
         """Of the coefficients of sine and cosine of one motor's ripple, by order, as wide as their intervals are."""
-        orders = self.look.orders
-        wide, covariance = self.look.posterior.half_width() / _Z, self.look.posterior.covariance
+        orders = self.iterate.orders
+        wide, covariance = self.iterate.posterior.half_width() / _Z, self.iterate.posterior.covariance
         scale = wide / np.maximum(np.sqrt(np.diag(covariance)), 1e-300)
         scaled, first = scale[:, None] * covariance * scale, len(covariance) - 2 * len(orders)
         rows = {o.order: first + 2 * i for i, o in enumerate(orders) if (o.kind, o.axis) == (kind, axis)}
@@ -155,8 +155,8 @@ class Fitted(eqx.Module):
         """The robot as it would be written, with its motors' ripple but for that which is left out; numbers of these
         names as they were given."""
         waves = [(o, w) for o, w in self.waves if not without(o, w)]
-        x = np.where([n.name in given for n in self.these], 0.0, self.x)
-        return with_numbers(with_ripple(self.robot, waves), self.these, x)
+        x = np.where([n.name in given for n in self.numbers], 0.0, self.x)
+        return with_numbers(with_ripple(self.robot, waves), self.numbers, x)
 
 
 def is_loud(robot: Robot, order: Order, wave: Sequence[float]) -> bool:
@@ -195,7 +195,7 @@ def further(found: Fitted, record: Measured, say: Say, rounds: int) -> Fitted:
 def at(robot: Robot, unknown: Tolerances, record: Measured, values, orders, floor, near, inside, say: Say) -> Fitted:
     """The robot where an earlier run had left it; `values`: of its numbers, by name."""
     fit = RobotFit(robot, unknown, record, say)
-    x = np.array([n.coordinate(values[n.name]) if n.name in values else 0.0 for n in fit.these])
+    x = np.array([n.coordinate(values[n.name]) if n.name in values else 0.0 for n in fit.numbers])
     fit.begin(_kept(x, orders, floor, near, inside))
     return fit.found
 
@@ -207,10 +207,10 @@ class RobotFit:
     compiled."""
 
     def __init__(self, robot: Robot, unknown: Tolerances, record: Measured, say: Say):
-        self.these = numbers(robot.with_tolerances(unknown))
+        self.numbers = numbers(robot.with_tolerances(unknown))
         self.robot, self.unknown, self.record, self.say = robot, unknown, record, say
-        self.descent = Descent(robot, record, self.these, lambda text: None)
-        self.kept = Rounds(None, robot, self.these, record, ())
+        self.descent = Descent(robot, record, self.numbers, lambda text: None)
+        self.kept = Rounds(None, robot, self.numbers, record, ())
 
     @classmethod
     def beside(cls, start: Fitted, robot: Robot, unknown: Tolerances, record: Measured, say: Say) -> "RobotFit":
@@ -218,41 +218,41 @@ class RobotFit:
 
         **Raises:** `jaxfrf.InputError` where it cannot be simulated there."""
         fit = cls(robot, unknown, record, say)
-        known = {n.name: (n, float(x)) for n, x in zip(start.these, start.x, strict=True)}
-        x = np.array([_begins(n, known) for n in fit.these])
-        fit.begin(_kept(x, start.look.orders, start.look.evidence.floor, start.near, start.inside))
+        known = {n.name: (n, float(x)) for n, x in zip(start.numbers, start.x, strict=True)}
+        x = np.array([_begins(n, known) for n in fit.numbers])
+        fit.begin(_kept(x, start.iterate.orders, start.iterate.evidence.floor, start.near, start.inside))
         return fit
 
     @property
     def found(self) -> Fitted:
         d = self.descent
-        return Fitted(self.robot, self.unknown, self.these, d.x, d.look, d.near, d.inside, d.settled)
+        return Fitted(self.robot, self.unknown, self.numbers, d.x, d.iterate, d.near, d.inside, d.settled)
 
     def begin(self, start: Kept | None) -> None:
         self.kept.done = [] if start is None else [start]
         self.descent.begin(self.kept)
-        look = self.descent.look
-        round = Round(look.misfit, look.left, look.posterior.effect)
+        iterate = self.descent.iterate
+        round = Round(iterate.misfit, iterate.left, iterate.posterior.effect)
         self.kept.done[-1] = dataclasses.replace(self.kept.done[-1], round=round)
 
     def go_on(self, rounds: int) -> None:
         """So many rounds, fewer where the misfit does not come down to the floor by itself."""
         left = self._excess()
         for further in reversed(range(rounds)):
-            was_near, look = self.descent.near, self.descent.look
+            was_near, iterate = self.descent.near, self.descent.iterate
             if not self.descent.advance(self.kept):
                 break
-            now, before, left = self.descent.look, left, self._excess()
+            now, before, left = self.descent.iterate, left, self._excess()
             self.say(f"    {now.misfit**0.5:.3g} times the floor, at most {left**0.5:.3g} behind the next step")
-            slow = now.misfit > SLOW * look.misfit and now.left > SLOW * look.left and left > SLOW * before
+            slow = now.misfit > SLOW * iterate.misfit and now.left > SLOW * iterate.left and left > SLOW * before
             end = left * min(left / before, 1.0) ** further  # where it would come at this pace
             if slow and was_near and end > FLOOR:
                 break
 
     def _excess(self) -> float:
-        look = self.descent.look
-        left = remainder(look.evidence, look.weighed, look.posterior.change)
-        return excess(left, look.evidence.plain, self.record.frequency)
+        iterate = self.descent.iterate
+        left = remainder(iterate.evidence, iterate.weighed, iterate.posterior.change)
+        return excess(left, iterate.evidence.plain, self.record.frequency)
 
 
 def _kept(x, orders: Sequence[Order], floor, near: bool, inside: Sequence[Wave]) -> Kept:

@@ -38,17 +38,17 @@ class Hypothesis(eqx.Module):
     def key(self) -> tuple[str, str]:
         return self.effect.name, self.joint
 
-    def told(self, found: Fitted) -> dict[str, tuple[float, float]]:
+    def estimates(self, found: Fitted) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of every parameter of the effect in a robot that was fitted, as it is stated;
         of times, no less than what the sampling leaves open. The first says how much of it there is."""
-        own, least = self._fitted_in(found), {"s": TIMING / found.look.evidence.scenes[0].fs}
+        own, least = self._fitted_in(found), {"s": TIMING / found.iterate.evidence.scenes[0].fs}
         covariance = found.covariance([o.number for o in own])
         unresolved = [least.get(self.effect.units[o.parameter], 0.0) for o in own]
         moved = self._moved(found)
         return moved.stated_values([o.parameter for o in own], covariance + np.diag(np.square(unresolved)))
 
     def _fitted_in(self, found: Fitted) -> list[OwnNumber]:
-        names = {n.name for n in found.these}
+        names = {n.name for n in found.numbers}
         return [o for o in self.own if o.number in names]
 
     def effect_in(self, found: Fitted) -> AbstractEffect:
@@ -77,7 +77,7 @@ def hypothesis(view: Fitted, effect: AbstractEffect, joint: str) -> Hypothesis |
     """A robot with an effect as it was scored; `None` where it cannot be, or has nothing that could be fitted.
 
     A number that the robot has, and that the effect is an error of, is set free instead."""
-    robot, had, effect = view.robot, {n.name for n in view.these}, effect.in_numbers()
+    robot, had, effect = view.robot, {n.name for n in view.numbers}, effect.in_numbers()
     try:
         own = effect.own_numbers(robot)
         free = effect.is_error and all(o.number in had for o in own)
@@ -105,7 +105,7 @@ def _range(effect: AbstractEffect, own: OwnNumber) -> Tolerance:
 def _place(robot: Robot, effect, found: Fitted, mass: float):
     """Where a payload must be for the centre of its link to be where it was found."""
     link = robot.joint_names[-1]
-    names = {n.name for n in found.these}
+    names = {n.name for n in found.numbers}
     given = np.asarray(robot.chain.com[-1], float)
     centre = np.array(
         [found.value(n) if (n := f"{link}.com.{e}") in names else at for e, at in zip("xyz", given, strict=True)]

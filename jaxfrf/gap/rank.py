@@ -51,7 +51,7 @@ def ranked(
     The cost is |residual/floor|^2/effect + the squares of the tolerances that numbers are off by; a column takes off it
     what is its own beside the numbers, and what it saves them. A number whose tolerance cannot be believed is set
     free."""
-    cost = squares(view.look.weighed.gram, view.look.posterior) + view.priced
+    cost = squares(view.iterate.weighed.gram, view.iterate.posterior) + view.prior_cost
     numbers = _set_free(view, record, cost)
     terms = _columns(view, record, own) if misses or not numbers else []
     return sorted([*terms, *numbers], key=lambda s: -s.part)
@@ -65,15 +65,15 @@ def squares(gram: Gram, posterior: Posterior) -> float:
 
 
 def _columns(view: Fitted, record: Measured, own) -> list[Scored]:
-    look = view.look
+    iterate = view.iterate
     pool = _pool(view, record, own)
-    count = look.weighed.gram.b.shape[1]
-    weighed = weigh(look.evidence, [functools.partial(signature, e) for c in pool for e in c.basis], look.weighed)
-    weighed = refloored(weighed, look.evidence.floor, _steady_seen(look.evidence))
+    count = iterate.weighed.gram.b.shape[1]
+    weighed = weigh(iterate.evidence, [functools.partial(signature, e) for c in pool for e in c.basis], iterate.weighed)
+    weighed = refloored(weighed, iterate.evidence.floor, _steady_seen(iterate.evidence))
     gram = placed(precise(weighed), places(record.data)).gram
     base = Gram(gram.A[:, :count, :count], gram.b[:, :count], gram.rr, gram.position, gram.count)
-    posterior = solve(base, view.these, look.x)
-    x = look.x + posterior.change[: len(view.these)]
+    posterior = solve(base, view.numbers, iterate.x)
+    x = iterate.x + posterior.change[: len(view.numbers)]
     cost = squares(base, posterior) + float(np.sum(posterior.prior[: len(x)] * x**2))
     left = gram.b - np.einsum("rij,j->ri", gram.A[:, :, :count], posterior.change)
     whole = gram.A.sum(axis=0)
@@ -110,9 +110,9 @@ def _steady_seen(evidence: Evidence) -> Float[np.ndarray, "line axis"]:
 
 def _pool(view: Fitted, record: Measured, own) -> list[Candidate]:
     """Effects that are no number of the robot already."""
-    at_its_numbers = view.look.evidence.robot
+    at_its_numbers = view.iterate.evidence.robot
     found = [*candidates(at_its_numbers, _largest(record), own), *_gear_errors(view)]
-    had = {n.name for n in view.these}
+    had = {n.name for n in view.numbers}
     return [c for c in found if not is_had(at_its_numbers, c.basis[0], had)]
 
 
@@ -139,15 +139,15 @@ def _is_stated(robot, effect: AbstractEffect, number: str) -> bool:
 
 def _gear_errors(view: Fitted) -> list[Candidate]:
     """Errors of the teeth of every gear, at the orders that most of the residual goes by."""
-    look, robot = view.look, view.look.evidence.robot
+    iterate, robot = view.iterate, view.iterate.evidence.robot
     found: list[Candidate] = []
-    change = look.posterior.change
-    first = len(change) - 2 * len(look.orders)
+    change = iterate.posterior.change
+    first = len(change) - 2 * len(iterate.orders)
     for axis in robot.flexible_axes:
         # Whole orders of this motor stay in the residual: they would take most of an error at an order nearby.
-        other = np.array([i < first or look.orders[(i - first) // 2].axis != axis for i in range(len(change))])
-        left = remainder(look.evidence, look.weighed, change[other], np.flatnonzero(other))
-        orders = gear_orders(look.evidence.scenes, left, look.evidence.floor, axis)
+        other = np.array([i < first or iterate.orders[(i - first) // 2].axis != axis for i in range(len(change))])
+        left = remainder(iterate.evidence, iterate.weighed, change[other], np.flatnonzero(other))
+        orders = gear_orders(iterate.evidence.scenes, left, iterate.evidence.floor, axis)
         found += fx.TransmissionError.candidates_at(robot, robot.axis_names[axis], orders)
     return found
 
@@ -169,18 +169,18 @@ def _t(each, positions) -> float:
 
 def _set_free(view: Fitted, record: Measured, cost: float) -> list[Scored]:
     """What it would save to know nothing of a number beforehand: exact, where a cost is quadratic."""
-    strain, found = view.strain, []
-    errors = _errors(view.robot, _largest(record)) if view.strained else {}
-    for i in view.strained:
-        number = view.these[i]
+    statistic, found = view.tolerance_statistic, []
+    errors = _errors(view.robot, _largest(record)) if view.out_of_tolerance else {}
+    for i in view.out_of_tolerance:
+        number = view.numbers[i]
         if number.name not in errors:
             continue
         typical, joint, own = errors[number.name]
         error = number.value(float(view.x[i])) - own.minus
         size = abs(error / float(getattr(typical, own.parameter)))
-        sure = view.strain_p_value(i) < DISBELIEVED
+        sure = view.tolerance_p_value(i) < DISBELIEVED
         effect = eqx.tree_at(operator.attrgetter(own.parameter), typical, error)
-        found.append(Scored(effect, joint, float(strain[i] ** 2 / cost), float(strain[i]), size, sure))
+        found.append(Scored(effect, joint, float(statistic[i] ** 2 / cost), float(statistic[i]), size, sure))
     return found
 
 

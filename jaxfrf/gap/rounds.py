@@ -1,4 +1,4 @@
-"""Rounds of a contest that were finished, kept, so that an interrupted run need not simulate them again."""
+"""Rounds of a selection that were finished, kept, so that an interrupted run need not simulate them again."""
 
 import dataclasses
 import json
@@ -20,7 +20,7 @@ PART_FILES = ("round-[0-9]*.json",)
 class KeptRound:
     """Where a round ended: the effect as its fit began, `None` where nothing more was found, or of the base; the
     numbers by name, orders of ripple beside them, the floor, whether the robot was near the truth and the ripple that
-    was simulated then; what else was told of it; why nothing was taken."""
+    was simulated then; `details` of the step; why nothing was taken."""
 
     effect: AbstractEffect | None = None
     joint: str = ""
@@ -29,14 +29,23 @@ class KeptRound:
     floor: np.ndarray | None = None
     near: bool = False
     inside: tuple[Wave, ...] = ()
-    told: dict = dataclasses.field(default_factory=dict)
+    details: dict = dataclasses.field(default_factory=dict)
     refused: str = ""
 
     @classmethod
-    def of(cls, found: Fitted, effect=None, joint: str = "", told=None) -> "KeptRound":
-        at = zip(found.these, found.look.x, strict=True)
+    def of(cls, found: Fitted, effect=None, joint: str = "", details=None) -> "KeptRound":
+        at = zip(found.numbers, found.iterate.x, strict=True)
         values = {n.name: n.value(float(x)) for n, x in at}
-        return cls(effect, joint, values, found.look.orders, found.look.begun, found.near, found.inside, told or {})
+        return cls(
+            effect,
+            joint,
+            values,
+            found.iterate.orders,
+            found.iterate.start_floor,
+            found.near,
+            found.inside,
+            details or {},
+        )
 
 
 def read_round(parts: Parts | None, number: int) -> KeptRound | None:
@@ -55,7 +64,7 @@ def _read(path: pathlib.Path) -> KeptRound:
     inside = tuple((_order(*order), (float(sine), float(cosine))) for order, (sine, cosine) in said["inside"])
     floor = None if said["floor"] is None else np.array(said["floor"], float)
     where = said["joint"], said["values"], orders, floor, bool(said["near"]), inside
-    return KeptRound(effect, *where, said["told"], said["refused"])
+    return KeptRound(effect, *where, said["details"], said["refused"])
 
 
 def _order(kind: str, axis: float, order: float) -> Order:
@@ -75,7 +84,7 @@ def keep_round(parts: Parts | None, number: int, found: KeptRound) -> bool:
         "floor": None if found.floor is None else np.asarray(found.floor).tolist(),
         "near": found.near,
         "inside": [[[o.kind, o.axis, o.order], wave] for o, wave in found.inside],
-        "told": found.told,
+        "details": found.details,
         "refused": found.refused,
     }
     with replacing(parts.path(_name(number))) as draft:

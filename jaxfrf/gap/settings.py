@@ -8,24 +8,24 @@ SELECT = 3  # one of so many
 
 # How far a robot is fitted
 ROUNDS = 10  # simulations of the robot as given, at most
-FIRST_HEAT = 2  # of a candidate, before those that are far behind are given up
+FIRST_ROUNDS = 2  # of a candidate, before those that are far behind are given up
 MORE_ROUNDS = 4  # of a candidate that is not: it begins where the robot before was fitted
 FINAL_ROUNDS = 4  # of the robot that is left, on all opened positions: it begins where some of them have put it
 SLOW = 0.7  # of what a round before left: more, and what is far from the floor will not come down to it by itself
-IN_THE_RACE = 1.5  # times the least cost: more after the first heat is not fitted further
+KEPT_WITHIN = 1.5  # times the least cost: a candidate that costs more after its first rounds is not fitted further
 
 # What is beyond a robot whose numbers are fitted
 FLOOR = 1.0  # mean square over the floor of one axis in one band: an honest model leaves less everywhere
-STRAINED = 0.01  # p-value of one number among all of a robot, from which on its tolerance is not believed
+OUT_OF_TOLERANCE = 0.01  # p-value of one number among all of a robot, from which on its tolerance is not believed
 DISBELIEVED = 1e-3  # the same, from which on it is tried however little of the cost it is: nothing else speaks for it
 OTHERS = 3.0  # numbers that tell a common factor of all tolerances, at least
 FAR = 2.0  # tolerances that such a number is off by at least
 HOPELESS = 9.0  # tolerances: a robot in which one is further off explains nothing
 OFF = 1.0  # tolerances from which on a number is told to be off
-TOLD = 0.9  # of what was not known of a number, by the record, before it is told to be off
+DATA_SHARE = 0.9  # of what was not known of a number, from the record, before it is told to be off
 
 # Which candidates are fitted
-FINALISTS = 2  # of every view, by the cost that they promise to take away
+CANDIDATES = 2  # of every view, by the cost that they promise to take away
 SHARE = 0.3  # of what the best promises
 LEAST_PART = 0.01  # of the cost
 LEAST_SIZE = 0.3  # of what is just visible
@@ -39,7 +39,7 @@ SIGNIFICANT = 0.05  # p-value of the gain on positions that chose nothing, signs
 LEAST_GAIN = 0.2  # of what is beyond the floor there, that must be gained
 BLOCKS = 8  # at least: runs, cut into combs of lines where there are fewer
 TOOTH = 4  # neighbouring lines of a comb's tooth: excited and unexcited ones stand in each
-NEAR = 0.05  # of what was beyond the floor: a rival that leaves no more than this beyond the winner is as good
+NEAR = 0.05  # of what was beyond the floor: a rival that leaves no more than this beyond the best candidate is as good
 
 # What the held-out positions say
 PRICE = 0.1  # of the squares that some axes gain, which others may lose beyond their floor

@@ -11,7 +11,7 @@ import numpy as np
 
 from .._errors import InputError
 from ..experiment import Experiment, Source, check_compatible, grouped, places
-from ..screening import Looked, look, refused
+from ..screening import ScreenedPart, refused, screen_part
 from ._configurations import gathered
 from ._container import check_file, load, positions_in
 from ._joined import part_of
@@ -26,12 +26,12 @@ _SMALL = 1e8  # bytes of u in a file that is not read twice
 class Told:
     """What is to be said of some positions of a data set.
 
-    **Fields:** `first`: number of the first position. `looked`: what screening found. `files`: numbers of those that
+    **Fields:** `first`: number of the first position. `screened`: what screening found. `files`: numbers of those that
     hold them; `remarks`: by file, what is to be said of reading it.
     """
 
     first: int
-    looked: Looked
+    screened: ScreenedPart
     files: tuple[int, ...]
     remarks: tuple[tuple[str, ...], ...]
 
@@ -109,16 +109,17 @@ class DataSet:
         read = [self._one(self.files[i], local) for i, local in where]
         records = [data for data, _ in read]
         whole = _together(records, groups)
-        looked = look([(x, local.start) for x, (_, local) in zip(records, where, strict=True)], whole, positions.start)
+        files = [(x, local.start) for x, (_, local) in zip(records, where, strict=True)]
+        screened = screen_part(files, whole, positions.start)
         numbers = tuple(i for i, _ in where)
         if not self.given.anyway:
-            for i, found in zip(numbers, looked.found, strict=True):
+            for i, found in zip(numbers, screened.found, strict=True):
                 try:
                     refused(found)
                 except InputError as error:
                     raise InputError(f"{self.files[i].path}: {error}") from None
-            refused(looked.across)
-        return Block(whole, Told(positions.start, looked, numbers, tuple(tuple(remarks) for _, remarks in read)))
+            refused(screened.across)
+        return Block(whole, Told(positions.start, screened, numbers, tuple(tuple(remarks) for _, remarks in read)))
 
     def unscreened(self, positions: range) -> Experiment:
         """The record at some positions."""
@@ -226,7 +227,7 @@ class Held:
         return [range(self.n_pos)]
 
     def read(self, positions: range) -> Block:
-        return Block(self.data, Told(0, Looked((), (), []), (), ()))
+        return Block(self.data, Told(0, ScreenedPart((), (), []), (), ()))
 
 
 in_memory = Held
@@ -262,6 +263,6 @@ def file_warnings(files: Sequence[_File], told: Sequence[Told]) -> tuple[str, ..
     for i, file in enumerate(files):
         of = [(x, x.files.index(i)) for x in told if i in x.files]
         remarks = dict.fromkeys(text for x, at in of for text in x.remarks[at])
-        said = sentences([f for x, at in of for f in x.looked.found[at]])
+        said = sentences([f for x, at in of for f in x.screened.found[at]])
         warnings += [f"{file.path}: {text}" for text in (*remarks, *said)]
     return tuple(dict.fromkeys(warnings))

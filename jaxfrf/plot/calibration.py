@@ -54,10 +54,10 @@ def _draw(ax, found: Calibration, kind: str, members: Sequence[int]) -> None:
             for width, shade in ((2.0, "0.93"), (1.0, "0.85")):
                 low, high = (scale(s * width) for s in (-1.0, 1.0))
                 ax.barh(row, high - low, 0.8, left=low, color=shade, zorder=0)
-        told = found.told_by(number.name) == "data"
-        colour = _style.COLOURS[0] if told else _style.DOUBTFUL
+        determined = found.determined_by(number.name) == "data"
+        colour = _style.COLOURS[0] if determined else _style.DOUBTFUL
         ax.plot([scale(x - half), scale(x + half)], [row, row], color=colour, lw=1.2)
-        ax.plot(scale(x), row, "o", ms=3.6, color=colour, mfc=colour if told else "white")
+        ax.plot(scale(x), row, "o", ms=3.6, color=colour, mfc=colour if determined else "white")
     ax.set_yticks(range(len(members)), [_label(found.numbers[i]) for i in members], fontsize=6.5)
     ax.set_ylim(len(members) - 0.4, -0.6)
     ax.axvline(0.0, color="0.4", lw=0.6, zorder=1)

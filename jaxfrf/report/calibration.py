@@ -30,14 +30,14 @@ def calibration_page(found: Calibration) -> str:
 
 
 def _result(found: Calibration) -> str:
-    by = [found.told_by(n.name) for n in found.numbers]
+    by = [found.determined_by(n.name) for n in found.numbers]
     count = lambda word: sum(b == word for b in by)
     word = "Converged" if found.converged else "Not converged"
     if found.unexplained:
         word += ", and not explained"
     texts = [
-        f"{count('data')} of {len(by)} numbers are told by the records, {count('data in combination')} only together "
-        f"with others, {count('prior') + count('nothing')} are as they were known before.",
+        f"{count('data')} of {len(by)} numbers are determined by the records, {count('data in combination')} only "
+        f"together with others, {count('prior') + count('nothing')} are as they were known before.",
     ]
     if found.rounds[-1].design_effect > 1.05:
         texts.append(
@@ -65,16 +65,16 @@ def _numbers(found: Calibration) -> str:
     drawn = figure(
         numbers_found(found)[0],
         "Change from what was given. Grey: what was known before, one and two standard deviations; dots with their "
-        "95 % intervals; hollow and grey where the records alone do not tell the number.",
+        "95 % intervals; hollow and grey where the records alone do not determine the number.",
     )
-    headers = ["number", "value", "95 % interval", "unit", "given", "told by", "together with"]
+    headers = ["number", "value", "95 % interval", "unit", "given", "determined by", "together with"]
     rows = []
     for n in found.numbers:
         low, high = found.interval(n.name)
-        told = found.told_by(n.name)
-        partners = ", ".join(found.partners(n.name)[:3]) if told == "data in combination" else ""
+        by = found.determined_by(n.name)
+        partners = ", ".join(found.partners(n.name)[:3]) if by == "data in combination" else ""
         interval = f"{number(low)} to {number(high)}"
-        rows.append([n.name, found.values[n.name], interval, n.unit, n.given, told, partners])
+        rows.append([n.name, found.values[n.name], interval, n.unit, n.given, by, partners])
     note = (
         "Intervals come from the scatter between positions, and from what was known before so far as a number leans on "
         "it. An error of the model that is the same at every position is not in them."

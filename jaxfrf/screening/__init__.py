@@ -4,12 +4,12 @@ from .finding import Finding as Finding, Severity as Severity
 from .screen import (
     ACROSS as ACROSS,
     CHECKS as CHECKS,
-    Looked as Looked,
+    ScreenedPart as ScreenedPart,
     across_all as across_all,
     examine as examine,
-    look as look,
     refused as refused,
     screen as screen,
+    screen_part as screen_part,
     screened as screened,
     sentences as sentences,
 )

@@ -74,12 +74,12 @@ class OfChannels:
 
     All checks of this kind look at a channel before the next one is taken: it stays in the cache."""
 
-    look: Callable[[Channel], Iterator[Finding]]
+    check: Callable[[Channel], Iterator[Finding]]
     signals: str
 
 
 def of_channels(signals: str) -> Callable[[Callable[[Channel], Iterator[Finding]]], OfChannels]:
-    return lambda look: OfChannels(look, signals)
+    return lambda check: OfChannels(check, signals)
 
 
 class Record:

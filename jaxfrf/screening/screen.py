@@ -119,7 +119,7 @@ def _by_channel(record: Record, checks: Sequence[OfChannels]) -> dict[OfChannels
     for channel in record.channels():
         for check in checks:
             if channel.signal in check.signals:
-                found[check] += check.look(channel)
+                found[check] += check.check(channel)
     return found
 
 
@@ -132,7 +132,7 @@ def _explained(finding: Finding, by: Finding) -> bool:
 
 
 @dataclasses.dataclass(frozen=True)
-class Looked:
+class ScreenedPart:
     """What was found in a part of a record: what `screened` would say of the whole comes of all of them.
 
     **Fields:** `found`: by file. `across`: between the files' experiments. `marks`: of every experiment, (pos, exp).
@@ -143,7 +143,7 @@ class Looked:
     marks: list[list[str]]
 
 
-def look(files: Sequence[tuple[Experiment, int]], whole: Experiment, first: int) -> Looked:
+def screen_part(files: Sequence[tuple[Experiment, int]], whole: Experiment, first: int) -> ScreenedPart:
     """Screen some positions of a data set.
 
     **Arguments:** `files`: what each of the files holds of them, and the number of its first one there. `whole`: these
@@ -155,7 +155,7 @@ def look(files: Sequence[tuple[Experiment, int]], whole: Experiment, first: int)
         record = joined if data is whole else Record(data)
         found.append(tuple(shifted(f, start) for f in _examined(record, checks)))
     across = tuple(shifted(f, first) for f in _examined(joined, (halves, foreign)))
-    return Looked(tuple(found), across, marks(whole))
+    return ScreenedPart(tuple(found), across, marks(whole))
 
 
 def refused(findings: Iterable[Finding]) -> None:
@@ -165,10 +165,10 @@ def refused(findings: Iterable[Finding]) -> None:
         raise InputError(" ".join(sentences(useless)))
 
 
-def across_all(looked: Sequence[Looked]) -> tuple[str, ...]:
+def across_all(parts: Sequence[ScreenedPart]) -> tuple[str, ...]:
     """What is told of the experiments beside each other, of all parts in their order."""
-    marked = [row for part in looked for row in part.marks]
-    return sentences([*marked_twice(marked), *(f for part in looked for f in part.across)])
+    marked = [row for part in parts for row in part.marks]
+    return sentences([*marked_twice(marked), *(f for part in parts for f in part.across)])
 
 
 def screen(data: Experiment) -> tuple[str, ...]:

@@ -135,7 +135,7 @@ def _number(number: Number, true: float, whole: Calibration, alone: Fit | None) 
         "true": true,
         "given": number.given,
         "whole": _found(whole.values[number.name], whole.interval(number.name), true),
-        "told_by": whole.told_by(number.name),
+        "determined_by": whole.determined_by(number.name),
         "springs": found,
     }
 
@@ -152,7 +152,7 @@ def compared(rows: list[dict]) -> list[dict]:
     for count in dict.fromkeys(row["experiments"] for row in rows):
         these = [row for row in rows if row["experiments"] == count]
         every = [n for row in these for n in row["numbers"]]
-        told = [n["whole"]["holds"] for n in every if n["told_by"] == "data" and n["kind"] != "smoothing"]
+        determined = [n["whole"]["holds"] for n in every if n["determined_by"] == "data" and n["kind"] != "smoothing"]
         springs = [n["springs"]["holds"] for n in every if n["springs"] is not None]
         found.append(
             {
@@ -163,7 +163,7 @@ def compared(rows: list[dict]) -> list[dict]:
                 "period_s": these[0]["period_s"],
                 "errors": {kind: _errors(kind, these) for kind in MEASURED},
                 "intervals": {
-                    "whole": {"hold": sum(told), "of": len(told)},
+                    "whole": {"hold": sum(determined), "of": len(determined)},
                     "springs": {"hold": sum(springs), "of": len(springs)},
                 },
             }

@@ -19,7 +19,7 @@ from ..robot import (
 )
 from ..simulation import Motion
 
-_SWING = 192  # samples of the motion that stand for it where a spring's mean stiffness is taken
+_SAMPLES = 192  # samples of the motion that stand for it where a spring's mean stiffness is taken
 
 
 class Frozen(eqx.Module):
@@ -31,8 +31,8 @@ class Frozen(eqx.Module):
     **Fields:** `to_torque`: (line, axis, dof). `impedance`: (line, axis, axis), N m/rad, motor side. `compliance`:
     (line, dof, dof), rad/(N m), motion of the coordinates under a force while the motors stand. `command`:
     (line, axis), what becomes of a commanded torque on its way to the motor: the hold between samples, the robot's
-    actuators. `q`: (axis,), rad. `friction`: describing coefficient, (axis,). `swing`: (sample, spring), deflections
-    about rest.
+    actuators. `q`: (axis,), rad. `friction`: describing coefficient, (axis,). `deflection`: of the springs about
+    rest over a period, (sample, spring).
     """
 
     to_torque: Complex[np.ndarray, "line axis dof"]
@@ -42,7 +42,7 @@ class Frozen(eqx.Module):
     frequency: Float[np.ndarray, "line"]
     q: Float[np.ndarray, "axis"]
     friction: Float[np.ndarray, "axis"]
-    swing: Float[np.ndarray, "sample spring"]
+    deflection: Float[np.ndarray, "sample spring"]
 
 
 def frozen(robot: Robot, motion: Motion, q, frequency: Float[np.ndarray, "line"], torque_rate: float) -> list[Frozen]:
@@ -51,23 +51,23 @@ def frozen(robot: Robot, motion: Motion, q, frequency: Float[np.ndarray, "line"]
     command = torque_path(robot, frequency, torque_rate)
     result = []
     for pos in range(len(motion.z)):
-        friction, swing = _means(robot, motion, np.asarray(q)[pos], pos)
-        result.append(_frozen(robot, np.asarray(q)[pos], friction, swing, np.asarray(frequency), command))
+        friction, deflection = _means(robot, motion, np.asarray(q)[pos], pos)
+        result.append(_frozen(robot, np.asarray(q)[pos], friction, deflection, np.asarray(frequency), command))
     return result
 
 
 def other_impedance(robot: Robot, still: Frozen, names: tuple[str, ...]) -> Complex[np.ndarray, "line axis axis"]:
-    """Of another robot at the same place and in the same motion; `names` of the springs that `still.swing` knows."""
-    swing = np.zeros((len(still.swing), len(robot.spring_names)))
+    """Of another robot at the same place and in the same motion; `names` of the springs of `still.deflection`."""
+    deflection = np.zeros((len(still.deflection), len(robot.spring_names)))
     for i, name in enumerate(robot.spring_names):
         if name in names:
-            swing[:, i] = still.swing[:, names.index(name)]
-    return _frozen(robot, still.q, still.friction, swing, still.frequency, still.command).impedance
+            deflection[:, i] = still.deflection[:, names.index(name)]
+    return _frozen(robot, still.q, still.friction, deflection, still.frequency, still.command).impedance
 
 
-def _frozen(robot: Robot, q, friction, swing, frequency, command) -> Frozen:
+def _frozen(robot: Robot, q, friction, deflection, frequency, command) -> Frozen:
     passive = tuple(e for e in robot.effects if not isinstance(e, AbstractActuator))  # `command` has the others
-    model = linearise(dataclasses.replace(robot, effects=passive), operating_point(robot, q), friction, swing)
+    model = linearise(dataclasses.replace(robot, effects=passive), operating_point(robot, q), friction, deflection)
     M, D, K = (np.asarray(x) for x in (model.mass, model.damping, model.stiffness))
     B, s = np.asarray(motor_directions(robot)), 2j * np.pi * frequency
     motors = np.argmax(np.abs(B), axis=0)  # every motor turns with one coordinate
@@ -82,18 +82,18 @@ def _frozen(robot: Robot, q, friction, swing, frequency, command) -> Frozen:
     to_torque[:, :, others] = through / gain[:, None]
     to_torque[:, np.arange(robot.n_axes), motors] = -1.0 / gain
     impedance = (part(motors, motors) - through @ part(others, motors)) / (gain[:, None] * gain)
-    return Frozen(to_torque, impedance, compliance, command, frequency, np.asarray(q), friction, swing)
+    return Frozen(to_torque, impedance, compliance, command, frequency, np.asarray(q), friction, deflection)
 
 
 def _means(robot: Robot, motion: Motion, q, pos: int):
     point = operating_point(robot, q)
     z = motion.z[pos].reshape(-1, robot.dof)
-    some = z[np.linspace(0, len(z) - 1, _SWING).astype(int)]
-    swing = np.asarray(deflections(robot, some)) - np.asarray(point.deflection)
+    some = z[np.linspace(0, len(z) - 1, _SAMPLES).astype(int)]
+    deflection = np.asarray(deflections(robot, some)) - np.asarray(point.deflection)
     travel = np.asarray(motor_values(robot, motion.z[pos]))
     speed = motion.fs * np.diff(travel, axis=1)
     amplitude = np.sqrt(2.0) * np.maximum(np.sqrt(np.mean(speed**2, axis=(0, 1))), 1e-3)
-    return np.asarray(describing_friction(robot, amplitude, point.torque)), swing
+    return np.asarray(describing_friction(robot, amplitude, point.torque)), deflection
 
 
 def torque_path(robot: Robot, frequency, rate: float) -> Complex[np.ndarray, "line axis"]:

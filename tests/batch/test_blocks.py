@@ -81,7 +81,7 @@ def test_blocks_are_the_record_and_say_the_same(tmp_path, shift):
     for name in "uyrq":
         joined = np.concatenate([getattr(x.data, name) for x in blocks])
         np.testing.assert_array_equal(joined, getattr(whole, name))
-    told = (*file_warnings(data.files, [x.told for x in blocks]), *across_all([x.told.looked for x in blocks]))
+    told = (*file_warnings(data.files, [x.told for x in blocks]), *across_all([x.told.screened for x in blocks]))
     assert data.sources == whole.sources and whole.warnings
     plain = lambda texts: [re.sub(r", file [^)]*", "", text) for text in texts]
     assert plain(told) == plain(whole.warnings)

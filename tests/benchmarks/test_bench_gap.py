@@ -450,7 +450,7 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
         truth |= {key: getattr(case, key) for key in ("robot", "log", "simulator")}
         (folder / "truth" / f"{case.name}.json").write_text(json.dumps(truth))
 
-    class Looked:
+    class Diagnosed:
         """A diagnosis that fails once."""
 
         def __init__(self, place):
@@ -466,7 +466,7 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
         linear_shrink = shrink
 
     monkeypatch.setattr(bench_gap, "make", made)
-    monkeypatch.setattr(bench_gap, "Looked", Looked)
+    monkeypatch.setattr(bench_gap, "Diagnosed", Diagnosed)
     monkeypatch.setattr(bench_gap, "gap_contents", lambda found: {"verdict": "sufficient", "effects": []})
     monkeypatch.setattr(bench_gap, "_hidden", lambda effect: None)
     monkeypatch.setattr(bench_gap, "_others", lambda case, robot: [])

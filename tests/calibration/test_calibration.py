@@ -46,14 +46,14 @@ def test_numbers_are_those_that_are_not_exact():
 
 
 def test_numbers_go_there_and_back():
-    robot, these = model(), numbers(model())
-    x = np.random.default_rng(0).standard_normal(len(these)) * 0.5
-    moved = with_numbers(robot, these, x)
+    robot, uncertain = model(), numbers(model())
+    x = np.random.default_rng(0).standard_normal(len(uncertain)) * 0.5
+    moved = with_numbers(robot, uncertain, x)
     there = {n.name: n for n in numbers(moved)}
-    for number, at in zip(these, x, strict=True):
+    for number, at in zip(uncertain, x, strict=True):
         assert there[number.name].given == pytest.approx(number.value(at), rel=1e-12, abs=1e-15)
         assert number.coordinate(number.value(at)) == pytest.approx(at)
-    back = with_numbers(moved, these, np.zeros(len(these)))
+    back = with_numbers(moved, uncertain, np.zeros(len(uncertain)))
     for kind in ("mass", "com", "inertia", "stiffness", "coulomb_friction"):
         for name, value in parameters(robot, [kind]).items():
             np.testing.assert_allclose(parameters(back, [kind])[name], value, rtol=1e-12)
@@ -70,14 +70,14 @@ def with_effects(level, gap, lag):
 def test_numbers_of_effects():
     table = {"backlash": "unknown", "elbow.stribeck_friction.width": 0, "effect": 0.2}
     robot = with_effects(0.06, 3e-4, 6e-4).with_tolerances(tolerances_from(table, robot_names()))
-    these = {n.name: n for n in numbers(robot)}
-    assert these["shoulder.backlash"].prior == 0.0 and these["shoulder.backlash"].unit == "rad"
-    assert these["elbow.current_loop_lag.time_constant"].size == pytest.approx(0.2)
-    assert "elbow.stribeck_friction.width" not in these
-    moved = with_numbers(robot, list(these.values()), np.full(len(these), 0.3))
+    uncertain = {n.name: n for n in numbers(robot)}
+    assert uncertain["shoulder.backlash"].prior == 0.0 and uncertain["shoulder.backlash"].unit == "rad"
+    assert uncertain["elbow.current_loop_lag.time_constant"].size == pytest.approx(0.2)
+    assert "elbow.stribeck_friction.width" not in uncertain
+    moved = with_numbers(robot, list(uncertain.values()), np.full(len(uncertain), 0.3))
     again = {n.name: n.given for n in numbers(moved)}
     for name in ("shoulder.backlash", "elbow.stribeck_friction.level", "elbow.current_loop_lag.time_constant"):
-        assert again[name] == pytest.approx(these[name].value(0.3)) != these[name].given
+        assert again[name] == pytest.approx(uncertain[name].value(0.3)) != uncertain[name].given
     with pytest.raises(jf.InputError, match=r"unknown key 'elbow\.backlash\.gap'"):
         tolerances_from({"elbow.backlash.gap": 0.1}, robot_names())
 
@@ -100,9 +100,9 @@ def test_effects_that_a_robot_has_are_calibrated():
 
 def test_what_nothing_is_known_of_costs_nothing():
     robot = model().with_tolerances(tolerances_from({"stiffness": "unknown", "elbow.mass": "0.4 kg"}, robot_names()))
-    these = {n.name: n for n in numbers(robot)}
-    assert these["elbow.stiffness"].prior == 0.0
-    assert these["elbow.mass"].size == pytest.approx(0.4 / 10.0)
+    uncertain = {n.name: n for n in numbers(robot)}
+    assert uncertain["elbow.stiffness"].prior == 0.0
+    assert uncertain["elbow.mass"].size == pytest.approx(0.4 / 10.0)
 
 
 def robot_names():
@@ -142,11 +142,11 @@ def test_a_motor_gives_more_of_what_effects_ask_too():
 def check_columns(robot, kinds=tuple(KINDS)):
     """A column is the change of the residual between two simulated robots, but for what the robot that is frozen at the
     position and linear about it leaves out; that of the friction's smoothing, of a few samples, is coarse."""
-    these = numbers(robot)
+    uncertain = numbers(robot)
     record = measured(jf.simulate(robot, design(0), Q[:1], key=jr.key(0), run_in=3.0, noise=0.0))
-    x = np.zeros(len(these))
+    x = np.zeros(len(uncertain))
     scene = Evidence(robot, record).scenes[0]
-    for i, (number, column) in enumerate(zip(these, number_columns(robot, these, x), strict=True)):
+    for i, (number, column) in enumerate(zip(uncertain, number_columns(robot, uncertain, x), strict=True)):
         if number.kind not in kinds:
             continue
         h = 0.02 / number.size if number.positive else 0.1
@@ -154,7 +154,7 @@ def check_columns(robot, kinds=tuple(KINDS)):
         for sign in (1.0, -1.0):
             moved = x.copy()
             moved[i] = sign * h
-            sides.append(Evidence(with_numbers(robot, these, moved), record).residual[0])
+            sides.append(Evidence(with_numbers(robot, uncertain, moved), record).residual[0])
         wanted, ours = -(sides[0] - sides[1]) / (2 * h), column(scene)
         if np.linalg.norm(wanted) < 1e-9:  # what a planar arm does not show
             assert np.linalg.norm(ours) < 1e-9, number.name
@@ -199,7 +199,7 @@ def test_intervals_hold_where_errors_repeat_from_line_to_line():
         half = found.half_width()
         held.append(abs(found.change[0] - truth[0]) < half[0])
         pulled.append(abs(found.change[1] - truth[1]) < half[1])
-        assert found.told[0] > 0.9 and found.told[1] < 0.01
+        assert found.data_share[0] > 0.9 and found.data_share[1] < 0.01
     for hits in (held, pulled):
         low, high = scipy.stats.binomtest(sum(hits), len(hits)).proportion_ci(0.99)
         assert low < 0.95 < high or np.mean(hits) > 0.95
@@ -316,9 +316,9 @@ def test_a_machine_that_is_off_everywhere():
     for kind, limit in {"stiffness": 0.02, "coulomb_friction": 0.03, "damping": 0.1}.items():
         for name in (n for n in truth if n.endswith(f".{kind}")):
             assert found.values[name] == pytest.approx(truth[name], rel=limit), name
-    told = [n for n in truth if n != "friction.smoothing" and found.told_by(n) == "data"]
-    hits = [low <= truth[n] <= high for n in told for low, high in [found.interval(n)]]
-    assert len(told) >= 8 and np.mean(hits) >= 0.7
+    determined = [n for n in truth if n != "friction.smoothing" and found.determined_by(n) == "data"]
+    hits = [low <= truth[n] <= high for n in determined for low, high in [found.interval(n)]]
+    assert len(determined) >= 8 and np.mean(hits) >= 0.7
     before, after = found.heldout
     assert np.all(after < 0.2 * before)
 
@@ -417,7 +417,7 @@ def test_the_command_fits_the_whole_robot(commanded):
         entry = found["parameters"][name]
         assert entry["value"] == pytest.approx(truth[name], rel=0.05), name
         assert entry["interval95"][0] < entry["value"] < entry["interval95"][1]
-        assert entry["told_by"] == "data" and entry["start"] != truth[name]
+        assert entry["determined_by"] == "data" and entry["start"] != truth[name]
     assert np.all(np.array(found["torque_missed"]["after"]) < 0.2 * np.array(found["torque_missed"]["before"]))
     robot = jf.io.read_robot(commanded / "found.toml")
     stiffness = float(parameters(robot)["elbow.stiffness"])

@@ -51,7 +51,7 @@ def test_emps_published_values(measured, guess):
     kinds = ("motor_inertia", "viscous_friction", "coulomb_friction", "torque_offset")
     for kind, value in zip(kinds, (MASS, VISCOUS, COULOMB, OFFSET), strict=True):
         assert found.values[f"axis.{kind}"] == pytest.approx(value, rel=0.02), kind
-        assert found.told_by(f"axis.{kind}") == "data"
+        assert found.determined_by(f"axis.{kind}") == "data"
     assert NEWTON_PER_VOLT == 35.15
 
 
@@ -296,7 +296,7 @@ def test_from_a_urdf_and_a_csv(pendulum, monkeypatch, capsys):
     assert main([*command, "--robot-out", "found.toml"]) == 0, capsys.readouterr().err
     found = jf.io.read_fit("fit.json")["parameters"]
     for name, value in {"swing.coulomb_friction": 0.06, "swing.viscous_friction": 2e-3}.items():
-        assert found[name]["value"] == pytest.approx(value, rel=0.02) and found[name]["told_by"] == "data"
+        assert found[name]["value"] == pytest.approx(value, rel=0.02) and found[name]["determined_by"] == "data"
     robot = jf.io.read_robot("found.toml")
     moment = float(robot.chain.mass[0]) * float(robot.chain.com[0, 0])
     assert moment == pytest.approx(2.2 * 0.3, rel=0.02)

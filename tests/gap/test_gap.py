@@ -87,7 +87,7 @@ class TestFrozen:
             robot = small_robot(stiffness=np.inf).with_effects(hinge)
         q = np.linspace(0.3, 0.9, robot.n_axes)
         still, _ = self.one(robot, q)
-        model = linearise(robot, operating_point(robot, q), still.friction, still.swing)
+        model = linearise(robot, operating_point(robot, q), still.friction, still.deflection)
         G = np.asarray(jf.robot.frf(model, still.frequency[1:], "position"))
         eye = np.broadcast_to(np.eye(robot.n_axes), G.shape)
         np.testing.assert_allclose(G @ still.impedance[1:], eye, atol=1e-8)

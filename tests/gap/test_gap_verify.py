@@ -16,20 +16,22 @@ from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
 from jaxfrf.effects._harmonics import polar_deviation
 from jaxfrf.gap.conclude import against_it, close_rivals, counting
-from jaxfrf.gap.contest import _chosen
 from jaxfrf.gap.diagnose import split
 from jaxfrf.gap.fitted import Fitted
 from jaxfrf.gap.hypothesis import hypothesis
 from jaxfrf.gap.judge import beyond, compared, over_floor
 from jaxfrf.gap.maps import shown_samples
 from jaxfrf.gap.rank import Scored, is_had
+from jaxfrf.gap.selection import _chosen
 from jaxfrf.robot import Tolerances
 from jaxfrf.trajectory.alike import alike, alike_as_written
 from jaxfrf.trajectory.evidence import band_edges, by_band
 from jaxfrf.trajectory.ripple import Order, with_ripple
 
 FLOOR = np.full((41, 2), 0.1)
-TOLD = SimpleNamespace(U=np.ones((2, 2, 41, 2), complex), frequency=np.arange(41.0))  # a torque of 1 N m in every line
+JUDGED = SimpleNamespace(
+    U=np.ones((2, 2, 41, 2), complex), frequency=np.arange(41.0)
+)  # a torque of 1 N m in every line
 
 
 @pytest.fixture(scope="module")
@@ -65,18 +67,18 @@ class TestHeldOutPositions:
         ],
     )
     def test_gap_of_every_axis(self, joint, heldout, says):
-        against = against_it(TOLD, leaving(3.0, 2.0), leaving(*heldout), joint)
+        against = against_it(JUDGED, leaving(3.0, 2.0), leaving(*heldout), joint)
         assert (says in against) if says else against == ""
 
     def test_an_axis_within_its_floor_may_move(self):
         """But not that of the effect itself."""
         base, extended = leaving(3.0, 0.3), leaving(1.0, 0.6)
-        assert against_it(TOLD, base, extended, "shoulder") == ""
-        assert "torque of elbow itself" in against_it(TOLD, base, extended, "elbow")
+        assert against_it(JUDGED, base, extended, "shoulder") == ""
+        assert "torque of elbow itself" in against_it(JUDGED, base, extended, "elbow")
 
     def test_nothing_beyond_the_floor(self):
         """Whatever an effect takes away within it is no effect's."""
-        assert "nowhere beyond its floor" in against_it(TOLD, leaving(0.9, 0.9), leaving(0.1, 0.1), "elbow")
+        assert "nowhere beyond its floor" in against_it(JUDGED, leaving(0.9, 0.9), leaving(0.1, 0.1), "elbow")
 
     def test_rms_over_the_floor(self):
         np.testing.assert_allclose(over_floor(leaving(3.0, 2.0).residual, FLOOR), [3.0, 2.0])
@@ -144,45 +146,45 @@ class TestStrain:
     """Numbers that are off by more than is known, against Pope's test with all covariances written out."""
 
     @staticmethod
-    def found(robot, x, told=1e-4):
-        these = numbers(robot)
-        normal = np.diag(np.where([n.prior > 0 for n in these], 1.0 / told, 1.0))
-        look = SimpleNamespace(posterior=SimpleNamespace(normal=normal))
-        return Fitted(robot, Tolerances(), these, np.asarray(x, float), look, False, (), True)
+    def found(robot, x, variance=1e-4):
+        uncertain = numbers(robot)
+        normal = np.diag(np.where([n.prior > 0 for n in uncertain], 1.0 / variance, 1.0))
+        iterate = SimpleNamespace(posterior=SimpleNamespace(normal=normal))
+        return Fitted(robot, Tolerances(), uncertain, np.asarray(x, float), iterate, False, (), True)
 
     def test_against_the_formula(self, robot):
-        these = numbers(robot)
-        x = np.random.default_rng(0).standard_normal(len(these))
+        uncertain = numbers(robot)
+        x = np.random.default_rng(0).standard_normal(len(uncertain))
         found = self.found(robot, x)
-        known = np.array([n.prior > 0 and n.kind != "smoothing" for n in these])
+        known = np.array([n.prior > 0 and n.kind != "smoothing" for n in uncertain])
         for i in np.flatnonzero(known):
             other = known & (np.arange(len(x)) != i)
             factor = min(1.0, np.sum(x[other] ** 2) / (np.sum(other) * (1 - 1e-4)))
-            assert found.strain[i] == pytest.approx(x[i] / np.sqrt((1 - 1e-4) * factor))
-        assert found.strained == ()
+            assert found.tolerance_statistic[i] == pytest.approx(x[i] / np.sqrt((1 - 1e-4) * factor))
+        assert found.out_of_tolerance == ()
 
     def test_one_that_stands_out(self, robot):
         """Two tolerances are much where all others are known better than was said."""
-        these = numbers(robot)
-        place = [n.name for n in these].index("elbow.torque_constant")
-        x = np.full(len(these), 0.3)
+        uncertain = numbers(robot)
+        place = [n.name for n in uncertain].index("elbow.torque_constant")
+        x = np.full(len(uncertain), 0.3)
         x[place] = 2.5
         found = self.found(robot, x)
-        assert found.strained == (place,)
-        others = sum(n.prior > 0 and n.kind != "smoothing" for n in these) - 1
+        assert found.out_of_tolerance == (place,)
+        others = sum(n.prior > 0 and n.kind != "smoothing" for n in uncertain) - 1
         expected = 2 * (others + 1) * scipy.stats.t(others).sf(2.5 / 0.3)
-        assert found.strain_p_value(place) == pytest.approx(expected, rel=0.1)
-        assert self.found(robot, 2.5 * np.sign(x)).strained == ()  # all are off: none stands out
+        assert found.tolerance_p_value(place) == pytest.approx(expected, rel=0.1)
+        assert self.found(robot, 2.5 * np.sign(x)).out_of_tolerance == ()  # all are off: none stands out
 
     @pytest.mark.parametrize("count", [1, 3, 6, 20])
     def test_false_alarms(self, robot, count):
         """Where every tolerance is what is stated, the least p-value of all numbers is as rare as it says."""
-        these = tuple(n for n in numbers(robot) if n.prior > 0 and n.kind != "smoothing")[:count]
+        uncertain = tuple(n for n in numbers(robot) if n.prior > 0 and n.kind != "smoothing")[:count]
         rng, draws, least = np.random.default_rng(0), 500, []
-        look = SimpleNamespace(posterior=SimpleNamespace(normal=np.eye(count) * 1e4))
+        iterate = SimpleNamespace(posterior=SimpleNamespace(normal=np.eye(count) * 1e4))
         for _ in range(draws):
-            found = Fitted(robot, Tolerances(), these, rng.standard_normal(count), look, False, (), True)
-            least.append(found.strain_p_value(int(np.argmax(np.abs(found.strain)))))
+            found = Fitted(robot, Tolerances(), uncertain, rng.standard_normal(count), iterate, False, (), True)
+            least.append(found.tolerance_p_value(int(np.argmax(np.abs(found.tolerance_statistic)))))
         assert scipy.stats.binom.sf(np.sum(np.array(least) < 0.05) - 1, draws, 0.05) > 1e-3
 
 
@@ -203,8 +205,8 @@ class TestWaves:
         orders = (Order("torque", 0, 2.0), Order("torque", 1, 3.0), Order("torque", 1, 7.0))
         jackknifed = np.random.default_rng(1).standard_normal((6, 8))  # two numbers before the sines and cosines
         posterior = Posterior(np.zeros(8), 1.0, np.eye(8), jackknifed, np.zeros(8))
-        look = SimpleNamespace(posterior=posterior, orders=orders)
-        found = Fitted(robot, Tolerances(), (), np.zeros(0), look, False, (), True).wave_covariance("torque", 1)
+        iterate = SimpleNamespace(posterior=posterior, orders=orders)
+        found = Fitted(robot, Tolerances(), (), np.zeros(0), iterate, False, (), True).wave_covariance("torque", 1)
         assert sorted(found) == [3.0, 7.0]
         expected = np.cov(jackknifed[:, 6:], rowvar=False, bias=True) * 5.0  # of a jackknife: (n - 1) mean squares
         np.testing.assert_allclose(found[7.0], expected * (scipy.stats.t.ppf(0.975, 5) / 1.959964) ** 2, rtol=1e-5)
@@ -213,14 +215,14 @@ class TestWaves:
 class TestHypotheses:
     @staticmethod
     def view(robot):
-        these = numbers(robot)
-        return Fitted(robot, Tolerances(), these, np.zeros(len(these)), None, False, (), False)
+        uncertain = numbers(robot)
+        return Fitted(robot, Tolerances(), uncertain, np.zeros(len(uncertain)), None, False, (), False)
 
     def unknown(self, robot, effect):
         found = hypothesis(self.view(robot), effect, effect.joint)
-        these = numbers(found.robot.with_tolerances(found.unknown))
+        uncertain = numbers(found.robot.with_tolerances(found.unknown))
         own = {o.number for o in found.own}
-        return found, {n.name: n.given for n in these if n.name in own}
+        return found, {n.name: n.given for n in uncertain if n.name in own}
 
     @pytest.mark.parametrize(
         ("effect", "own"),

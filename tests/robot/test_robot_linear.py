@@ -211,13 +211,13 @@ class TestLinearisation:
     def test_deflections_average_the_local_stiffness(self):
         robot = jr.r3x()
         point = jr.operating_point(robot, FEW)
-        swing = 4e-4 * np.random.default_rng(0).normal(size=(50, 8))
-        model, wide = jr.linearise(robot, point), jr.linearise(robot, point, deflections=swing)
+        deflection = 4e-4 * np.random.default_rng(0).normal(size=(50, 8))
+        model, wide = jr.linearise(robot, point), jr.linearise(robot, point, deflections=deflection)
         rho, knee, k = (
             np.asarray(x)[:6]
             for x in (robot.springs.stiffness_ratio, robot.springs.stiffness_knee, robot.springs.stiffness)
         )
-        x = np.asarray(point.deflection)[:, None, :6] + np.concatenate([swing, 0 * swing])[:, :6]
+        x = np.asarray(point.deflection)[:, None, :6] + np.concatenate([deflection, 0 * deflection])[:, :6]
         local = k * (1 - (1 - rho) / np.cosh(x / knee) ** 2)
         change = local[:, :50].mean(axis=1) - local[:, 50:].mean(axis=1)
         for a in range(6):
@@ -432,17 +432,17 @@ class TestJacobian:
     def test_jacfwd(self, friction, hold):
         """The outer products against forward differentiation through equilibrium, linearisation and solve."""
         robot, frequency = jr.r3x(), LINES[::60]
-        swing = 1e-4 * np.random.default_rng(0).normal(size=(5, 8))
+        deflection = 1e-4 * np.random.default_rng(0).normal(size=(5, 8))
 
         def response(theta):
             k, d, f = theta
             changed = eqx.tree_at(lambda r: (r.springs.stiffness, r.springs.damping), robot, (k, d))
-            model = jr.linearise(changed, jr.operating_point(changed, FEW), f, swing)
+            model = jr.linearise(changed, jr.operating_point(changed, FEW), f, deflection)
             return jr.frf(model, frequency, "acceleration", hold, 3e-4)
 
         theta = robot.springs.stiffness, robot.springs.damping, friction
         expected = np.concatenate(jax.jit(jax.jacfwd(response))(theta), axis=-1)
-        ours = jr.frf_and_jacobian(robot, FEW, frequency, "acceleration", hold, 3e-4, friction, swing)
+        ours = jr.frf_and_jacobian(robot, FEW, frequency, "acceleration", hold, 3e-4, friction, deflection)
         assert relative(ours.G, response(theta)).max() < 1e-12
         size = np.abs(expected).max(axis=(2, 3), keepdims=True)
         np.testing.assert_array_less(np.abs(ours.jacobian - expected), np.broadcast_to(1e-8 * size, expected.shape))

@@ -49,7 +49,7 @@ def machines_example():
             "true": true,
             "given": given,
             "whole": found(whole, half),
-            "told_by": "prior" if name == "a.mass" else "data",
+            "determined_by": "prior" if name == "a.mass" else "data",
             "springs": None if springs is None else found(springs, 0.5),
         }
 
@@ -217,7 +217,7 @@ def test_errors_where_nothing_is_known_exactly():
     assert [stiffness["whole"][k] for k in ("least", "median", "largest")] == pytest.approx([0.01, 0.02, 0.03])
     assert entry["errors"]["coulomb_friction"]["springs"] is None
     assert entry["errors"]["last_mass"]["whole"]["median"] == pytest.approx(0.01)
-    # The first mass is not told by the data: whether its interval holds does not count.
+    # The first mass is not determined by the data: whether its interval holds does not count.
     assert entry["intervals"] == {"whole": {"hold": 2 + 0 + 2 + 2, "of": 10}, "springs": {"hold": 2, "of": 6}}
     assert entry["machines"] == 2 and compared([]) == []
 

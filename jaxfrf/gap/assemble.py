@@ -1,4 +1,4 @@
-"""From a contest to what a person reads: verdict, effects, where, gap, maps."""
+"""From a selection of effects to what a person reads: verdict, effects, where, gap, maps."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,18 +11,18 @@ from ..frf import LRM
 from ..graybox.indirect import default_method, measured_frf
 from ..robot import Robot
 from .conclude import Conclusion, concluded, next_experiment
-from .contest import Contest, Records
 from .fitted import Fitted
 from .judge import Written, each_written, over_floor, relative_torque
 from .maps import largest_cells, maps_of
 from .result import Diagnosis, EstimatedValue, Gap, Maps, Ranked
+from .selection import Records, Selection
 from .settings import FLOOR, LEAST_SIZE, SHOWN
 
 _AT_MOST = 0.9  # of the gap is floor: a steady torque alone hardly lifts the rms of all lines
 _NOTHING = 1e-3  # of the floor: a gap that is smaller has nothing to shrink
 
 
-def present(found: Contest, records: Records, given: Robot, compared: str) -> Diagnosis:
+def assembled(found: Selection, records: Records, given: Robot, compared: str) -> Diagnosis:
     """The result: of the robots that would be written, judged on the held-out positions."""
     end = concluded(found, records, given)
     records = end.records
@@ -66,19 +66,19 @@ def _maps(records: Records, end: Conclusion) -> Maps:
 
 def gap_between(records: Records, base: Written, extended: Written) -> Gap:
     """Of robots that were simulated where the result is told."""
-    told, floor = records.every.at(records.judged), base.evidence.plain
+    judged, floor = records.every.at(records.judged), base.evidence.plain
     b, a = (float(np.sqrt(np.mean(over_floor(x.residual, floor) ** 2))) for x in (base, extended))
     low = min(np.sqrt(FLOOR), _AT_MOST * b)
     shrink = float(np.clip(1.0 - (a - low) / max(b - low, _NOTHING), -9.0, 1.0))
     on = "held-out positions" if len(records.heldout) else "the fitted positions (none were held out)"
-    before, after = (relative_torque(told, x.residual) for x in (base, extended))
+    before, after = (relative_torque(judged, x.residual) for x in (base, extended))
     return Gap(b, a, float(low), shrink, "1", on, before, after)
 
 
 def _parameters(last: Fitted, given: Robot):
     """Stiffnesses and dampings of the robot that is written, and what else is told of the robot's positive numbers."""
     values, changed = {}, {}
-    for number in last.these:
+    for number in last.numbers:
         if number.kind in ("stiffness", "damping") and number.joint in given.joint_names:
             value = last.value(number.name)
             values[number.name] = EstimatedValue(value, last.deviation(number.name), number.unit)
@@ -86,7 +86,7 @@ def _parameters(last: Fitted, given: Robot):
     return values, changed
 
 
-def _ranking(found: Contest, end: Conclusion) -> tuple[Ranked, ...]:
+def _ranking(found: Selection, end: Conclusion) -> tuple[Ranked, ...]:
     taken = {step.key: i for i, step in enumerate(end.steps)}
     taken_back = {step.key for step in found.steps} - set(taken)
     fitted = {

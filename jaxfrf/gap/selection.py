@@ -1,4 +1,4 @@
-"""Which effects are missing, as a contest between robots whose numbers were fitted.
+"""Which effects are missing, as a comparison of robots whose numbers were fitted.
 
 The robot as it was given, its numbers fitted, stands first. Candidates that promise most, to first order, become robots
 whose effect's parameters are numbers of which nothing is known; all their numbers are fitted from where those before
@@ -25,13 +25,13 @@ from .judge import COMPARED, Comparison, compared, each_written, over_floor, wri
 from .rank import Scored, ranked
 from .rounds import KeptRound, keep_round, read_round
 from .settings import (
+    CANDIDATES,
     DOUBTFUL,
     EXPLAINED,
     FINAL_ROUNDS,
-    FINALISTS,
-    FIRST_HEAT,
+    FIRST_ROUNDS,
     FLOOR,
-    IN_THE_RACE,
+    KEPT_WITHIN,
     LEAST_GAIN,
     LEAST_PART,
     LEAST_SIZE,
@@ -46,7 +46,7 @@ from .settings import (
 
 class Rival(eqx.Module):
     """A candidate that was fitted, too. `cost`: over that of the robot before. `near`: whether the positions that chose
-    nothing do not tell it from the winner."""
+    nothing do not tell it from the best candidate."""
 
     key: tuple[str, str] = eqx.field(static=True)
     cost: float = eqx.field(static=True)
@@ -70,12 +70,12 @@ class Step(eqx.Module):
         return self.hypothesis.key
 
 
-class Contest(eqx.Module):
-    """What was found.
+class Selection(eqx.Module):
+    """The effects that were selected.
 
     **Fields:** `base`: the robot with its numbers fitted. `steps`: effects. `last`: the robot with them, fitted to all
     positions that are not held out. `scored`: the first ranking, empty where nothing was looked for. `refused`: in
-    words, why the last winner was not taken.
+    words, why the best candidate of the last round was not taken.
     """
 
     base: Fitted
@@ -114,14 +114,14 @@ class Records(eqx.Module):
         return self.heldout if len(self.heldout) else self.opened
 
 
-def contest(
+def select_effects(
     robot: Robot,
     records: Records,
     own: Sequence[type[AbstractEffect]],
     say: Say,
     done,
     parts: Parts | None,
-) -> Contest:
+) -> Selection:
     """The effects that a robot lacks, on the positions that are not held out."""
     say("fits the robot's own numbers")
     fit = records.fitted
@@ -131,10 +131,10 @@ def contest(
     steps: list[Step] = []
     first: tuple[Scored, ...] = ()
     while len(steps) < MOST:
-        misses, strained = _misses(now, records, say), _strained(now)
-        if strained:
-            say(f"{', '.join(strained)}: off by more than is known")
-        if not misses and not strained:
+        misses, out_of_tolerance = _misses(now, records, say), _out_of_tolerance(now)
+        if out_of_tolerance:
+            say(f"{', '.join(out_of_tolerance)}: off by more than is known")
+        if not misses and not out_of_tolerance:
             break
         kept = read_round(parts, len(steps) + 1)
         if kept is not None:
@@ -145,12 +145,12 @@ def contest(
         if kept is not None:
             step = _remembered(kept, now, records, misses, say)
         else:
-            also_given = not steps and now.look.left > FLOOR
+            also_given = not steps and now.iterate.left > FLOOR
             views = [now, given or as_given(robot, fit, say)] if also_given else [now]
-            heat = _Heat(now, records, own, misses, say)
-            step, refused = heat.best(views, steps)
-            first = first or heat.scored
-            if not keep_round(parts, len(steps) + 1, _round(step, refused)):
+            round = _Round(now, records, own, misses, say)
+            step, refused = round.best(views, steps)
+            first = first or round.scored
+            if not keep_round(parts, len(steps) + 1, _kept_round(step, refused)):
                 parts = None  # rounds behind one that is found again would be those of another robot
         if step is None:
             say(refused)
@@ -158,13 +158,13 @@ def contest(
         steps.append(step)
         now = step.found
         done(0.3 + 0.6 * len(steps) / MOST)
-    return Contest(base, tuple(steps), _on_all(now, records, say) if steps else now, first, refused)
+    return Selection(base, tuple(steps), _on_all(now, records, say) if steps else now, first, refused)
 
 
 def _misses(now: Fitted, records: Records, say: Say) -> bool:
     """Whether one axis in one band is beyond the floor, on the fitted positions and on those that decide."""
     frequency = records.whole.frequency
-    cells = np.mean(by_band(now.left, now.look.evidence.plain, frequency), axis=(0, 1))
+    cells = np.mean(by_band(now.left, now.iterate.evidence.plain, frequency), axis=(0, 1))
     say(f"at most {cells.max():.3g} times the floor is left")
     if cells.max() <= FLOOR:
         return False
@@ -176,8 +176,8 @@ def _misses(now: Fitted, records: Records, say: Say) -> bool:
     return bool(np.any(there[cells > FLOOR] > FLOOR))
 
 
-def _strained(now: Fitted) -> list[str]:
-    return [now.these[i].name for i in now.strained]
+def _out_of_tolerance(now: Fitted) -> list[str]:
+    return [now.numbers[i].name for i in now.out_of_tolerance]
 
 
 def _on_all(now: Fitted, records: Records, say: Say) -> Fitted:
@@ -201,43 +201,43 @@ def _again(kept: KeptRound, robot: Robot, unknown: Tolerances, record: Measured,
     return at(robot, unknown, record, kept.values, kept.orders, kept.floor, kept.near, kept.inside, say)
 
 
-def _round(step: Step | None, refused: str) -> KeptRound:
+def _kept_round(step: Step | None, refused: str) -> KeptRound:
     if step is None:
         return KeptRound(refused=refused)
-    told = {
+    details = {
         "cost": step.cost,
         "scored": [step.scored.part, step.scored.t, step.scored.size],
         "on_select": [getattr(step.on_select, n) for n in COMPARED],
         "rivals": [[*r.key, r.cost, r.near] for r in step.rivals],
     }
-    return KeptRound.of(step.found, step.hypothesis.effect.stated(), step.hypothesis.joint, told)
+    return KeptRound.of(step.found, step.hypothesis.effect.stated(), step.hypothesis.joint, details)
 
 
 def _remembered(kept: KeptRound, now: Fitted, records: Records, misses: bool, say: Say) -> Step | None:
     """The step of a round that an earlier run had finished."""
-    begun = None if kept.effect is None else hypothesis(now, kept.effect, kept.joint)
-    if begun is None:
+    start = None if kept.effect is None else hypothesis(now, kept.effect, kept.joint)
+    if start is None:
         return None
-    found = _again(kept, begun.robot, begun.unknown, records.fitted, say)
-    told = kept.told
-    rivals = tuple(Rival((name, joint), cost, near) for name, joint, cost, near in told["rivals"])
-    scored = Scored(begun.effect, begun.joint, *told["scored"])
-    without = to_beat(now, begun, found, misses)[-1]
-    return Step(begun, scored, found, without, Comparison(*told["on_select"]), told["cost"], rivals)
+    found = _again(kept, start.robot, start.unknown, records.fitted, say)
+    details = kept.details
+    rivals = tuple(Rival((name, joint), cost, near) for name, joint, cost, near in details["rivals"])
+    scored = Scored(start.effect, start.joint, *details["scored"])
+    without = to_beat(now, start, found, misses)[-1]
+    return Step(start, scored, found, without, Comparison(*details["on_select"]), details["cost"], rivals)
 
 
-def to_beat(now: Fitted, begun: Hypothesis, found: Fitted, misses: bool) -> list[Robot]:
+def to_beat(now: Fitted, hypothesis: Hypothesis, found: Fitted, misses: bool) -> list[Robot]:
     """The robots that an effect must beat: the one before, where something of it is beyond the floor, else the one
     before with numbers that nobody believes as given; the same robot without it, where the effect is the error of a
     number: the one before had most of that error already."""
-    if begun.is_number:
-        return [found.written(given=[o.number for o in begun.own])]
-    return [now.written() if misses else now.written(given=_strained(now))]
+    if hypothesis.is_number:
+        return [found.written(given=[o.number for o in hypothesis.own])]
+    return [now.written() if misses else now.written(given=_out_of_tolerance(now))]
 
 
 @dataclasses.dataclass(frozen=True)
-class _Runner:
-    """A candidate in the race."""
+class _Candidate:
+    """An effect that is a candidate, and the fit of the robot with it."""
 
     scored: Scored
     hypothesis: Hypothesis
@@ -248,7 +248,7 @@ class _Runner:
         return self.fit.found
 
 
-class _Heat:
+class _Round:
     """One round: candidates for the place of the robot that stands, which `misses` something beyond the floor, or
     whose numbers are off by what is not believed."""
 
@@ -258,24 +258,24 @@ class _Heat:
         self.scored: tuple[Scored, ...] = ()  # from the first view
 
     def best(self, views: Sequence[Fitted], had: Sequence[Step]) -> tuple[Step | None, str]:
-        runners = self._first_heat(views, had)
-        if not runners:
+        candidates = self._screened(views, had)
+        if not candidates:
             return None, "no candidate explains more than chance"
-        costs = _costs([r.found for r in runners], self.now)
-        runners = [r for r, cost in zip(runners, costs, strict=True) if cost <= IN_THE_RACE * min(costs)]
-        shared(self._finish, runners, lapack_threads())
-        runners, costs, before = self._in_order(runners)
-        after = each_written([r.found.written() for r in runners], self.deciding)
-        running = [(r, c / before, w) for r, c, w in zip(runners, costs, after, strict=True) if w is not None]
-        if not running:
+        costs = _costs([r.found for r in candidates], self.now)
+        candidates = [r for r, cost in zip(candidates, costs, strict=True) if cost <= KEPT_WITHIN * min(costs)]
+        shared(self._finish, candidates, lapack_threads())
+        candidates, costs, before = self._in_order(candidates)
+        after = each_written([r.found.written() for r in candidates], self.deciding)
+        simulated = [(r, c / before, w) for r, c, w in zip(candidates, costs, after, strict=True) if w is not None]
+        if not simulated:
             return None, "no robot with more can be simulated"
-        return self._judged(running)
+        return self._judged(simulated)
 
-    def _judged(self, running) -> tuple[Step | None, str]:
-        running = self._of_one_class(running)
-        winner, cost, its = running[0]
-        name = said(winner.hypothesis.key)
-        others = to_beat(self.now, winner.hypothesis, winner.found, self.misses)
+    def _judged(self, simulated) -> tuple[Step | None, str]:
+        simulated = self._of_one_class(simulated)
+        best, cost, its = simulated[0]
+        name = said(best.hypothesis.key)
+        others = to_beat(self.now, best.hypothesis, best.found, self.misses)
         before = each_written(others, self.deciding)
         floor, frequency = its.evidence.plain, self.deciding.frequency
         versus = lambda one, two: compared(one.residual, two.residual, floor, frequency)
@@ -285,25 +285,25 @@ class _Heat:
                 f"  {name}: {result.before:.3g} -> {result.after:.3g} beyond the floor on positions that decide, gain "
                 f"{result.gain:.1%} (from {result.least:.1%}), p = {result.p_value:.2g}"
             )
-        against = _against(winner, results)
+        against = _against(best, results)
         if against:
             return None, f"{name} was not taken: {against}"
         near = lambda w: _near(versus(w, its), results[-1].before)
-        rivals = tuple(Rival(r.hypothesis.key, c, near(w)) for r, c, w in running[1:])
-        return Step(winner.hypothesis, winner.scored, winner.found, others[-1], results[-1], cost, rivals), ""
+        rivals = tuple(Rival(r.hypothesis.key, c, near(w)) for r, c, w in simulated[1:])
+        return Step(best.hypothesis, best.scored, best.found, others[-1], results[-1], cost, rivals), ""
 
-    def _of_one_class(self, running):
+    def _of_one_class(self, simulated):
         """The same, the first of them that of its class that leaves least on positions that decide: what the fit tells
         hardly apart, other positions may."""
-        first, floor = running[0][0].hypothesis, running[0][2].evidence.plain
-        left = [float(np.sum(over_floor(w.residual, floor) ** 2)) for _, _, w in running]
-        alike = [i for i, (r, *_) in enumerate(running) if one_class(first.effect, first.key, r.hypothesis.key)]
+        first, floor = simulated[0][0].hypothesis, simulated[0][2].evidence.plain
+        left = [float(np.sum(over_floor(w.residual, floor) ** 2)) for _, _, w in simulated]
+        alike = [i for i, (r, *_) in enumerate(simulated) if one_class(first.effect, first.key, r.hypothesis.key)]
         best = min(alike, key=lambda i: left[i])
-        return [running[best], *(x for i, x in enumerate(running) if i != best)]
+        return [simulated[best], *(x for i, x in enumerate(simulated) if i != best)]
 
-    def _first_heat(self, views: Sequence[Fitted], had) -> list[_Runner]:
+    def _screened(self, views: Sequence[Fitted], had) -> list[_Candidate]:
         """Candidates of one view after the other, and those that numbers imitate, until one takes much away."""
-        found: list[_Runner] = []
+        found: list[_Candidate] = []
         seen = []
         for view in views:
             scored = ranked(view, self.record, self.own, self.misses)
@@ -317,39 +317,39 @@ class _Heat:
                 self._run(view, _imitated(view, scored, had), found)
         return found
 
-    def _run(self, view: Fitted, chosen: Sequence[Scored], found: list[_Runner]) -> bool:
+    def _run(self, view: Fitted, chosen: Sequence[Scored], found: list[_Candidate]) -> bool:
         """Fit candidates for some rounds; whether one of all takes much away."""
         starts: dict[tuple[str, str], tuple[Scored, Hypothesis]] = {}
         for this in chosen:
-            begun = hypothesis(view, this.effect, this.joint)
-            if begun is not None and begun.key not in {r.hypothesis.key for r in found}:
-                starts.setdefault(begun.key, (this, begun))
-        runners = shared(lambda start: self._start(view, *start), starts.values(), lapack_threads())
-        found += [runner for runner in runners if runner is not None]
+            start = hypothesis(view, this.effect, this.joint)
+            if start is not None and start.key not in {r.hypothesis.key for r in found}:
+                starts.setdefault(start.key, (this, start))
+        candidates = shared(lambda each: self._start(view, *each), starts.values(), lapack_threads())
+        found += [candidate for candidate in candidates if candidate is not None]
         *costs, before = _costs([*(r.found for r in found), self.now], self.now)
         return bool(costs) and min(costs) < MUCH * before
 
-    def _start(self, view: Fitted, this: Scored, begun: Hypothesis) -> "_Runner | None":
+    def _start(self, view: Fitted, this: Scored, hypothesis: Hypothesis) -> "_Candidate | None":
         self.say(f"  tries {said(this.key)}, which promises {this.part:.1%}")
         try:
-            fit = RobotFit.beside(view, begun.robot, begun.unknown, self.record, self.say)
+            fit = RobotFit.beside(view, hypothesis.robot, hypothesis.unknown, self.record, self.say)
         except InputError:
             return None
-        fit.go_on(FIRST_HEAT - 1)
-        return _Runner(this, begun, fit)
+        fit.go_on(FIRST_ROUNDS - 1)
+        return _Candidate(this, hypothesis, fit)
 
-    def _finish(self, runner: _Runner) -> None:
-        runner.fit.go_on(MORE_ROUNDS)
-        told = runner.hypothesis.told(runner.found)
-        values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in told.items())
-        self.say(f"  {said(runner.hypothesis.key)}: {values}")
+    def _finish(self, candidate: _Candidate) -> None:
+        candidate.fit.go_on(MORE_ROUNDS)
+        estimates = candidate.hypothesis.estimates(candidate.found)
+        values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in estimates.items())
+        self.say(f"  {said(candidate.hypothesis.key)}: {values}")
 
-    def _in_order(self, runners: Sequence[_Runner]) -> tuple[list[_Runner], list[float], float]:
+    def _in_order(self, candidates: Sequence[_Candidate]) -> tuple[list[_Candidate], list[float], float]:
         """Each effect once, the cheapest first, with their costs and that of the robot before."""
-        *costs, before = _costs([*(r.found for r in runners), self.now], self.now)
+        *costs, before = _costs([*(r.found for r in candidates), self.now], self.now)
         best: dict = {}
-        for cost, runner in sorted(zip(costs, runners, strict=True), key=lambda pair: pair[0]):
-            best.setdefault(runner.hypothesis.key, (runner, cost))
+        for cost, candidate in sorted(zip(costs, candidates, strict=True), key=lambda pair: pair[0]):
+            best.setdefault(candidate.hypothesis.key, (candidate, cost))
         return [r for r, _ in best.values()], [c for _, c in best.values()], before
 
 
@@ -365,9 +365,9 @@ def _chosen(scored: Sequence[Scored], had) -> list[Scored]:
         if this.size >= LEAST_SIZE and not _stands(this, had):
             found.setdefault(this.key, this)
     best = list(found.values())
-    promising = [s for s in best[:FINALISTS] if s.part >= max(SHARE * best[0].part, LEAST_PART)]
+    promising = [s for s in best[:CANDIDATES] if s.part >= max(SHARE * best[0].part, LEAST_PART)]
     others = best[len(promising) :]
-    return [*promising, *[s for s in others if s.disbelieved][:FINALISTS]]
+    return [*promising, *[s for s in others if s.disbelieved][:CANDIDATES]]
 
 
 def _stands(this: Scored, had: Sequence[Step]) -> bool:
@@ -390,20 +390,20 @@ def _costs(robots: Sequence[Fitted], like: Fitted) -> list[float]:
 
     How many is told by the robot in which they are fewest: what an effect leaves that is not there repeats from line to
     line, and would make its robot look as if little were known."""
-    effect = min(found.look.posterior.effect for found in robots)
-    over = lambda found: float(np.sum(np.abs(found.left / like.look.evidence.plain) ** 2))
-    return [over(found) / effect + found.priced for found in robots]
+    effect = min(found.iterate.posterior.effect for found in robots)
+    over = lambda found: float(np.sum(np.abs(found.left / like.iterate.evidence.plain) ** 2))
+    return [over(found) / effect + found.prior_cost for found in robots]
 
 
-def _against(winner: _Runner, results: Sequence[Comparison]) -> str:
+def _against(best: _Candidate, results: Sequence[Comparison]) -> str:
     """What speaks against an effect, in words; empty where nothing does."""
-    told = winner.hypothesis.told(winner.found)
-    name, (value, std) = next(iter(told.items()), ("", (np.inf, 0.0)))
-    if abs(value - winner.hypothesis.effect.nothing) < 1.96 * std:
+    estimates = best.hypothesis.estimates(best.found)
+    name, (value, std) = next(iter(estimates.items()), ("", (np.inf, 0.0)))
+    if abs(value - best.hypothesis.effect.nothing) < 1.96 * std:
         return f"its {name} is {value:.3g} +- {1.96 * std:.2g}, which holds none of it"
     if not results:
         return "the robot without it cannot be simulated where it is decided"
-    least = EXPLAINED if winner.hypothesis.is_number else LEAST_GAIN
+    least = EXPLAINED if best.hypothesis.is_number else LEAST_GAIN
     return next((text for text in (shows_nothing(result, least) for result in results) if text), "")
 
 
@@ -420,5 +420,5 @@ def shows_nothing(result: Comparison, least: float = LEAST_GAIN) -> str:
 
 
 def _near(result: Comparison, before: float) -> bool:
-    """Whether a rival leaves hardly more than the winner, where the positions that decide are asked."""
+    """Whether a rival leaves hardly more than the best candidate, where the positions that decide are asked."""
     return result.p_value > SIGNIFICANT or result.before - result.after < NEAR * before
