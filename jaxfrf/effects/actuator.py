@@ -32,6 +32,11 @@ class TorqueDelay(AbstractActuator):
     **Arguments:** `delay`: s; 0.3 ms is visible. `longest`: s, how much of the past is kept.
 
     In data: phase -omega delay in the motor's column of G. In the linearised robot: exactly.
+
+    **Raises:** `jaxfrf.InputError` for a delay below 0 or above `longest`.
+
+    **Source:** a definition; between two fine steps the delayed torque is shared as in the sampling of delayed systems
+    in Åström & Wittenmark, Computer-Controlled Systems, 3rd ed. 1997.
     """
 
     name: ClassVar = "torque_delay"
@@ -85,6 +90,9 @@ class CurrentLoopLag(AbstractActuator):
 
     In data: as a delay. In the linearised robot: exactly but for the aliases of a held torque, of which it damps
     none (some 1e-4 of G).
+
+    **Source:** Leonhard, Control of Electrical Drives, 3rd ed. 2001, where a closed current loop is approximated by a
+    first-order lag.
     """
 
     name: ClassVar = "current_loop_lag"
@@ -124,6 +132,8 @@ class TorqueConstant(AbstractStatelessActuator):
     **Arguments:** `error`: +-0.1; 0.02 is visible.
 
     In data: a flat gain of the motor's column of G, no phase. In the linearised robot: exactly.
+
+    **Source:** a definition.
     """
 
     name: ClassVar = "torque_constant"
@@ -165,6 +175,9 @@ class TorqueSaturation(AbstractStatelessActuator):
 
     In data: at high amplitude only, flat tops of the motor's acceleration. In the linearised robot: not at all, it
     is linear below the limit.
+
+    **Source:** a definition, the ideal saturation; Gelb & Vander Velde, Multiple-Input Describing Functions and
+    Nonlinear System Design, 1968, have its gain for sines.
     """
 
     name: ClassVar = "torque_saturation"
@@ -212,6 +225,12 @@ class TorqueRipple(AbstractMotorTorque):
 
     In data: lines at orders of the motor's angle, of an amplitude that does not depend on the speed. It repeats
     with the period, so more periods do not average it out. In the linearised robot: not at all.
+
+    **Raises:** `jaxfrf.InputError` unless amplitudes, orders and phases are as many.
+
+    **Source:** a definition, a sum of sines of the motor position as in the paper, section IV.A; where such ripple
+    comes from: Holtz & Springob, IEEE Trans. Industrial Electronics 43 (1996) 309-320. Ripple of a real motor may grow
+    with its current, this does not.
     """
 
     name: ClassVar = "torque_ripple"
@@ -265,6 +284,9 @@ class ElasticLoad(AbstractActuator):
     **Arguments:** `antiresonance`, `resonance`: w/(2 pi), Hz. `antiresonance_damping`, `resonance_damping`: z.
 
     In data: a pair of antiresonance and resonance of a drive's FRF. In the linearised robot: exactly.
+
+    **Source:** closed form of two inertias with a linear spring and damper between them, for which z_r/z_a = w_r/w_a;
+    here both dampings are free.
     """
 
     name: ClassVar = "elastic_load"

@@ -42,6 +42,8 @@ class CoulombFriction(AbstractStructure):
     on a slow sine of speed A; odd distortion. In the linearised robot: by that gain, see
     `jaxfrf.robot.describing_friction`.
 
+    **Raises:** (in `with_effects`) `jaxfrf.InputError` where the robot's friction is a law without a Coulomb part.
+
     **Source:** Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138, where the sign is not
     smoothed.
     """
@@ -125,6 +127,9 @@ class ArmViscousFriction(AbstractArmTorque):
     **Arguments:** `coefficient`: N m s/rad, arm side, 0 or more; 0.5 Fv n^2 is visible.
 
     In data: antiresonances fill up. In the linearised robot: exactly.
+
+    **Source:** a definition, the viscous term of Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994)
+    1083-1138, on the arm side.
     """
 
     name: ClassVar = "arm_viscous_friction"
@@ -212,6 +217,9 @@ class FrictionAsymmetry(AbstractFriction):
 
     In data: a constant torque residual and *even* distortion. In the linearised robot: by the describing gain, to
     which the offset adds nothing.
+
+    **Source:** a definition: Coulomb friction of its own in each direction, written as mean and half of the difference,
+    the sign smoothed. The offset is that of Janot, Gautier & Brunot, Data Set and Reference Models of EMPS, 2019.
     """
 
     name: ClassVar = "friction_asymmetry"
@@ -245,6 +253,9 @@ class LoadDependentFriction(AbstractFriction):
 
     In data: the torque residual's step at zero speed grows with the gear torque. In the linearised robot: by the
     describing gain at the load of gravity. With a rigid transmission the motor torque stands for the load.
+
+    **Source:** Hamon, Gautier & Garrec, Dynamic identification of robots with a dry friction model depending on load
+    and velocity, IROS 2010: the term in proportion to the load, alike in both directions of power, the sign smoothed.
     """
 
     name: ClassVar = "load_dependent_friction"

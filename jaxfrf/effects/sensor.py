@@ -27,6 +27,11 @@ class ResolverRipple(AbstractSensor):
 
     In data: an apparent acceleration of about amplitude h^2 v^2 at orders of the motor's angle; the controller acts
     on it too. In the linearised robot: not at all.
+
+    **Raises:** `jaxfrf.InputError` unless amplitudes, orders and phases are as many.
+
+    **Source:** a definition, a sum of sines of the motor position as in the paper, section IV.A; where such errors come
+    from: Hanselman, IEEE Trans. Industrial Electronics 37 (1990) 556-561.
     """
 
     name: ClassVar = "resolver_ripple"
@@ -68,6 +73,9 @@ class EncoderQuantisation(AbstractSensor):
 
     In data: noise that grows as f^2 in the acceleration, without structure in G. In the linearised robot: not at
     all.
+
+    **Source:** a definition, the uniform quantiser of Widrow & Kollar, Quantization Noise, 2008, who say when its error
+    is like white noise.
     """
 
     name: ClassVar = "encoder_quantisation"
@@ -103,6 +111,8 @@ class SensorDelay(AbstractLinkSensor):
 
     In data: motor side less link side seems to deflect by delay times the speed, whatever the torque; the same delay on
     all joints where it is the log's. In the linearised robot: not at all, its outputs are the motors.
+
+    **Source:** a definition, to first order in the delay.
     """
 
     name: ClassVar = "sensor_delay"

@@ -47,6 +47,12 @@ class TransmissionError(AbstractGearError):
 
     In data: torque and acceleration at orders N/n of the motor's angle, which are mostly not whole, strongest where
     they meet a mode. In the linearised robot: not at all, but the point of rest knows it.
+
+    **Raises:** `jaxfrf.InputError` unless amplitudes, orders and phases are as many; on a rigid transmission in
+    `with_effects`.
+
+    **Source:** Tuttle & Seering, IEEE Trans. Robotics and Automation 12 (1996) 368-374: the kinematic error of a
+    harmonic drive as a sum of sines, here of any gear. The torque on the motor follows by virtual work.
     """
 
     name: ClassVar = "transmission_error"
@@ -198,6 +204,11 @@ class StructuralDamping(AbstractGearTorque):
     In data: the same damping ratio over modes of all frequencies; two thirds of it hide in the damping d. In the
     linearised robot: exactly, as a complex stiffness (some 1e-9 of G in the aliases of a held torque); its state space
     does without.
+
+    **Raises:** (in `with_effects`) `jaxfrf.InputError` on a rigid transmission.
+
+    **Source:** a definition, the complex stiffness k (1 + j loss); the three Maxwell elements and their weights are
+    this project's own fit to it.
     """
 
     name: ClassVar = "structural_damping"
@@ -255,6 +266,8 @@ class GearHysteresis(AbstractGearTorque):
     In data: a loop of the gear's torque over its deflection that is the same at all speeds; odd distortion; damping
     and resonance fall with amplitude. In the linearised robot: not at all, its stiffness and damping are those of an
     amplitude. At rest it has relaxed: the spring carries all.
+
+    **Raises:** (in `with_effects`) `jaxfrf.InputError` on a rigid transmission.
 
     **Source:** Iwan, J. Applied Mechanics 33 (1966) 893-900: elements in parallel, here four.
     """
@@ -317,6 +330,9 @@ class WristCoupling(AbstractGearCoupling):
     On a rigid transmission it is used where torques are compared along a measured motion; simulations refuse it.
 
     **Raises:** (in `with_effects`) `jaxfrf.InputError` on the first axis.
+
+    **Source:** a definition: an element beside the diagonal of the gear ratios r_g of the paper, section III.A; the
+    torques follow by virtual work.
     """
 
     name: ClassVar = "wrist_coupling"
