@@ -29,7 +29,8 @@ class TorqueDelay(AbstractActuator):
     Any delay from 0 to `longest`, not only whole samples; exact on the fine steps of the simulation, between them
     the mean torque of a step is.
 
-    **Arguments:** `delay`: s; 0.3 ms is visible. `longest`: s, how much of the past is kept.
+    **Arguments:** `joint`: a driven joint, name or number. `delay`: s; 0.3 ms is visible. `longest`: s, how much of the
+    past is kept.
 
     In data: phase -omega delay in the motor's column of G. In the linearised robot: exactly.
 
@@ -86,7 +87,7 @@ class TorqueDelay(AbstractActuator):
 class CurrentLoopLag(AbstractActuator):
     """The current loop follows with a first-order lag, 1/(1 + s time_constant).
 
-    **Arguments:** `time_constant`: s, above 0; 0.3 ms is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `time_constant`: s, above 0; 0.3 ms is visible.
 
     In data: as a delay. In the linearised robot: exactly but for the aliases of a held torque, of which it damps
     none (some 1e-4 of G).
@@ -129,7 +130,7 @@ class CurrentLoopLag(AbstractActuator):
 class TorqueConstant(AbstractStatelessActuator):
     """An error of the torque constant: the motor gives (1 + error) u.
 
-    **Arguments:** `error`: +-0.1; 0.02 is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `error`: +-0.1; 0.02 is visible.
 
     In data: a flat gain of the motor's column of G, no phase. In the linearised robot: exactly.
 
@@ -171,7 +172,8 @@ def _as_it_is(effect, c):
 class TorqueSaturation(AbstractStatelessActuator):
     """The drive clips the torque, clip(u, -limit, limit), below the limit that the controller knows.
 
-    **Arguments:** `limit`: N m, motor side; 0.8 of the largest torque is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `limit`: N m, motor side; 0.8 of the largest torque is
+    visible.
 
     In data: at high amplitude only, flat tops of the motor's acceleration. In the linearised robot: not at all, it
     is linear below the limit.
@@ -220,8 +222,8 @@ class TorqueSaturation(AbstractStatelessActuator):
 class TorqueRipple(AbstractMotorTorque):
     """Torque that depends on the motor's angle, sum_h amplitude_h sin(order_h theta + phase_h).
 
-    **Arguments:** `amplitude`: (order,), N m, motor side; 0.01 of the torque limit is visible. `order`: per motor
-    turn, whole numbers, 1-50. `phase`: (order,), rad; 0 by default.
+    **Arguments:** `joint`: a driven joint, name or number. `amplitude`: (order,), N m, motor side; 0.01 of the torque
+    limit is visible. `order`: per motor turn, whole numbers, 1-50. `phase`: (order,), rad; 0 by default.
 
     In data: lines at orders of the motor's angle, of an amplitude that does not depend on the speed. It repeats
     with the period, so more periods do not average it out. In the linearised robot: not at all.
@@ -281,7 +283,8 @@ class ElasticLoad(AbstractActuator):
     Exact for the motor of a single drive, w_r/w_a = sqrt(1 + load/motor); in a robot other axes feel the load otherwise
     (`ExtraFlexibility`, or a stiffness of the joint).
 
-    **Arguments:** `antiresonance`, `resonance`: w/(2 pi), Hz. `antiresonance_damping`, `resonance_damping`: z.
+    **Arguments:** `joint`: a driven joint, name or number. `antiresonance`, `resonance`: w/(2 pi), Hz.
+    `antiresonance_damping`, `resonance_damping`: z.
 
     In data: a pair of antiresonance and resonance of a drive's FRF. In the linearised robot: exactly.
 

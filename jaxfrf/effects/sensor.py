@@ -22,8 +22,8 @@ _SMALL = 1e-6  # rad: amplitude at which its signature along a measured motion i
 class ResolverRipple(AbstractSensor):
     """An error of the resolver that repeats with the motor's turn, sum_h amplitude_h sin(order_h theta + phase_h).
 
-    **Arguments:** `amplitude`: (order,), rad, motor side; 5e-4 is visible. `order`: per motor turn, whole numbers.
-    `phase`: (order,), rad; 0 by default.
+    **Arguments:** `joint`: a driven joint, name or number. `amplitude`: (order,), rad, motor side; 5e-4 is visible.
+    `order`: per motor turn, whole numbers. `phase`: (order,), rad; 0 by default.
 
     In data: an apparent acceleration of about amplitude h^2 v^2 at orders of the motor's angle; the controller acts
     on it too. In the linearised robot: not at all.
@@ -69,7 +69,8 @@ class ResolverRipple(AbstractSensor):
 class EncoderQuantisation(AbstractSensor):
     """The encoder counts, round(theta/resolution) resolution.
 
-    **Arguments:** `resolution`: rad, motor side; 2 pi/2^13 is visible. It has no derivative.
+    **Arguments:** `joint`: a driven joint, name or number. `resolution`: rad, motor side; 2 pi/2^13 is visible. It has
+    no derivative.
 
     In data: noise that grows as f^2 in the acceleration, without structure in G. In the linearised robot: not at
     all.
@@ -107,7 +108,7 @@ class EncoderQuantisation(AbstractSensor):
 class SensorDelay(AbstractLinkSensor):
     """The link-side position is logged late, y(t) = q_a(t - delay), to first order -delay q_a'.
 
-    **Arguments:** `delay`: s, 0 or more; 0.3 ms is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `delay`: s, 0 or more; 0.3 ms is visible.
 
     In data: motor side less link side seems to deflect by delay times the speed, whatever the torque; the same delay on
     all joints where it is the log's. In the linearised robot: not at all, its outputs are the motors.

@@ -31,8 +31,8 @@ _LASTING = 5000.0  # 1/s, stiffness over damping of a hinge
 class StiffnessHardening(AbstractStructure):
     """A transmission that is softer about zero deflection, tau = k x - k (1 - ratio) knee tanh(x/knee).
 
-    **Arguments:** `ratio`: stiffness at zero over stiffness k at high deflection, up to 1; 0.6 is visible. `knee`:
-    rad, arm side. They take the place of the robot's own; k stays.
+    **Arguments:** `joint`: a driven joint, name or number. `ratio`: stiffness at zero over stiffness k at high
+    deflection, up to 1; 0.6 is visible. `knee`: rad, arm side. They take the place of the robot's own; k stays.
 
     In data: mode frequencies rise with load and amplitude. In the linearised robot: exactly, by the tangent at the
     point of rest (or its mean over a `deflections`).
@@ -91,7 +91,8 @@ def _softened(joint, own, change, knee, c):
 class Backlash(AbstractStructure):
     """Play in the gear: no torque while |x| < gap/2, then the spring's from the flank on; corners rounded.
 
-    **Arguments:** `gap`: b, rad, arm side, 0 or more; 1 arc minute (2.9e-4) is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `gap`: b, rad, arm side, 0 or more; 1 arc minute (2.9e-4) is
+    visible.
 
     In data: only where the gear carries no load; the resonance falls at low amplitude; odd distortion. In the
     linearised robot: exactly, by the tangent at the point of rest, a thousandth of k inside the gap.
@@ -139,7 +140,7 @@ class Backlash(AbstractStructure):
 class MotorInertia(AbstractStructure):
     """An error of the motor's inertia.
 
-    **Arguments:** `increase`: kg m^2, motor side, either sign; 3 % is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `increase`: kg m^2, motor side, either sign; 3 % is visible.
 
     In data: gain at high frequency on the motor's own diagonal. In the linearised robot: exactly.
 
@@ -373,7 +374,7 @@ def _check_across(axis, own, name: str) -> None:
 class Counterbalance(AbstractArmTorque):
     """A spring that carries part of the arm's weight, tau = stiffness (q_a - rest).
 
-    **Arguments:** `stiffness`: N m/rad, arm side. `rest`: rad.
+    **Arguments:** `joint`: a driven joint, name or number. `stiffness`: N m/rad, arm side. `rest`: rad.
 
     In data: static torque against position, little change of G. In the linearised robot: exactly.
 
@@ -412,7 +413,8 @@ class Counterbalance(AbstractArmTorque):
 class DressPack(AbstractArmTorque):
     """Hoses and cables along a joint, tau = stiffness (q_a - rest) + damping q_a'.
 
-    **Arguments:** `stiffness`: N m/rad, arm side, 0 or more; 50 is visible. `rest`: rad. `damping`: N m s/rad.
+    **Arguments:** `joint`: a driven joint, name or number. `stiffness`: N m/rad, arm side, 0 or more; 50 is visible.
+    `rest`: rad. `damping`: N m s/rad.
 
     In data: static torque that is linear in the angles of joints 1, 4 and 6. In the linearised robot: exactly.
 

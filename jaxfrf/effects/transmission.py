@@ -41,9 +41,9 @@ class TransmissionError(AbstractGearError):
 
     The spring's deflection is x = q_m/n + e(q_m) - q_a then, and x' its rate; the motor feels tau (1/n + de/dq_m).
 
-    **Arguments:** `amplitude`: (order,), rad, arm side; 3e-5 is visible. `teeth`: N, errors per turn of the arm, not
-    necessarily a multiple of the ratio n. `order`: of the teeth's frequency, whole numbers. `phase`: (order,), rad; 0
-    by default.
+    **Arguments:** `joint`: a driven joint, name or number. `amplitude`: (order,), rad, arm side; 3e-5 is visible.
+    `teeth`: N, errors per turn of the arm, not necessarily a multiple of the ratio n. `order`: of the teeth's
+    frequency, whole numbers. `phase`: (order,), rad; 0 by default.
 
     In data: torque and acceleration at orders N/n of the motor's angle, which are mostly not whole, strongest where
     they meet a mode. In the linearised robot: not at all, but the point of rest knows it.
@@ -199,7 +199,7 @@ class StructuralDamping(AbstractGearTorque):
     half at .95 and 320 Hz. The real part stays k at 20 Hz and rises by loss k (2/pi) ln(f/20 Hz), as causality asks;
     at rest the gear is softer by 2.1 loss k. A nonlinear spring loses `loss` of its local stiffness.
 
-    **Arguments:** `loss`: eta, 0-0.1; 0.02 is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `loss`: eta, 0-0.1; 0.02 is visible.
 
     In data: the same damping ratio over modes of all frequencies; two thirds of it hide in the damping d. In the
     linearised robot: exactly, as a complex stiffness (some 1e-9 of G in the aliases of a held torque); its state space
@@ -260,8 +260,9 @@ class GearHysteresis(AbstractGearTorque):
     spring, each torque/(4 slip) stiff; they slip at 1/4, 3/4, 5/4 and 7/4 of `slip`. The torque rises with the slope
     torque/slip and bends over to `torque`; after a reversal it does so from the other side, over twice the way.
 
-    **Arguments:** `torque`: N m, arm side, where all slip, 0 or more; 2 % of the torque limit (n times the motor's) is
-    visible. `slip`: rad, arm side, above 0; deflection at which they slip on average.
+    **Arguments:** `joint`: a driven joint, name or number. `torque`: N m, arm side, where all slip, 0 or more; 2 % of
+    the torque limit (n times the motor's) is visible. `slip`: rad, arm side, above 0; deflection at which they slip on
+    average.
 
     In data: a loop of the gear's torque over its deflection that is the same at all speeds; odd distortion; damping
     and resonance fall with amplitude. In the linearised robot: not at all, its stiffness and damping are those of an
