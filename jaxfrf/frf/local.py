@@ -89,9 +89,10 @@ class LPM(AbstractLocal):
     - `order`: R. `width`: lines in a window; `None` takes a few more than are needed.
     - `variable`: local variable x, `index` of the excited line (the paper's) or `frequency`.
     - `transient`: order of a transient polynomial for records that are not in steady state; `None` for periodic data.
+      For a record without a period `jaxfrf.estimate` takes R and, without a `width`, windows as `jaxfrf.Auto` does.
 
     **Raises:** `jaxfrf.InputError` for options of no sense; in `jaxfrf.estimate` for too few lines or too narrow a
-    window, and for a record without a period while `transient` is `None`.
+    window.
 
     **Source:** Pintelon, Schoukens, Vandersteen & Barbé, Mech. Syst. Signal Process. 24 (2010) 573-595; Zimmermann &
     Moberg, section II.B. The paper takes one experiment at a time; here all share a window.
@@ -118,9 +119,10 @@ class LRM(AbstractLocal):
     - `order`: R. `width`: lines in a window; `None` takes a few more than are needed.
     - `variable`: local variable x, `index` of the excited line (the paper's) or `frequency`.
     - `transient`: order of a transient polynomial for records that are not in steady state; `None` for periodic data.
+      For a record without a period `jaxfrf.estimate` takes R and, without a `width`, windows as `jaxfrf.Auto` does.
 
     **Raises:** `jaxfrf.InputError` for options of no sense; in `jaxfrf.estimate` for too few lines or too narrow a
-    window, and for a record without a period while `transient` is `None`.
+    window.
 
     **Source:** McKelvey & Guérin, SYSID 2012 (local fractions); Voorhoeve, van der Maas & Oomen, Mech. Syst. Signal
     Process. 105 (2018) 129-152; Zimmermann & Moberg, section II.C.2. The paper takes one experiment at a time; here all
@@ -146,9 +148,10 @@ class MisoLRM(AbstractLocal):
     - `order`: R. `width`: lines in a window; `None` takes a few more than are needed.
     - `variable`: local variable x, `index` of the excited line (the paper's) or `frequency`.
     - `transient`: order of a transient polynomial for records that are not in steady state; `None` for periodic data.
+      For a record without a period `jaxfrf.estimate` takes R and, without a `width`, windows as `jaxfrf.Auto` does.
 
     **Raises:** `jaxfrf.InputError` for options of no sense; in `jaxfrf.estimate` for too few lines or too narrow a
-    window, and for a record without a period while `transient` is `None`.
+    window.
 
     **Source:** Voorhoeve, van der Maas & Oomen, Mech. Syst. Signal Process. 105 (2018) 129-152; Zimmermann & Moberg,
     section II.C.1. The paper takes one experiment at a time; here all share a window.
