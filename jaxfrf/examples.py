@@ -35,6 +35,9 @@ def example(*, blocks: int = 2, periods: int = 2, noise: float = 2e-3, seed: int
     **Returns:** an `Experiment` at one position: `u` (N m), `y` and `r` (rad/s), each (1, 2 `blocks`, time, 2).
 
     **Raises:** `jaxfrf.InputError` for `blocks` or `periods` below 1.
+
+    **Source:** this project's own; held torques by the matrix exponential as in Van Loan, IEEE Trans. Automatic Control
+    23 (1978) 395-404.
     """
     design = Multisine(
         FS,
@@ -68,6 +71,8 @@ def example_response(frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "1 
     **Arguments:** `frequency`: (freq,), Hz.
 
     **Returns:** (1, freq, out, in), rad/s over N m.
+
+    **Source:** closed form, C (z - A)^-1 B of the sampled system.
     """
     A, B, C = _discrete()
     z = np.exp(2j * np.pi * np.asarray(frequency) / FS)

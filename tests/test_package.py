@@ -131,6 +131,26 @@ def test_arrays_have_shapes_and_units():
 
 SOURCE = r"\b(19|20)\d\d\b|Zimmermann|paper"
 
+WITHOUT_SOURCE = """
+    InputError Status Reference Experiment Source Finding Spectra FRF Levels Distortion ModalModel Mode Feature
+    AbstractMethod AbstractModel Parameter Fit Quality Calibration Identification
+    concatenate select_periods segments select_band select_positions concatenate_positions describe_method
+""".split()
+"""Containers and bases, then what only joins, cuts or describes them: all others compute something."""
+
+
+def with_a_source():
+    yield from ((name, getattr(jf, name)) for name in jf._PUBLIC if name not in WITHOUT_SOURCE)
+    yield from ((f"effects.{kind.__name__}", kind) for kind in jf.effects.library().values())
+
+
+def test_what_computes_something_says_where_it_comes_from():
+    """Its docstring ends with a paragraph that begins with "Source": a reference, or that there is none."""
+    assert set(WITHOUT_SOURCE) <= set(jf._PUBLIC)
+    for name, value in with_a_source():
+        last = (inspect.getdoc(value) or "").split("\n\n")[-1]
+        assert re.match(r"\*\*Source:\*\* \S.{5,}", last), f"{name}: ends with {last[:60]!r}"
+
 
 def test_estimators_say_when_they_are_biased_and_where_they_come_from():
     for name, value in PUBLIC.items():

@@ -49,6 +49,7 @@ class Calibration(eqx.Module):
       does not say that they explain the records: see `unexplained`.
     - `missed_before`, `missed_after`: torque that the simulated robot misses, relative, by axis. `heldout`: the same
       two on positions that were not fitted, or `None`. `compared`: what of the robot with the records, in words.
+    - `sources`: of the records.
     """
 
     given: Robot

@@ -29,9 +29,15 @@ class TorqueDelay(AbstractActuator):
     Any delay from 0 to `longest`, not only whole samples; exact on the fine steps of the simulation, between them
     the mean torque of a step is.
 
-    **Arguments:** `delay`: s; 0.3 ms is visible. `longest`: s, how much of the past is kept.
+    **Arguments:** `joint`: a driven joint, name or number. `delay`: s; 0.3 ms is visible. `longest`: s, how much of the
+    past is kept.
 
     In data: phase -omega delay in the motor's column of G. In the linearised robot: exactly.
+
+    **Raises:** `jaxfrf.InputError` for a delay below 0 or above `longest`.
+
+    **Source:** a definition; between two fine steps the delayed torque is shared as in the sampling of delayed systems
+    in Åström & Wittenmark, Computer-Controlled Systems, 3rd ed. 1997.
     """
 
     name: ClassVar = "torque_delay"
@@ -81,10 +87,13 @@ class TorqueDelay(AbstractActuator):
 class CurrentLoopLag(AbstractActuator):
     """The current loop follows with a first-order lag, 1/(1 + s time_constant).
 
-    **Arguments:** `time_constant`: s, above 0; 0.3 ms is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `time_constant`: s, above 0; 0.3 ms is visible.
 
     In data: as a delay. In the linearised robot: exactly but for the aliases of a held torque, of which it damps
     none (some 1e-4 of G).
+
+    **Source:** Leonhard, Control of Electrical Drives, 3rd ed. 2001, where a closed current loop is approximated by a
+    first-order lag.
     """
 
     name: ClassVar = "current_loop_lag"
@@ -121,9 +130,11 @@ class CurrentLoopLag(AbstractActuator):
 class TorqueConstant(AbstractStatelessActuator):
     """An error of the torque constant: the motor gives (1 + error) u.
 
-    **Arguments:** `error`: +-0.1; 0.02 is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `error`: +-0.1; 0.02 is visible.
 
     In data: a flat gain of the motor's column of G, no phase. In the linearised robot: exactly.
+
+    **Source:** a definition.
     """
 
     name: ClassVar = "torque_constant"
@@ -161,10 +172,14 @@ def _as_it_is(effect, c):
 class TorqueSaturation(AbstractStatelessActuator):
     """The drive clips the torque, clip(u, -limit, limit), below the limit that the controller knows.
 
-    **Arguments:** `limit`: N m, motor side; 0.8 of the largest torque is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `limit`: N m, motor side; 0.8 of the largest torque is
+    visible.
 
     In data: at high amplitude only, flat tops of the motor's acceleration. In the linearised robot: not at all, it
     is linear below the limit.
+
+    **Source:** a definition, the ideal saturation; Gelb & Vander Velde, Multiple-Input Describing Functions and
+    Nonlinear System Design, 1968, have its gain for sines.
     """
 
     name: ClassVar = "torque_saturation"
@@ -207,11 +222,17 @@ class TorqueSaturation(AbstractStatelessActuator):
 class TorqueRipple(AbstractMotorTorque):
     """Torque that depends on the motor's angle, sum_h amplitude_h sin(order_h theta + phase_h).
 
-    **Arguments:** `amplitude`: (order,), N m, motor side; 0.01 of the torque limit is visible. `order`: per motor
-    turn, whole numbers, 1-50. `phase`: (order,), rad; 0 by default.
+    **Arguments:** `joint`: a driven joint, name or number. `amplitude`: (order,), N m, motor side; 0.01 of the torque
+    limit is visible. `order`: per motor turn, whole numbers, 1-50. `phase`: (order,), rad; 0 by default.
 
     In data: lines at orders of the motor's angle, of an amplitude that does not depend on the speed. It repeats
     with the period, so more periods do not average it out. In the linearised robot: not at all.
+
+    **Raises:** `jaxfrf.InputError` unless amplitudes, orders and phases are as many.
+
+    **Source:** a definition, a sum of sines of the motor position as in the paper, section IV.A; where such ripple
+    comes from: Holtz & Springob, IEEE Trans. Industrial Electronics 43 (1996) 309-320. Ripple of a real motor may grow
+    with its current, this does not.
     """
 
     name: ClassVar = "torque_ripple"
@@ -262,9 +283,13 @@ class ElasticLoad(AbstractActuator):
     Exact for the motor of a single drive, w_r/w_a = sqrt(1 + load/motor); in a robot other axes feel the load otherwise
     (`ExtraFlexibility`, or a stiffness of the joint).
 
-    **Arguments:** `antiresonance`, `resonance`: w/(2 pi), Hz. `antiresonance_damping`, `resonance_damping`: z.
+    **Arguments:** `joint`: a driven joint, name or number. `antiresonance`, `resonance`: w/(2 pi), Hz.
+    `antiresonance_damping`, `resonance_damping`: z.
 
     In data: a pair of antiresonance and resonance of a drive's FRF. In the linearised robot: exactly.
+
+    **Source:** closed form of two inertias with a linear spring and damper between them, for which z_r/z_a = w_r/w_a;
+    here both dampings are free.
     """
 
     name: ClassVar = "elastic_load"

@@ -70,7 +70,8 @@ class AbstractEffect(eqx.Module):
     - `imitated`: whether a robot's own numbers imitate it to first order, so that a fit alone tells it.
     - `is_error`: whether it is no term of its own, but an error of one number that every robot has.
 
-    `joint` is a driven joint's name, or its number counted from 0; "" where the effect has none.
+    `joint` is a driven joint's name, or its number counted from 0; "" where the effect has none. A joint that the robot
+    does not have, or that has no motor, is refused in `with_effects` (`jaxfrf.InputError`).
     """
 
     name: ClassVar[str]

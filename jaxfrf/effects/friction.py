@@ -36,11 +36,14 @@ def _turning(typical: Any, robot: "Robot", reach: Reach) -> tuple[Candidate, ...
 class CoulombFriction(AbstractStructure):
     """More (or less) Coulomb friction of a motor, tau = level tanh(v/eps); eps is the robot's smoothing.
 
-    **Arguments:** `level`: N m, motor side, added to the robot's own; 0.2 Fc is visible, -Fc to 2 Fc plausible.
+    **Arguments:** `joint`: a driven joint, name or number. `level`: N m, motor side, added to the robot's own; 0.2 Fc
+    is visible, -Fc to 2 Fc plausible.
 
     In data: the torque residual steps with the sign of the speed; damping in G falls with amplitude, 2 level/(pi A)
     on a slow sine of speed A; odd distortion. In the linearised robot: by that gain, see
     `jaxfrf.robot.describing_friction`.
+
+    **Raises:** (in `with_effects`) `jaxfrf.InputError` where the robot's friction is a law without a Coulomb part.
 
     **Source:** Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138, where the sign is not
     smoothed.
@@ -84,8 +87,8 @@ class CoulombFriction(AbstractStructure):
 class ViscousFriction(AbstractStructure):
     """More (or less) viscous friction of a motor, tau = coefficient v.
 
-    **Arguments:** `coefficient`: N m s/rad, motor side, added to the robot's own; 0.5 Fv is visible, up to 10 Fv
-    plausible.
+    **Arguments:** `joint`: a driven joint, name or number. `coefficient`: N m s/rad, motor side, added to the robot's
+    own; 0.5 Fv is visible, up to 10 Fv plausible.
 
     In data: a torque residual that is linear in the speed. In the linearised robot: exactly.
 
@@ -122,9 +125,13 @@ class ViscousFriction(AbstractStructure):
 class ArmViscousFriction(AbstractArmTorque):
     """Viscous friction of the arm's bearing, tau = coefficient q_a'.
 
-    **Arguments:** `coefficient`: N m s/rad, arm side, 0 or more; 0.5 Fv n^2 is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `coefficient`: N m s/rad, arm side, 0 or more; 0.5 Fv n^2 is
+    visible.
 
     In data: antiresonances fill up. In the linearised robot: exactly.
+
+    **Source:** a definition, the viscous term of Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994)
+    1083-1138, on the arm side.
     """
 
     name: ClassVar = "arm_viscous_friction"
@@ -158,8 +165,8 @@ class ArmViscousFriction(AbstractArmTorque):
 class StribeckFriction(AbstractFriction):
     """Friction that rises at low speed, tau = level exp(-(v/width)^2) tanh(v/smoothing); level = Fs - Fc.
 
-    **Arguments:** `level`: N m, motor side, 0 or more; 0.3 Fc is visible. `width`: v_s, 1-10 rad/s. `smoothing`:
-    eps, rad/s.
+    **Arguments:** `joint`: a driven joint, name or number. `level`: N m, motor side, 0 or more; 0.3 Fc is visible.
+    `width`: v_s, 1-10 rad/s. `smoothing`: eps, rad/s.
 
     In data: a hump of the torque residual near zero speed. In the linearised robot: by the describing gain, which
     vanishes for slow sines much faster than `width` (rise and fall cancel).
@@ -208,10 +215,14 @@ class FrictionAsymmetry(AbstractFriction):
 
     Forward it is level + offset, backward level - offset.
 
-    **Arguments:** `offset`: N m, motor side, either sign; 0.1 Fc is visible. `level`: N m. `smoothing`: rad/s.
+    **Arguments:** `joint`: a driven joint, name or number. `offset`: N m, motor side, either sign; 0.1 Fc is visible.
+    `level`: N m. `smoothing`: rad/s.
 
     In data: a constant torque residual and *even* distortion. In the linearised robot: by the describing gain, to
     which the offset adds nothing.
+
+    **Source:** a definition: Coulomb friction of its own in each direction, written as mean and half of the difference,
+    the sign smoothed. The offset is that of Janot, Gautier & Brunot, Data Set and Reference Models of EMPS, 2019.
     """
 
     name: ClassVar = "friction_asymmetry"
@@ -241,10 +252,14 @@ class FrictionAsymmetry(AbstractFriction):
 class LoadDependentFriction(AbstractFriction):
     """Friction that grows with the gear's load, tau = coefficient |tau_g|/n tanh(v/smoothing).
 
-    **Arguments:** `coefficient`: mu, 0-0.15; 0.02 is visible. `smoothing`: rad/s.
+    **Arguments:** `joint`: a driven joint, name or number. `coefficient`: mu, 0-0.15; 0.02 is visible. `smoothing`:
+    rad/s.
 
     In data: the torque residual's step at zero speed grows with the gear torque. In the linearised robot: by the
     describing gain at the load of gravity. With a rigid transmission the motor torque stands for the load.
+
+    **Source:** Hamon, Gautier & Garrec, Dynamic identification of robots with a dry friction model depending on load
+    and velocity, IROS 2010: the term in proportion to the load, alike in both directions of power, the sign smoothed.
     """
 
     name: ClassVar = "load_dependent_friction"

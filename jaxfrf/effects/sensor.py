@@ -22,11 +22,16 @@ _SMALL = 1e-6  # rad: amplitude at which its signature along a measured motion i
 class ResolverRipple(AbstractSensor):
     """An error of the resolver that repeats with the motor's turn, sum_h amplitude_h sin(order_h theta + phase_h).
 
-    **Arguments:** `amplitude`: (order,), rad, motor side; 5e-4 is visible. `order`: per motor turn, whole numbers.
-    `phase`: (order,), rad; 0 by default.
+    **Arguments:** `joint`: a driven joint, name or number. `amplitude`: (order,), rad, motor side; 5e-4 is visible.
+    `order`: per motor turn, whole numbers. `phase`: (order,), rad; 0 by default.
 
     In data: an apparent acceleration of about amplitude h^2 v^2 at orders of the motor's angle; the controller acts
     on it too. In the linearised robot: not at all.
+
+    **Raises:** `jaxfrf.InputError` unless amplitudes, orders and phases are as many.
+
+    **Source:** a definition, a sum of sines of the motor position as in the paper, section IV.A; where such errors come
+    from: Hanselman, IEEE Trans. Industrial Electronics 37 (1990) 556-561.
     """
 
     name: ClassVar = "resolver_ripple"
@@ -64,10 +69,14 @@ class ResolverRipple(AbstractSensor):
 class EncoderQuantisation(AbstractSensor):
     """The encoder counts, round(theta/resolution) resolution.
 
-    **Arguments:** `resolution`: rad, motor side; 2 pi/2^13 is visible. It has no derivative.
+    **Arguments:** `joint`: a driven joint, name or number. `resolution`: rad, motor side; 2 pi/2^13 is visible. It has
+    no derivative.
 
     In data: noise that grows as f^2 in the acceleration, without structure in G. In the linearised robot: not at
     all.
+
+    **Source:** a definition, the uniform quantiser of Widrow & Kollar, Quantization Noise, 2008, who say when its error
+    is like white noise.
     """
 
     name: ClassVar = "encoder_quantisation"
@@ -99,10 +108,12 @@ class EncoderQuantisation(AbstractSensor):
 class SensorDelay(AbstractLinkSensor):
     """The link-side position is logged late, y(t) = q_a(t - delay), to first order -delay q_a'.
 
-    **Arguments:** `delay`: s, 0 or more; 0.3 ms is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `delay`: s, 0 or more; 0.3 ms is visible.
 
     In data: motor side less link side seems to deflect by delay times the speed, whatever the torque; the same delay on
     all joints where it is the log's. In the linearised robot: not at all, its outputs are the motors.
+
+    **Source:** a definition, to first order in the delay.
     """
 
     name: ClassVar = "sensor_delay"

@@ -31,11 +31,16 @@ _LASTING = 5000.0  # 1/s, stiffness over damping of a hinge
 class StiffnessHardening(AbstractStructure):
     """A transmission that is softer about zero deflection, tau = k x - k (1 - ratio) knee tanh(x/knee).
 
-    **Arguments:** `ratio`: stiffness at zero over stiffness k at high deflection, up to 1; 0.6 is visible. `knee`:
-    rad, arm side. They take the place of the robot's own; k stays.
+    **Arguments:** `joint`: a driven joint, name or number. `ratio`: stiffness at zero over stiffness k at high
+    deflection, up to 1; 0.6 is visible. `knee`: rad, arm side. They take the place of the robot's own; k stays.
 
     In data: mode frequencies rise with load and amplitude. In the linearised robot: exactly, by the tangent at the
     point of rest (or its mean over a `deflections`).
+
+    **Raises:** (in `with_effects`) `jaxfrf.InputError` on a rigid transmission.
+
+    **Source:** a definition of this project; the paper, section III.A, has nonlinear stiffness on joints 1 to 3 and
+    does not state its form.
     """
 
     name: ClassVar = "stiffness_hardening"
@@ -86,10 +91,13 @@ def _softened(joint, own, change, knee, c):
 class Backlash(AbstractStructure):
     """Play in the gear: no torque while |x| < gap/2, then the spring's from the flank on; corners rounded.
 
-    **Arguments:** `gap`: b, rad, arm side, 0 or more; 1 arc minute (2.9e-4) is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `gap`: b, rad, arm side, 0 or more; 1 arc minute (2.9e-4) is
+    visible.
 
     In data: only where the gear carries no load; the resonance falls at low amplitude; odd distortion. In the
     linearised robot: exactly, by the tangent at the point of rest, a thousandth of k inside the gap.
+
+    **Raises:** (in `with_effects`) `jaxfrf.InputError` on a rigid transmission.
 
     **Source:** Nordin & Gutman, Automatica 38 (2002) 1633-1649: the dead-zone model, here with rounded corners.
     """
@@ -132,9 +140,12 @@ class Backlash(AbstractStructure):
 class MotorInertia(AbstractStructure):
     """An error of the motor's inertia.
 
-    **Arguments:** `increase`: kg m^2, motor side, either sign; 3 % is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `increase`: kg m^2, motor side, either sign; 3 % is visible.
 
     In data: gain at high frequency on the motor's own diagonal. In the linearised robot: exactly.
+
+    **Source:** a definition: one diagonal element of M_m in the paper, section III.A, the rotor of Spong, J. Dynamic
+    Systems, Measurement, and Control 109 (1987) 310-319.
     """
 
     name: ClassVar = "motor_inertia"
@@ -176,6 +187,9 @@ class Payload(AbstractStructure):
     link's own centre of mass where it is `None`. `joint`: any joint's name or number in the chain; "" = the last.
 
     In data: coherent over axes and positions; static torque. In the linearised robot: exactly.
+
+    **Source:** closed form (masses add, tensors by the parallel-axis theorem). Loads as inertial parameters of the last
+    link: Atkeson, An & Hollerbach, Int. J. Robotics Research 5 (1986) 101-119.
     """
 
     name: ClassVar = "payload"
@@ -256,6 +270,12 @@ class ExtraFlexibility(AbstractStructure):
     `damping`: N m s/rad.
 
     In data: one more pair of antiresonance and resonance in a narrow band. In the linearised robot: exactly.
+
+    **Raises:** (in `with_effects`) `jaxfrf.InputError` for an axis along the joint's own or of no length, and where the
+    joint has such a flexibility already.
+
+    **Source:** Moberg, Wernholt, Hanssen & Brogårdh, J. Dynamic Systems, Measurement, and Control 136 (2014) 031005,
+    the extended flexible joint model; q_e of the paper, section III.A. The spring and damper are linear.
     """
 
     name: ClassVar = "extra_flexibility"
@@ -354,9 +374,11 @@ def _check_across(axis, own, name: str) -> None:
 class Counterbalance(AbstractArmTorque):
     """A spring that carries part of the arm's weight, tau = stiffness (q_a - rest).
 
-    **Arguments:** `stiffness`: N m/rad, arm side. `rest`: rad.
+    **Arguments:** `joint`: a driven joint, name or number. `stiffness`: N m/rad, arm side. `rest`: rad.
 
     In data: static torque against position, little change of G. In the linearised robot: exactly.
+
+    **Source:** a definition, a linear spring.
     """
 
     name: ClassVar = "counterbalance"
@@ -391,9 +413,12 @@ class Counterbalance(AbstractArmTorque):
 class DressPack(AbstractArmTorque):
     """Hoses and cables along a joint, tau = stiffness (q_a - rest) + damping q_a'.
 
-    **Arguments:** `stiffness`: N m/rad, arm side, 0 or more; 50 is visible. `rest`: rad. `damping`: N m s/rad.
+    **Arguments:** `joint`: a driven joint, name or number. `stiffness`: N m/rad, arm side, 0 or more; 50 is visible.
+    `rest`: rad. `damping`: N m s/rad.
 
     In data: static torque that is linear in the angles of joints 1, 4 and 6. In the linearised robot: exactly.
+
+    **Source:** a definition, a linear spring and damper.
     """
 
     name: ClassVar = "dress_pack"

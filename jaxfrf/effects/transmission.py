@@ -41,12 +41,18 @@ class TransmissionError(AbstractGearError):
 
     The spring's deflection is x = q_m/n + e(q_m) - q_a then, and x' its rate; the motor feels tau (1/n + de/dq_m).
 
-    **Arguments:** `amplitude`: (order,), rad, arm side; 3e-5 is visible. `teeth`: N, errors per turn of the arm, not
-    necessarily a multiple of the ratio n. `order`: of the teeth's frequency, whole numbers. `phase`: (order,), rad; 0
-    by default.
+    **Arguments:** `joint`: a driven joint, name or number. `amplitude`: (order,), rad, arm side; 3e-5 is visible.
+    `teeth`: N, errors per turn of the arm, not necessarily a multiple of the ratio n. `order`: of the teeth's
+    frequency, whole numbers. `phase`: (order,), rad; 0 by default.
 
     In data: torque and acceleration at orders N/n of the motor's angle, which are mostly not whole, strongest where
     they meet a mode. In the linearised robot: not at all, but the point of rest knows it.
+
+    **Raises:** `jaxfrf.InputError` unless amplitudes, orders and phases are as many; on a rigid transmission in
+    `with_effects`.
+
+    **Source:** Tuttle & Seering, IEEE Trans. Robotics and Automation 12 (1996) 368-374: the kinematic error of a
+    harmonic drive as a sum of sines, here of any gear. The torque on the motor follows by virtual work.
     """
 
     name: ClassVar = "transmission_error"
@@ -193,11 +199,16 @@ class StructuralDamping(AbstractGearTorque):
     half at .95 and 320 Hz. The real part stays k at 20 Hz and rises by loss k (2/pi) ln(f/20 Hz), as causality asks;
     at rest the gear is softer by 2.1 loss k. A nonlinear spring loses `loss` of its local stiffness.
 
-    **Arguments:** `loss`: eta, 0-0.1; 0.02 is visible.
+    **Arguments:** `joint`: a driven joint, name or number. `loss`: eta, 0-0.1; 0.02 is visible.
 
     In data: the same damping ratio over modes of all frequencies; two thirds of it hide in the damping d. In the
     linearised robot: exactly, as a complex stiffness (some 1e-9 of G in the aliases of a held torque); its state space
     does without.
+
+    **Raises:** (in `with_effects`) `jaxfrf.InputError` on a rigid transmission.
+
+    **Source:** a definition, the complex stiffness k (1 + j loss); the three Maxwell elements and their weights are
+    this project's own fit to it.
     """
 
     name: ClassVar = "structural_damping"
@@ -249,12 +260,15 @@ class GearHysteresis(AbstractGearTorque):
     spring, each torque/(4 slip) stiff; they slip at 1/4, 3/4, 5/4 and 7/4 of `slip`. The torque rises with the slope
     torque/slip and bends over to `torque`; after a reversal it does so from the other side, over twice the way.
 
-    **Arguments:** `torque`: N m, arm side, where all slip, 0 or more; 2 % of the torque limit (n times the motor's) is
-    visible. `slip`: rad, arm side, above 0; deflection at which they slip on average.
+    **Arguments:** `joint`: a driven joint, name or number. `torque`: N m, arm side, where all slip, 0 or more; 2 % of
+    the torque limit (n times the motor's) is visible. `slip`: rad, arm side, above 0; deflection at which they slip on
+    average.
 
     In data: a loop of the gear's torque over its deflection that is the same at all speeds; odd distortion; damping
     and resonance fall with amplitude. In the linearised robot: not at all, its stiffness and damping are those of an
     amplitude. At rest it has relaxed: the spring carries all.
+
+    **Raises:** (in `with_effects`) `jaxfrf.InputError` on a rigid transmission.
 
     **Source:** Iwan, J. Applied Mechanics 33 (1966) 893-900: elements in parallel, here four.
     """
@@ -317,6 +331,9 @@ class WristCoupling(AbstractGearCoupling):
     On a rigid transmission it is used where torques are compared along a measured motion; simulations refuse it.
 
     **Raises:** (in `with_effects`) `jaxfrf.InputError` on the first axis.
+
+    **Source:** a definition: an element beside the diagonal of the gear ratios r_g of the paper, section III.A; the
+    torques follow by virtual work.
     """
 
     name: ClassVar = "wrist_coupling"

@@ -21,9 +21,13 @@ Grid = Int[np.ndarray, "freq"]
 def band_lines(low: float, high: float, fs: float, period: int) -> tuple[int, int]:
     """The first and the last line inside the band from `low` to `high` (Hz, both included).
 
-    **Arguments:** `fs` in Hz; `period` in samples.
+    **Arguments:** `low`, `high`: Hz. `fs`: Hz. `period`: samples.
+
+    **Returns:** line numbers; line k is k fs/period Hz.
 
     **Raises:** `jaxfrf.InputError` if no line lies in the band below half the sampling frequency.
+
+    **Source:** a definition.
     """
     resolution = fs / period
     if not (math.isfinite(low) and math.isfinite(high)):
@@ -57,6 +61,8 @@ def full_lines(first: int, last: int) -> Grid:
     **Returns:** the lines, (freq,), increasing.
 
     **Raises:** `jaxfrf.InputError` unless 1 <= `first` <= `last`, or for more lines than fit into memory.
+
+    **Source:** a definition.
     """
     first, last = _range(first, last)
     return np.arange(first, last + 1)
@@ -74,6 +80,8 @@ def odd_lines(first: int, last: int) -> Grid:
 
     **Raises:** `jaxfrf.InputError` unless 1 <= `first` <= `last`, for a range without odd lines, or for more lines than
     fit into memory.
+
+    **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, section 4.3.
     """
     first, last = _range(first, last)
     return _some(np.arange(first | 1, last + 1, 2), first, last)
@@ -87,9 +95,11 @@ def random_odd_lines(first: int, last: int, *, group: int = 4, key: PRNGKeyArray
 
     **Arguments:** `first`, `last`: lines; `group`: 2 or more; `key`: `jax.random.key(...)`.
 
-    **Source:** Pintelon & Schoukens, System Identification, 2nd ed. 2012, section 4.3.1.
+    **Returns:** the lines, (freq,), increasing.
 
     **Raises:** `jaxfrf.InputError` for a group below 2, or a range without odd lines.
+
+    **Source:** Pintelon & Schoukens, System Identification, 2nd ed. 2012, section 4.3.1.
     """
     if group < 2:
         raise input_error("group", f"{group}", "2 or more odd lines", "Groups of 3 to 5 are usual.")
@@ -113,6 +123,9 @@ def log_odd_lines(first: int, last: int, points: int) -> Grid:
     **Returns:** the lines, (freq,), increasing.
 
     **Raises:** `jaxfrf.InputError` for no points, more than fit into memory, or a range without odd lines.
+
+    **Source:** the grid of Zimmermann & Moberg, section IV.A (336 log-spaced odd frequencies, 4 to 80 Hz, period 28 s);
+    the rounding is this project's own.
     """
     first, last = _range(first, last)
     if points < 1:
@@ -132,6 +145,8 @@ def detection_lines(lines: Int[Array, "freq"], first: int | None = None, last: i
     **Returns:** the odd and the even lines that are not excited, each increasing; either may be empty.
 
     **Raises:** `jaxfrf.InputError` unless 1 <= `first` <= `last`.
+
+    **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, section 4.3.
     """
     lines = np.asarray(lines)
     first, last = _range(lines.min() if first is None else first, lines.max() if last is None else last)

@@ -25,6 +25,12 @@ class SlowSine(eqx.Module):
     detect less.
 
     **Arguments:** `lines`: one DFT line per channel; `amplitude`: peak speed per channel, rad/s (0 = none).
+
+    **Raises:** `jaxfrf.InputError` unless lines and amplitudes are as many, lines whole numbers and amplitudes 0 or
+    more.
+
+    **Source:** Zimmermann & Moberg, section IV.A (the sine); Gelb & Vander Velde, Multiple-Input Describing Functions
+    and Nonlinear System Design, 1968 (the gain of the sign beside a dominating sine).
     """
 
     lines: Int[np.ndarray, "in"]

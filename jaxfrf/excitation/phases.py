@@ -58,7 +58,7 @@ class SchroederPhases(AbstractPhases):
     experiment are nearly in proportion from line to line, which starves the local methods of a single
     experiment.
 
-    **Source:** as of `schroeder_phases`.
+    **Source:** Schroeder, IEEE Trans. Inform. Theory 16 (1970) 85-89; distances of lines as in `schroeder_phases`.
     """
 
     name: ClassVar[str] = "schroeder"
@@ -76,6 +76,9 @@ class CrestOptimisedPhases(AbstractPhases):
     inputs and n of the experiments serve n^2 signals. The signal leaves the Gaussian-like class that
     defines the best linear approximation: the FRF of a nonlinear system then depends on this very signal.
     Blocks are different realisations.
+
+    **Source:** Guillaume, Schoukens, Pintelon & Kollar, IEEE Trans. Instrum. Meas. 40 (1991) 982-989, the L2p norm of
+    one signal, here of all signals of a block.
     """
 
     name: ClassVar[str] = "crest-optimised"

@@ -86,9 +86,14 @@ def reference(design: Multisine, *, key: PRNGKeyArray | None = None) -> Referenc
     running sum. During the ramp it is w(t) q(t) and the speed its derivative w'(t) q(t) + w(t) v(t), w a
     quintic from 0 to 1, so that position, speed and acceleration start from rest.
 
-    **Arguments:** `key`: for the random phases; by default `jax.random.key(design.seed)`.
+    **Arguments:** `design`: a `Multisine`. `key`: for the random phases; by default `jax.random.key(design.seed)`.
 
-    **Raises:** `jaxfrf.InputError` where a speed exceeds `design.velocity_limit`.
+    **Returns:** a `Reference`: speed, rad/s, and position, rad, each (exp, time, in).
+
+    **Raises:** `jaxfrf.InputError` if `design` is none, where a speed exceeds `design.velocity_limit`, or for more
+    samples than fit into memory.
+
+    **Source:** closed form.
     """
     expect("design", design, Multisine)
     samples = (design.transient_periods + design.periods) * design.period

@@ -16,7 +16,7 @@ _NOT_AFTER = 0.8  # mismatch of reference or input, from which they do not repea
 
 
 class Source(eqx.Module):
-    """Where data come from: a file name and the sha256 of its bytes."""
+    """Where data come from: a file's `name` and the `sha256` of its bytes, '' where it is not known."""
 
     name: str = eqx.field(static=True)
     sha256: str = eqx.field(static=True, default="")
@@ -38,6 +38,7 @@ class Experiment(eqx.Module):
     - `r_quantity`, `y_quantity`: `position`, `velocity` or `acceleration`.
     - `u_unit`, `y_unit`: SI units for pictures and files, where they are not those above (a force in N, a current in A,
       a position in m). The numbers are not converted: `jaxfrf.io.read` does that.
+    - `sources`: `Source`s of the data. `warnings`: sentences on what the record is not good for.
 
     Fewer dimensions are accepted where the meaning is plain: (time, channel) is one operating point and one
     experiment, (exp, time, channel) one operating point. Signals are held in double precision on the host.

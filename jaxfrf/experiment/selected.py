@@ -91,8 +91,12 @@ def concatenate(records: Sequence[Experiment]) -> Experiment:
     other operating points become further positions. Where some points have more experiments than others, every record
     is a position of its own.
 
-    **Raises:** `jaxfrf.InputError` where they do not fit together (other `fs`, `period`, lines, channels or
-    quantities).
+    **Arguments:** `records`: one or several.
+
+    **Returns:** the data set, u (pos, exp, time, in), others likewise.
+
+    **Raises:** `jaxfrf.InputError` for none, and where they do not fit together (other `fs`, `period`, lines, channels
+    or quantities).
     """
     records = [records] if isinstance(records, Experiment) else list(records)
     for record in records:

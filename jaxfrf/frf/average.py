@@ -94,6 +94,10 @@ class ArithmeticMean(AbstractAverage):
     estimates are: a mean takes off their scatter alone.
 
     **Arguments:** `method`: estimates every block; default `H1()`, which on n_in experiments is Y U^-1.
+
+    **Raises:** (in `jaxfrf.estimate`) `jaxfrf.InputError` where the method does.
+
+    **Source:** Guillaume, IEEE Trans. Instrum. Meas. 47 (1998); Zimmermann & Moberg, section II.A.
     """
 
     method: AbstractMethod | None = None
@@ -120,6 +124,12 @@ class LogMean(AbstractAverage):
       estimates.
     - `elementwise`: average the logarithm of every element instead, phases turned by the first estimate: for G that
       are not square. Off-diagonal elements that pass through zero are averaged badly.
+
+    **Raises:** (in `jaxfrf.estimate`) `jaxfrf.InputError` where the method does, and for G that are not square without
+    `elementwise`.
+
+    **Source:** Guillaume, IEEE Trans. Instrum. Meas. 47 (1998); Zimmermann & Moberg, Eq. (G_LOG) and section II.C.4.
+    The status `LOG_BRANCH` is this project's own.
     """
 
     method: AbstractMethod | None = None
@@ -157,6 +167,11 @@ class RobustMean(AbstractAverage):
     Biased as the estimates of the blocks are, and useless where most of them are odd.
 
     **Arguments:** `method`: estimates every block; default `H1()`, which on n_in experiments is Y U^-1.
+
+    **Raises:** (in `jaxfrf.estimate`) `jaxfrf.InputError` where the method does, and for fewer than three blocks.
+
+    **Source:** Beaton & Tukey, Technometrics 16 (1974) 147-185 (the weights); their distance over elements and lines is
+    this project's own.
     """
 
     method: AbstractMethod | None = None

@@ -28,6 +28,11 @@ class H1(AbstractLeastSquares):
     experiments there are. Needs n_exp >= n_in. With n_exp = n_in there is no residual: `cov` is then the
     measurement noise between the periods, and NaN where there is one only (Guillaume 1998; Zimmermann & Moberg,
     Eq. (G_H1)).
+
+    **Raises:** (in `jaxfrf.estimate`) `jaxfrf.InputError` for fewer experiments than inputs, experiments that depend
+    linearly on each other, and records without a period.
+
+    **Source:** Bendat & Piersol, Random Data, 4th ed. 2010; Zimmermann & Moberg, Eq. (G_H1).
     """
 
     @property
@@ -71,6 +76,11 @@ class H2(AbstractMethod):
 
     Biased high by noise in y; better than `H1` at resonances, where y is large and u small. The covariance is H1's,
     to first order (Mitchell, J. Mech. Design 104, 1982).
+
+    **Raises:** (in `jaxfrf.estimate`) `jaxfrf.InputError` unless there are as many outputs as inputs, and for fewer
+    experiments than inputs, experiments that depend linearly on each other, and records without a period.
+
+    **Source:** Mitchell, J. Mechanical Design 104 (1982) 277-279.
     """
 
     def block_size(self, spectra: Spectra | Signals) -> int:
@@ -104,6 +114,11 @@ class Hv(AbstractMethod):
     Between `H1` and `H2`: G_i from the eigenvector of the smallest eigenvalue of the cross-spectral matrix of [u; y_i],
     each signal scaled to unit power (Rocklin, Crowley & Vold 1985). Without noise all three agree. The covariance is
     H1's, to first order. Biased where noise is not as strong in u as in y, relative to the signals.
+
+    **Raises:** (in `jaxfrf.estimate`) `jaxfrf.InputError` for fewer experiments than inputs, experiments that depend
+    linearly on each other, and records without a period.
+
+    **Source:** Rocklin, Crowley & Vold, A comparison of H1, H2 and Hv frequency response functions, IMAC 1985.
     """
 
     def block_size(self, spectra: Spectra | Signals) -> int:

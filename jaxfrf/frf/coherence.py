@@ -18,6 +18,8 @@ def coherence(spectra: Spectra) -> Float[np.ndarray, "pos freq out in"]:
 
     **Arguments:** `spectra`: of two experiments or more, (pos, exp, freq, channel).
 
+    **Returns:** (pos, freq, out, in), without a unit.
+
     **Raises:** `jaxfrf.InputError` with fewer than two experiments.
 
     **Source:** Bendat & Piersol, Random Data, 4th ed. 2010.
@@ -39,6 +41,8 @@ def multiple_coherence(spectra: Spectra) -> Float[np.ndarray, "pos freq out"]:
     the residual: then only noise lowers it, not nonlinearity.
 
     **Arguments:** `spectra`: of more experiments than inputs, or of several periods, (pos, exp, freq, channel).
+
+    **Returns:** (pos, freq, out), from 0 to 1, without a unit.
 
     **Raises:** `jaxfrf.InputError` where there are neither.
 

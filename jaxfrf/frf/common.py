@@ -22,11 +22,23 @@ class CommonDenominatorLRM(AbstractLocal):
     Used by `jaxfrf.JointInputOutput` on [y; u] together, where the denominator cancels in the ratio N_y N_u^-1: the
     closed loop has one set of poles. Fewer unknowns than `LRM`: the least width is (R+1) n_in + R/n_out lines
     over n_exp (6 axes, R = 2: 19 instead of 30). Biased where more poles than R matter within one window.
-    Fields: see `AbstractLocal`. Source: Voorhoeve, van der Maas & Oomen, Mech. Syst. Signal Process. 105, 2018.
+
+    **Arguments:**
+
+    - `order`: R. `width`: lines in a window; `None` takes a few more than are needed.
+    - `variable`: local variable x, `index` of the excited line (the paper's) or `frequency`.
+    - `transient`: order of a transient polynomial for records that are not in steady state; `None` for periodic data.
+      For a record without a period `jaxfrf.estimate` takes R and, without a `width`, windows as `jaxfrf.Auto` does.
 
     The numerators are eliminated first; the d_s then solve the normal equations of what is left over all outputs, each
-    divided by its rms in the window. Cov
-    (vec G) has the part of `LRM` at fixed denominator and, uncorrelated with it, the part of the d_s.
+    divided by its rms in the window. Cov(vec G) has the part of `LRM` at fixed denominator and, uncorrelated with it,
+    the part of the d_s.
+
+    **Raises:** `jaxfrf.InputError` for options of no sense; in `jaxfrf.estimate` for too few lines or too narrow a
+    window.
+
+    **Source:** Voorhoeve, van der Maas & Oomen, Mech. Syst. Signal Process. 105 (2018) 129-152 (a common denominator);
+    that it cancels between y and u is a closed form.
     """
 
     @property

@@ -67,9 +67,13 @@ def best_linear_approximation(data: Experiment, method: AbstractMethod | None = 
     two realisations of two periods: `jaxfrf.levels`; even and odd are not told apart. Noise is what changes from period
     to period, and needs two.
 
-    **Arguments:** `method`: estimates G; default `jaxfrf.Auto()`.
+    **Arguments:** `data`: periodic, (pos, exp, time, channel). `method`: estimates G; default `jaxfrf.Auto()`.
+
+    **Returns:** a `Distortion`: G with its covariances, and levels in the unit of y.
 
     **Raises:** `jaxfrf.InputError` if the record is not periodic, or neither way nor two periods are there.
+
+    **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, section 4.3.
     """
     frf = estimate(data, Auto() if method is None else method)
     return distortion_of(frf, data)
@@ -80,7 +84,12 @@ def with_distortion(frf: FRF, data: Experiment, spectra: Spectra | None = None) 
 
     Where the residuals leave no covariance (status `NOISE_ONLY`), it becomes the covariance, so that fits weigh by it.
 
-    **Arguments:** `spectra`: `jaxfrf.dft` of the record, where it is there already.
+    **Arguments:** `frf`: of the record, (pos, freq, out, in). `data`: the record. `spectra`: `jaxfrf.dft` of it, where
+    it is there already.
+
+    **Returns:** the FRF, with `cov_total` where the record tells it; units and lines stay.
+
+    **Source:** as of `jaxfrf.best_linear_approximation`.
     """
     if not data.period:
         return frf
@@ -223,9 +232,17 @@ def levels(spectra: Spectra) -> Levels:
     sigma_n^2 = mean_m var_p / P, sigma_tot^2 = var_m, sigma_S^2 = sigma_tot^2 - sigma_n^2 (Pintelon & Schoukens 2012,
     sec. 4.3), each for a single realisation; the mean over M has 1/M of them.
 
+    From few realisations the levels scatter: of two, one degree of freedom is behind each. What is alike in all of
+    them, as with the same phases, is not seen.
+
     **Arguments:** `spectra`: of `jaxfrf.dft`, M blocks of n_in experiments.
 
+    **Returns:** `Levels`, each (pos, freq, out, in), in the unit of G.
+
     **Raises:** `jaxfrf.InputError` with fewer than two realisations (blocks of n_in experiments) or periods.
+
+    **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, section 4.3
+    (robust method).
     """
     expect("spectra", spectra, Spectra)
     if spectra.n_real < 2 or spectra.noise is None:
@@ -258,6 +275,9 @@ def distortion(unexcited: Spectra, frf: FRF) -> Float[np.ndarray, "pos freq out"
     **Returns:** rms over the experiments, (pos, freq, out), at the lines of `unexcited`.
 
     **Raises:** `jaxfrf.InputError` if FRF and spectra have other positions or channels.
+
+    **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, section 4.3
+    (fast method).
     """
     if unexcited.n_pos != frf.n_pos or (unexcited.n_out, unexcited.n_in) != (frf.n_out, frf.n_in):
         raise input_error(

@@ -50,6 +50,8 @@ def estimate(
 
     **Raises:** `jaxfrf.InputError` if `data` is something else, or the method cannot be used on it (too few
     experiments, no reference, no period, a window that is too narrow, ...); `ValueError` if JAX is set to 32 bit.
+
+    **Source:** as of the method; the default's is that of `jaxfrf.Auto`.
     """
     require_x64("estimate")
     if not isinstance(method, AbstractMethod):
@@ -119,7 +121,12 @@ def _instead(data) -> tuple[str, str]:
 
 
 def describe_method(method: AbstractMethod) -> str:
-    """A `method` and its options as text, e.g. `LogMean(method=LRM(order=2, width=34), elementwise=False)`."""
+    """A `method` and its options as text, e.g. `LogMean(method=LRM(order=2, width=34), elementwise=False)`.
+
+    **Arguments:** `method`: any; what is no method gives its `repr`.
+
+    **Returns:** the text, which `FRF.method` holds.
+    """
     if not isinstance(method, AbstractMethod):
         return repr(method)
     options = ", ".join(f"{f.name}={describe_method(getattr(method, f.name))}" for f in dataclasses.fields(method))

@@ -51,6 +51,9 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
     **Returns:** `Feature`s, with frequencies in Hz; none where nothing stands out.
 
     **Raises:** `jaxfrf.InputError` if `frf` is none.
+
+    **Source:** closed form of one pole, fitted by variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973)
+    413-432); prominence as `scipy.signal.find_peaks` has it. What counts as significant is this project's own.
     """
     expect("frf", frf, FRF)
     G = np.asarray(frf.G)[position, :, out, into]

@@ -21,6 +21,12 @@ class JointInputOutput(AbstractMethod):
     the correlation between the two estimates included.
 
     **Arguments:** `method`: `H1()` (default), `LPM`, `LRM`, `MisoLRM` or `CommonDenominatorLRM`.
+
+    **Raises:** (in `jaxfrf.estimate`) `jaxfrf.InputError` without a reference, for another number of references than
+    inputs, and where the method does.
+
+    **Source:** Wellstead, Automatica 17 (1981) 55-69; Zimmermann & Moberg, Eq. (JIO) and section II.C.3. The covariance
+    is first order, a closed form.
     """
 
     method: AbstractLeastSquares = H1()

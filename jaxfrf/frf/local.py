@@ -82,7 +82,20 @@ class LPM(AbstractLocal):
     """Local polynomial method: G is a polynomial of order R in every window (Pintelon et al. 2010, Part I).
 
     Biased where G bends within a window, as at lightly damped resonances and antiresonances; exact on polynomials of
-    order R. Least width (R+1) n_in / n_exp lines. Fields: see `AbstractLocal`.
+    order R. Least width (R+1) n_in / n_exp lines.
+
+    **Arguments:**
+
+    - `order`: R. `width`: lines in a window; `None` takes a few more than are needed.
+    - `variable`: local variable x, `index` of the excited line (the paper's) or `frequency`.
+    - `transient`: order of a transient polynomial for records that are not in steady state; `None` for periodic data.
+      For a record without a period `jaxfrf.estimate` takes R and, without a `width`, windows as `jaxfrf.Auto` does.
+
+    **Raises:** `jaxfrf.InputError` for options of no sense; in `jaxfrf.estimate` for too few lines or too narrow a
+    window.
+
+    **Source:** Pintelon, Schoukens, Vandersteen & Barbé, Mech. Syst. Signal Process. 24 (2010) 573-595; Zimmermann &
+    Moberg, section II.B. The paper takes one experiment at a time; here all share a window.
     """
 
     @property
@@ -100,7 +113,20 @@ class LRM(AbstractLocal):
     The linearised residual D V weighs the ends of the window too heavily: with noise, resonances come out too
     damped, and in closed loop, without the reference, the noise in u adds a bias that wide windows make
     worse; `jaxfrf.JointInputOutput` removes that one. Least width ((R+1) n_in + R n_out) / n_exp lines.
-    Fields: see `AbstractLocal`.
+
+    **Arguments:**
+
+    - `order`: R. `width`: lines in a window; `None` takes a few more than are needed.
+    - `variable`: local variable x, `index` of the excited line (the paper's) or `frequency`.
+    - `transient`: order of a transient polynomial for records that are not in steady state; `None` for periodic data.
+      For a record without a period `jaxfrf.estimate` takes R and, without a `width`, windows as `jaxfrf.Auto` does.
+
+    **Raises:** `jaxfrf.InputError` for options of no sense; in `jaxfrf.estimate` for too few lines or too narrow a
+    window.
+
+    **Source:** McKelvey & Guérin, SYSID 2012 (local fractions); Voorhoeve, van der Maas & Oomen, Mech. Syst. Signal
+    Process. 105 (2018) 129-152; Zimmermann & Moberg, section II.C.2. The paper takes one experiment at a time; here all
+    share a window.
     """
 
     @property
@@ -116,7 +142,19 @@ class MisoLRM(AbstractLocal):
 
     As `LRM`, but outputs do not appear in each other's equations: fewer unknowns, and a bias where the outputs
     share poles that one scalar polynomial of order R cannot hold. Least width ((R+1) n_in + R) / n_exp lines.
-    Fields: see `AbstractLocal`.
+
+    **Arguments:**
+
+    - `order`: R. `width`: lines in a window; `None` takes a few more than are needed.
+    - `variable`: local variable x, `index` of the excited line (the paper's) or `frequency`.
+    - `transient`: order of a transient polynomial for records that are not in steady state; `None` for periodic data.
+      For a record without a period `jaxfrf.estimate` takes R and, without a `width`, windows as `jaxfrf.Auto` does.
+
+    **Raises:** `jaxfrf.InputError` for options of no sense; in `jaxfrf.estimate` for too few lines or too narrow a
+    window.
+
+    **Source:** Voorhoeve, van der Maas & Oomen, Mech. Syst. Signal Process. 105 (2018) 129-152; Zimmermann & Moberg,
+    section II.C.1. The paper takes one experiment at a time; here all share a window.
     """
 
     @property

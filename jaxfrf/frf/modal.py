@@ -62,9 +62,10 @@ class ModalModel(eqx.Module):
     **Fields:** `modes`: by frequency, those that are significant. `background`: what the modes outside the band and the
     rigid motion amount to: coefficients of s^(q-2), s^(q-1), s^q, (3, out, in), q the derivative that y is. `misfit`:
     root mean square of the residual over its standard deviation; far above 1 the standard deviations, which are widened
-    by it, are lower limits. `delay`: s, of all elements alike, and its standard deviation; 0 where none is significant
-    or it was given. `stabilisation`: see there. `dropped`: frequencies, Hz, of stable poles that turned out not
-    significant. `frequency`, `measured`: the FRF that was fitted.
+    by it, are lower limits. `delay`: s, of all elements alike, and `delay_std`, its standard deviation; 0 where none is
+    significant or it was given. `stabilisation`: see there. `dropped`: frequencies, Hz, of stable poles that turned
+    out not significant. `frequency`, `measured`: the FRF that was fitted, (freq,), Hz, and (freq, out, in).
+    `y_quantity`, `u_unit`, `y_unit`: as in `FRF`.
     """
 
     modes: tuple[Mode, ...]
@@ -124,6 +125,8 @@ def modal(
     - `max_order`: of the denominator; by default 30, or less where there are few lines.
     - `near`: frequencies, Hz, of the modes to take, where the automatic choice is not wanted.
     - `delay`: s, where it is known; by default found.
+
+    **Returns:** a `ModalModel`: frequencies in Hz, damping ratios, residues (out, in) of the unit of G rad/s.
 
     **Raises:** `jaxfrf.InputError` if too few lines are left, or no pole lies near one of `near`.
 

@@ -61,6 +61,12 @@ class Auto(AbstractMethod):
     - `stages`: 2 suits noise that y has beside the response; of disturbances that enter where the input does (torques)
       it errs about as much as 1. R3X, whose error is friction's distortion and an arm that moves, is a seventh to a
       fifth nearer to the truth with 1 (`notebooks/paper.md`).
+
+    **Raises:** `jaxfrf.InputError` for other `stages`, and for a method with a `width`; in `jaxfrf.estimate` where
+    there are too few lines for the narrowest window.
+
+    **Source:** Hausman, Econometrica 46 (1978) 1251-1271 (variance of the difference); Theil 1953 and Basmann 1957
+    (two-stage least squares); the local fractions as of `LRM`. The mean of windows is this project's own.
     """
 
     method: AbstractLocal = LRM(variable="frequency")

@@ -32,6 +32,12 @@ class Welch(AbstractMethod):
       MATLAB.
     - `overlap`: share of a segment that the next one repeats. `window`: as `scipy.signal.get_window` names it.
     - `use_reference`: see above.
+
+    **Raises:** `jaxfrf.InputError` for a segment below 8 samples, an overlap outside 0 to 1 or an unknown window; in
+    `jaxfrf.estimate` for no more segments than inputs.
+
+    **Source:** Welch, IEEE Trans. Audio and Electroacoustics 15 (1967) 70-73; for several inputs as in Bendat &
+    Piersol, Random Data, 4th ed. 2010.
     """
 
     segment: int | None = None

@@ -71,9 +71,11 @@ def diagnose(
     - `say`: called with a line of progress. `progress`: with the part that is done.
     - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`, begun); a run that finds some goes on behind them.
 
+    **Returns:** a `Diagnosis`: verdict, named effects with their numbers in SI units, the gap before and after, maps.
+
     **Raises:** `jaxfrf.InputError` for records without period or arm configurations, and for a robot that does not fit.
 
-    Source: score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
+    **Source:** score tests beside nuisance parameters are textbook statistics; the workflow is this project's own.
     """
     if robot is not None:
         expect("robot", robot, Robot)

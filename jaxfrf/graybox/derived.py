@@ -28,8 +28,13 @@ def derived(
     First order in the covariance of the fit (delta method), in the logarithm of quantities that are positive, so that
     their intervals stay so. It fails where a quantity bends over the width of its interval.
 
-    **Arguments:** `function`: from every parameter by name, in its unit, to scalars by name, in `jax.numpy`:
+    **Arguments:** `fitted`: of `jaxfrf.fit`. `level`: of the intervals. `function`: from every parameter by name, in
+    its unit, to scalars by name, in `jax.numpy`:
     `lambda p: {"antiresonance": jnp.sqrt(p["k"] / p["J2"]) / (2 * jnp.pi)}`.
+
+    **Returns:** by name: value, standard deviation and interval, in the unit that the function gives.
+
+    **Source:** the delta method, e.g. Casella & Berger, Statistical Inference, 2nd ed. 2002, section 5.5.4.
     """
     x, cov = jnp.asarray(fitted.x), np.asarray(fitted.uncertainty.cov)
     at = lambda x: {name: jnp.asarray(v, float) for name, v in function(fitted.coordinates.values(x)).items()}

@@ -174,7 +174,13 @@ def fit(
     - `keep`: minima that are followed to the end; `None`: every start, by itself.
     - `progress`: called with (descents done, of how many).
 
-    **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together, or no start gives a finite cost.
+    **Returns:** a `Fit`: values in the units of the parameters, their covariance, every start.
+
+    **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together, or no start gives a finite cost;
+    `ValueError` if JAX is set to 32 bit.
+
+    **Source:** Zimmermann & Moberg, section III.B (the logarithmic cost, random starts); sandwich covariance: Huber,
+    Proc. Fifth Berkeley Symposium 1 (1967) 221-233. The choice among starts is this project's own.
     """
     expect("model", model, AbstractModel)
     expect("frf", frf, FRF)

@@ -62,7 +62,12 @@ def initial_guess(robot: Robot | RobotModel, frf: FRF) -> Guess:
     **Arguments:** `robot`: or a `jaxfrf.RobotModel` of it, whose fixed and shared parameters stay so. `frf`: with arm
     configurations q; acceleration, velocity or position of all motors.
 
+    **Returns:** a `Guess`: N m/rad and N m s/rad by parameter, the error in dB, notes.
+
     **Raises:** `jaxfrf.InputError` for a robot without springs, and where FRF and robot do not fit together.
+
+    **Source:** closed form of an inertia on a spring (its eigenfrequency with the motor held, and free); the search
+    from there is this project's own.
     """
     require_x64("initial_guess")
     model = robot if isinstance(robot, RobotModel) else RobotModel(robot, quantity=frf.y_quantity)
@@ -83,7 +88,11 @@ def guessed(model: RobotModel, frf: FRF) -> RobotModel:
 
     **Arguments:** `model`, `frf`: as of `jaxfrf.initial_guess`, the FRF with arm configurations `q`, rad.
 
+    **Returns:** the model, its parameters in their units.
+
     **Raises:** as `jaxfrf.initial_guess`.
+
+    **Source:** as of `jaxfrf.initial_guess`.
     """
     return starting_near(model, initial_guess(model, frf).values)
 

@@ -44,11 +44,17 @@ def fit_in_motion(
 
     **Arguments:**
 
+    - `model`: `jaxfrf.RobotModel` of the robot.
     - `data`: periodic records with arm configurations q.
     - `measured`: their FRF, in the quantity of the model.
-    - `say`: called with a line of what was found in the motion. Others as in `jaxfrf.fit`.
+    - `say`: called with a line of what was found in the motion. `weights`, `solver`, `starts`, `key`: as in
+      `jaxfrf.fit`.
+
+    **Returns:** a `Fit`, as of `jaxfrf.fit`.
 
     **Raises:** `jaxfrf.InputError` as `jaxfrf.fit` does, and for records without period or configurations.
+
+    **Source:** as of `jaxfrf.fit`; the mean response over a slow motion is this project's own.
     """
     weights = Weights() if weights is None else weights
     solver = LevenbergMarquardt() if solver is None else solver

@@ -34,6 +34,8 @@ class IndirectFit(eqx.Module):
     the measured FRF with the linear model, where it started. `corrections`: every round. `converged`: whether the last
     correction was below a tenth of its standard deviation. `measured`, `simulated`: FRFs, the latter at
     `corrections[-1].x`.
+
+    **Source:** as of `jaxfrf.fit_through_experiment`.
     """
 
     fit: Fit
@@ -92,7 +94,12 @@ def fit_through_experiment(
     - `rounds`: at most. `done`: rounds of an interrupted run. `keep`: called with every new round.
     - `say`: called with a line of progress.
 
+    **Returns:** an `IndirectFit`: the fit, the direct one, every round, both FRFs.
+
     **Raises:** `jaxfrf.InputError` without references or controller, and where a simulation diverges.
+
+    **Source:** Gourieroux, Monfort & Renault, J. Applied Econometrics 8 (1993) S85-S118 (indirect inference); Anderson,
+    J. ACM 12 (1965) 547-560 (the acceleration). Its use for FRFs of robots is this project's own.
     """
     method = default_method() if method is None else method
     weights = Weights() if weights is None else weights

@@ -61,6 +61,11 @@ class GrayBox(AbstractModel):
       third argument, the arm configuration q (joint,) of the operating point. It returns G, (freq, out, in), complex,
       written in `jax.numpy`; (freq,) is accepted for one input and one output. It must be differentiable.
     - `parameters`: name -> `Parameter` (or a number: a positive parameter that starts there).
+
+    **Raises:** `jaxfrf.InputError` for a start that is no positive number, and (in a fit) where the result has another
+    shape.
+
+    **Source:** a definition: the model is yours.
     """
 
     model: Callable
@@ -130,6 +135,15 @@ class RobotModel(AbstractModel):
       friction starts at f + 2 c/(pi A); without it at a guess.
     - `damping_spread`, `stiffness_spread`, `friction_spread`: standard deviation of ln of perturbed starts; by default
       the robot's tolerances of stiffness, damping and Coulomb friction (of what is unknown, a factor of e).
+
+    Biased where the motion is large: it is linear about rest, a nonlinear spring or friction has one mean value in it.
+    `fit_through_experiment` takes that out.
+
+    **Raises:** (in a fit) `jaxfrf.InputError` for an FRF without the arm configurations of the robot, or of another
+    quantity.
+
+    **Source:** Zimmermann & Moberg, section III.A; effective friction by the describing function of Gelb & Vander
+    Velde, Multiple-Input Describing Functions and Nonlinear System Design, 1968.
     """
 
     robot: Robot

@@ -28,8 +28,8 @@ class Parameter(eqx.Module):
 
     **Arguments:**
 
-    - `start`: where the fit starts.
-    - `unit`: for reports.
+    - `start`: where the fit starts, in `unit`.
+    - `unit`: of the value, for reports.
     - `positive`: whether it is positive by its nature.
     - `free`: whether it is fitted.
     - `nuisance`: fitted, but not what the user asked for (effective friction): not counted in summaries.
@@ -38,6 +38,9 @@ class Parameter(eqx.Module):
       none otherwise.
     - `scale`: size of a parameter that may be negative.
     - `same_as`: name of another parameter whose value this one takes (a shared parameter).
+
+    **Raises:** `jaxfrf.InputError` for a start that is not finite (positive, where it should be) or outside the bounds,
+    and for a `scale` or `spread` of no sense.
     """
 
     start: Float[np.float64, ""]

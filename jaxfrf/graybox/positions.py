@@ -48,10 +48,15 @@ def position_information(
 
     Knows noise only: bias from nonlinearity does not fall with more experiments.
 
-    **Arguments:** `frequency`: Hz. `points`: operating points with a leading axis (pos), e.g. arm angles (pos, axis).
-    `weights`: of the elements, (out, in), 1 by default; 0 for elements that are not measured.
+    **Arguments:** `model`: with start values. `frequency`: (freq,), Hz. `points`: operating points with a leading axis
+    (pos), e.g. arm angles (pos, axis), rad. `noise`: see above. `weights`: of the elements, (out, in), 1 by default; 0
+    for elements that are not measured.
+
+    **Returns:** (pos, parameter, parameter), in coordinates x: relative for positive parameters.
 
     **Raises:** `jaxfrf.InputError` naming operating points at which the response is not finite.
+
+    **Source:** closed form for Gaussian errors, e.g. Ljung, System Identification, 2nd ed. 1999, section 7.4.
     """
     coordinates = Coordinates(model.parameters)
     frequency = jnp.asarray(frequency)
@@ -95,9 +100,14 @@ def d_optimal(
     them is a local optimum: no single exchange improves it, two at once might. The choice does not depend on the units
     of the parameters.
 
-    **Arguments:** `repeat`: whether a position may be chosen more than once. **Returns:** indices, ascending.
+    **Arguments:** `information`: of `jaxfrf.position_information`, (pos, parameter, parameter). `count`: how many.
+    `repeat`: whether a position may be chosen more than once. `starts`: first positions that are tried.
+
+    **Returns:** indices, ascending.
 
     **Raises:** `jaxfrf.InputError` for more positions than candidates, and for information that is not finite.
+
+    **Source:** Fedorov, Theory of Optimal Experiments, 1972 (the exchange).
     """
     information = np.asarray(information)
     n = len(information)
@@ -161,8 +171,12 @@ def expected_accuracy(
     A bound: what an efficient fit reaches when the noise is all that is wrong.
 
     **Arguments:** `information`: of the chosen positions, in the coordinates of a fit (logarithms of positive
-    parameters, so that deviations are relative). `blocks`: how many times the experiment whose noise it assumed. The
-    Cramér-Rao bound, e.g. Ljung, System Identification, 1999, section 7.4.
+    parameters, so that deviations are relative), (pos, parameter, parameter). `names`: of the parameters. `blocks`: how
+    many times the experiment whose noise it assumed.
+
+    **Returns:** `Accuracy`: standard deviations, (parameter,), relative for positive parameters, and correlations.
+
+    **Source:** the Cramér-Rao bound, e.g. Ljung, System Identification, 2nd ed. 1999, section 7.4.
     """
     total = blocks * np.asarray(information).sum(axis=0)
     cov = _inverse(total)
@@ -224,7 +238,12 @@ def plan_positions(
     - `beyond`: how many positions more than `count` the comparison goes to. `blocks`: numbers of blocks of experiments
       to state the accuracy for. `seed`: of the random choices.
 
+    **Returns:** a `PositionPlan`: the chosen points, and standard deviations, relative for positive parameters.
+
     **Raises:** `jaxfrf.InputError` for more positions than candidates, and for candidates without a finite response.
+
+    **Source:** Fedorov, Theory of Optimal Experiments, 1972, as of `jaxfrf.d_optimal`. The comparison with random
+    choices is this project's own.
     """
     n = len(jax.tree.leaves(candidates)[0])
     if not 1 <= count <= n:

@@ -162,7 +162,17 @@ def quality(fitted: Fit, frf: FRF, weights: Weights | None = None, bands: int = 
     Of a fit through the experiment they are those between measurement and simulation. What repeats in both (distortion
     by the same references) cancels there, while the covariance holds it: chi-square below 1.
 
-    **Arguments:** `frf`, `weights`: that were fitted. `bands`: how many, of equal width in the logarithm.
+    Where the FRF's covariance is too small (a bias, lines that share data more than is known), chi-square is above 1
+    for a right model.
+
+    **Arguments:** `fitted`: of `jaxfrf.fit`. `frf`, `weights`: that were fitted. `bands`: how many, of equal width in
+    the logarithm.
+
+    **Returns:** a `Quality`: chi-square and errors by position, band and element.
+
+    **Raises:** `jaxfrf.InputError` for less than one band.
+
+    **Source:** a definition (chi-square, rms); the cells are this project's own.
     """
     E, _ = Cost(fitted.model, fitted.coordinates, fitted.target).errors(jnp.asarray(fitted.x))
     return residual_quality(np.asarray(E), fitted.target, frf, weights, bands)

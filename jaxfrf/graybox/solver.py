@@ -56,6 +56,11 @@ class LevenbergMarquardt(AbstractSolver):
     It ends where the next step is below `tolerance`, or promises less than the rounding of the cost.
 
     **Arguments:** `max_steps`: at most. `tolerance`: see `AbstractSolver`.
+
+    Finds a local minimum, which depends on the start; `fit` makes several.
+
+    **Source:** Levenberg, Quarterly of Applied Mathematics 2 (1944) 164-168; Marquardt, J. SIAM 11 (1963) 431-441;
+    damping and trust region as optimistix has them, the end of the search is this project's own.
     """
 
     max_steps: int = eqx.field(static=True, default=80)
@@ -75,7 +80,12 @@ class LevenbergMarquardt(AbstractSolver):
 class BFGS(AbstractSolver):
     """The Broyden-Fletcher-Goldfarb-Shanno method, as the paper uses it (fminunc); slower, and less often successful.
 
-    **Arguments:** as of `LevenbergMarquardt`.
+    **Arguments:** `max_steps`: at most. `tolerance`: in x, as of `LevenbergMarquardt`.
+
+    Finds a local minimum, which depends on the start.
+
+    **Source:** Nocedal & Wright, Numerical Optimization, 2nd ed. 2006, chapter 6; as optimistix has it. Zimmermann &
+    Moberg, section III.B, use `fminunc`.
     """
 
     max_steps: int = eqx.field(static=True, default=500)

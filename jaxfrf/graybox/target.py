@@ -36,6 +36,11 @@ class Weights(eqx.Module):
     - `bands`: (lowest Hz, highest Hz, factor) of bands that count more, less (0: not at all).
     - `correlated`: whiten with the full covariance of all elements of a line, instead of one by one:
       W = S D S, S the Hermitian root of (cov E + floor^2 I)^-1 and D the user weights.
+
+    **Raises:** `jaxfrf.InputError` for numbers below 0, and bands that are none.
+
+    **Source:** Zimmermann & Moberg, section III.B (uncertainty and user choice; antiresonance and resonance weighted
+    highest); they state no numbers, the defaults are this project's own.
     """
 
     floor: float = 0.03

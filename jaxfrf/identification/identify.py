@@ -82,7 +82,11 @@ def identify(
       settings are not simulated again.
     - `say`: called with a line of progress.
 
+    **Returns:** an `Identification`: fits, residuals and held-out errors, in the units of the parameters.
+
     **Raises:** `jaxfrf.InputError`, before anything long begins, if robot, data and arguments do not fit together.
+
+    **Source:** as of `jaxfrf.fit_through_experiment` and `jaxfrf.fit`.
     """
     expect("robot", robot, Robot)
     require_x64("identify")

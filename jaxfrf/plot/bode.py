@@ -44,7 +44,7 @@ def confidence_radius(frf: FRF, level: float = 0.95) -> Float[Array, "pos freq o
 
     **Arguments:** `level`: between 0 and 1. **Returns:** (pos, freq, out, in), unit of G.
 
-    Source: Pintelon & Schoukens 2012, System Identification, ch. 2.
+    **Source:** Pintelon & Schoukens 2012, System Identification, ch. 2.
 
     **Raises:** `jaxfrf.InputError` for a level that is no probability.
     """

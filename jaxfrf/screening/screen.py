@@ -94,6 +94,9 @@ def examine(data: Experiment, checks: tuple[Check, ...] = CHECKS + ACROSS) -> tu
     **Returns:** the findings (`jaxfrf.Finding`); none where nothing was found.
 
     **Raises:** `jaxfrf.InputError` if `data` is no experiment.
+
+    **Source:** this project's own; the checks say how they look. That of clocks: a delay d of a period turns line w by
+    -w d, a closed form.
     """
     expect("data", data, Experiment)
     return _examined(Record(data), checks)
@@ -178,6 +181,16 @@ def screen(data: Experiment) -> tuple[str, ...]:
     dead channels; at clocks that differ; at samples lost or doubled, odd or disturbed periods, drifting means and
     gains, jitter and low signal-to-noise ratios between periods; at outputs that lead their inputs; at experiments that
     do not belong to the others or are given twice.
+
+    A fault that is the same in all periods and experiments is not seen, see `jaxfrf.examine`.
+
+    **Arguments:** `data`: the record, (pos, exp, time, channel).
+
+    **Returns:** sentences; none where nothing was found.
+
+    **Raises:** `jaxfrf.InputError` if `data` is no experiment.
+
+    **Source:** as of `jaxfrf.examine`: this project's own.
     """
     return sentences(examine(data))
 

@@ -37,7 +37,7 @@ def simulate(
 
     **Arguments:**
 
-    - `robot`: with a controller and the sampling frequency of the design.
+    - `robot`: with a controller and the sampling frequency of `design`, a `Multisine`.
     - `positions`: arm angles at rest, (pos, axis), rad.
     - `run_in`: seconds of the periodic motion before the first recorded sample, faded in from rest; the record
       then holds steady periods only. `None`: the transient periods of the design are played and recorded.
@@ -48,8 +48,14 @@ def simulate(
 
     What the record is not good for (motors at their limits, springs that give way) stands in its `warnings`.
 
+    **Returns:** the record, an `Experiment` with `u` (N m), `y` (rad) and `r` (rad/s), each (pos, exp, time, axis).
+
     **Raises:** `jaxfrf.InputError` where robot, design and positions do not fit together, and where runs
     diverge: it names positions and experiments, and nothing is recorded then.
+
+    **Source:** the paper (Zimmermann & Moberg), section III.A (equations of motion) and IV.A (controller, ripple,
+    noise); classical Runge-Kutta steps; the arm's inertia, which is held over a control sample, is this project's own
+    short cut.
     """
     study = study_of_design(robot, design, positions, key, run_in, noise, steps)
     check_runs(design, len(positions))
@@ -129,6 +135,8 @@ def replay(
 
     **Raises:** `jaxfrf.InputError` without `r` or `q`, where the record does not fit the robot, where `r` has a
     mean that lets the motors drift away, and where runs diverge.
+
+    **Source:** `jaxfrf.simulate`, with the references of a record; a workflow of this project.
     """
     expect("robot", robot, Robot)
     expect("data", data, Experiment)

@@ -23,6 +23,9 @@ def random_positions(n: int, key: PRNGKeyArray, axes: int = 6) -> Float[np.ndarr
     **Arguments:** `n`: how many. `key`: of the draw, `jax.random.key`. `axes`: of the robot.
 
     **Returns:** (n, `axes`), rad.
+
+    **Source:** this project's own; the paper, section IV.A, has 49 random configurations and does not state their
+    ranges.
     """
     elbow = axes == len(_LOW)
     low, high = (_LOW, _HIGH) if elbow else (np.full(axes, -90.0), np.full(axes, 90.0))

@@ -30,6 +30,9 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     **Returns:** `Spectra` at multiples of fs/n_time Hz, with `periodic` false and without noise covariance.
 
     **Raises:** `jaxfrf.InputError` if `data` is no experiment, or the band holds no excited line.
+
+    **Source:** the transient is that of Pintelon, Schoukens, Vandersteen & Barbé, Mech. Syst. Signal Process. 24 (2010)
+    573-595; the choice of lines is this project's own.
     """
     expect("data", data, Experiment)
     n = data.n_time
@@ -64,10 +67,15 @@ def segment_spectra(
     them `jaxfrf.coherence(spectra)` is `scipy.signal.coherence`, and `jaxfrf.estimate(spectra, jaxfrf.Welch())` is
     csd(u, y)/welch(u). Leakage from line to line is as the window makes it.
 
-    **Arguments:** `segment`, in samples; `None`: as long as eight with half an overlap can be. `overlap`: share of a
-    segment. `window`: as `scipy.signal.get_window` names it.
+    **Arguments:** `data`: of any kind, (pos, exp, time, channel). `segment`: samples; `None`: as long as eight with
+    half an overlap can be. `overlap`: share of a segment. `window`: as `scipy.signal.get_window` names it.
+
+    **Returns:** `Spectra` at multiples of fs/`segment` Hz, of all segments, in the units of `data` (the DFT over
+    the sum of the window), with `periodic` false and without noise covariance.
 
     **Raises:** `jaxfrf.InputError` if the record is shorter than a segment.
+
+    **Source:** Welch, IEEE Trans. Audio and Electroacoustics 15 (1967) 70-73.
     """
     n = data.n_time
     length = max(2 * n // 9, 8) if segment is None else int(segment)

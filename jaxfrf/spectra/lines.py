@@ -27,6 +27,8 @@ def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
     **Returns:** lines of one period, (freq,); line k is k fs/period Hz.
 
     **Raises:** `jaxfrf.InputError` if a channel carries no power.
+
+    **Source:** this project's own.
     """
     expect("data", data, Experiment)
     return found_lines(data).lines

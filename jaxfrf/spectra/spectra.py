@@ -82,7 +82,7 @@ class Spectra(eqx.Module):
 def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
     """The same spectra at the lines from `low` to `high` (Hz) only.
 
-    **Arguments:** `low`, `high`: Hz, both included.
+    **Arguments:** `spectra`: (pos, exp, freq, channel). `low`, `high`: Hz, both included.
 
     **Returns:** `Spectra` with fewer lines, and nothing else changed.
 
@@ -105,7 +105,9 @@ def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
 def select_positions(spectra: Spectra, positions: slice | Sequence[int] | Int[Array, "pos"]) -> Spectra:
     """The same spectra at some operating points only, `q` with them.
 
-    **Arguments:** `positions`: a slice, or a list of indices from 0.
+    **Arguments:** `spectra`: (pos, exp, freq, channel). `positions`: a slice, or a list of indices from 0.
+
+    **Returns:** `Spectra` of these positions, in this order.
 
     **Raises:** `jaxfrf.InputError` if `spectra` are none.
     """
@@ -130,6 +132,8 @@ def differentiate(
     whole number; negative ones integrate, where no `omega` is 0.
 
     **Returns:** (*batch, freq, channel), unit of `X` by s^-`times`.
+
+    **Source:** closed form.
     """
     return X * ((1j * np.asarray(omega)) ** times)[:, None]
 
@@ -143,6 +147,8 @@ def with_output_quantity(spectra: Spectra, quantity: str) -> Spectra:
     derivatives.
 
     **Raises:** `jaxfrf.InputError` if `spectra` are none, or for any other quantity.
+
+    **Source:** closed form.
     """
     expect("spectra", spectra, Spectra)
     if quantity not in QUANTITIES:

@@ -21,15 +21,22 @@ def dft(data: Experiment, *, robust: bool = False, silent: bool = False) -> Spec
     1/(P (P-1)) sum_p (X_p - X)(X_p - X)^H (Pintelon & Schoukens 2012, ch. 2); it needs P >= 2 periods and does not
     see what repeats with the period (nonlinear distortion, ripple).
 
-    **Arguments:** `robust`: weigh periods, so that one with a glitch, a lost sample or a disturbance does not count:
-    the mean is sum_p w_p X_p / sum_p w_p with the weights of Tukey's biweight (Beaton & Tukey 1974), from the distance
-    of the period from the others over all channels and some neighbouring lines, the same for r, u and y, so that
-    y = G u still holds; its covariance is sum_p w_p^2 (X_p - X)(X_p - X)^H / ((sum_p w_p)^2 (1 - 1/sum_p w_p)). It
-    costs a few per cent of the information of clean periods. `silent`: lines that carry no power in any experiment are
-    taken, too (of some positions of a larger record, say).
+    **Arguments:** `data`: periodic, (pos, exp, time, channel). `robust`: weigh periods, so that one with a glitch, a
+    lost sample or a disturbance does not count: the mean is sum_p w_p X_p / sum_p w_p with the weights of Tukey's
+    biweight (Beaton & Tukey 1974), from the distance of the period from the others over all channels and some
+    neighbouring lines, the same for r, u and y, so that y = G u still holds; its covariance is
+    sum_p w_p^2 (X_p - X)(X_p - X)^H / ((sum_p w_p)^2 (1 - 1/sum_p w_p)). It costs a few per cent of the information of
+    clean periods.
+    `silent`: lines that carry no power in any experiment are taken, too (of some positions of a larger record, say).
+
+    **Returns:** `Spectra` at the excited lines, coefficients in the units of `data`.
 
     **Raises:** `jaxfrf.InputError` if the record is not periodic, an excited line carries no power, or `robust` has
     fewer than three periods.
+
+    **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, chapter 2 (mean
+    and covariance over periods); Beaton & Tukey, Technometrics 16 (1974) 147-185 (the weights; their distance over
+    channels and lines is this project's own).
     """
     expect("data", data, Experiment)
     _check_periodic(data)
