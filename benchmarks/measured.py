@@ -2,7 +2,7 @@
 
     python benchmarks/measured.py [--check]
 
-A table stands in the page between `<!-- NAME -->` and `<!-- end -->`, NAME being one of `TABLES`; the text around it is
+A table stands in the page between `<!-- table: NAME -->` and `<!-- end of table -->`, NAME being one of `TABLES`; the text around it is
 written by hand. `--check` writes nothing and ends with 1 where the page is not what the results say.
 """
 
@@ -11,7 +11,7 @@ import json
 import pathlib
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 HERE = pathlib.Path(__file__).parent
@@ -192,18 +192,14 @@ TABLES: dict[str, Callable[[], str]] = {
 
 def filled(page: str) -> str:
     """The page with its tables made anew."""
-    for name in _names(page):
-        block = f"<!-- {name} -->\n\n{TABLES[name]()}\n\n<!-- end -->"
-        page = re.sub(rf"<!-- {name} -->\n.*?<!-- end -->", lambda _, block=block: block, page, flags=re.DOTALL)
-    return page
+    return re.sub(r"<!-- table: (\w+) -->\n.*?<!-- end of table -->", _block, page, flags=re.DOTALL)
 
 
-def _names(page: str) -> Iterator[str]:
-    for name in re.findall(r"<!-- (\w+) -->", page):
-        if name in TABLES:
-            yield name
-        elif name != "end":
-            raise SystemExit(f"measured.md: no table {name!r}; those there are: {', '.join(TABLES)}.")
+def _block(found: re.Match[str]) -> str:
+    name = found[1]
+    if name not in TABLES:
+        raise SystemExit(f"measured.md: no table {name!r}; those there are: {', '.join(TABLES)}.")
+    return f"<!-- table: {name} -->\n\n{TABLES[name]()}\n\n<!-- end of table -->"
 
 
 def main() -> int:
