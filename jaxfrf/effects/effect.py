@@ -67,7 +67,7 @@ class AbstractEffect(eqx.Module):
     - `nothing`: value of the first parameter with which it is none. `grows`: whether it is more where that is larger.
     - `alike`: names of effects that most data cannot tell from it. `same_law`: names of effects with its law, which
       are told apart by their joint.
-    - `imitated`: whether a robot's own numbers imitate it to first order, so that a fit alone tells it.
+    - `imitated_by`: kinds of the joint's own numbers that imitate it, so that a fit alone tells it (`starts`).
     - `is_error`: whether it is no term of its own, but an error of one number that every robot has.
 
     `joint` is a driven joint's name, or its number counted from 0; "" where the effect has none. A joint that the robot
@@ -84,7 +84,7 @@ class AbstractEffect(eqx.Module):
     grows: ClassVar[bool] = True
     alike: ClassVar[tuple[str, ...]] = ()
     same_law: ClassVar[tuple[str, ...]] = ()
-    imitated: ClassVar[bool] = False
+    imitated_by: ClassVar[tuple[str, ...]] = ()
     is_error: ClassVar[bool] = False
 
     joint: eqx.AbstractVar[Joint]
@@ -175,6 +175,13 @@ class AbstractEffect(eqx.Module):
         these parameters; first the one that says how much of the effect there is."""
         stds = np.sqrt(np.diag(covariance))
         return {p: (float(getattr(self, p)), float(std)) for p, std in zip(parameters, stds, strict=True)}
+
+    @classmethod
+    def starts(cls, robot: "Robot", joint: Joint) -> "tuple[Self, ...]":
+        """Further ones from which a fit begins, beside the one that a residual proposes; the numbers of the joint that
+        imitate it begin as they were given. What numbers imitate, a fit does not find from where they stand in its
+        place."""
+        return ()
 
     def unknown_beside(self, robot: "Robot") -> dict[str, float]:
         """Numbers of a robot that has it of which little is known then, with their relative standard deviations."""

@@ -25,6 +25,7 @@ Number = Float[Array, ""] | float
 _KNEES = (1e-4, 2.9e-4, 8e-4)  # rad
 _GAPS = (1e-4, 2.9e-4, 6e-4)  # rad
 _HINGES = (1e5, 2.5e5, 6e5, 1.5e6)  # N m/rad
+_SPRING = ("stiffness", "stiffness_ratio", "stiffness_knee")
 _LASTING = 5000.0  # 1/s, stiffness over damping of a hinge
 
 
@@ -49,7 +50,7 @@ class StiffnessHardening(AbstractStructure):
     signature: ClassVar = "mode frequencies rise with load and amplitude"
     confusable: ClassVar = {"backlash": "positions with preload", "payload": "another amplitude"}
     nothing: ClassVar = 1.0
-    imitated: ClassVar = True
+    imitated_by: ClassVar = _SPRING
 
     joint: Joint = eqx.field(static=True)
     ratio: Number
@@ -73,6 +74,10 @@ class StiffnessHardening(AbstractStructure):
             most = (cls.bounds["ratio"][0] - own) / change
             found.append(Candidate(cls.name, str(joint), (basis,), make, (0.0,), (most,), 1.0, f"knee {this:g} rad"))
         return tuple(found)
+
+    @classmethod
+    def starts(cls, robot: "Robot", joint: Joint) -> tuple[Self, ...]:
+        return tuple(cls(joint, 0.2, knee) for knee in (3e-4, 9e-4))
 
     def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
         joint = robot.axis_names[axis_of(robot, self.joint)]
@@ -107,7 +112,7 @@ class Backlash(AbstractStructure):
     bounds: ClassVar = {"gap": (0.0, 9e-4)}
     signature: ClassVar = "unloaded joints and positions only: the resonance falls at low amplitude; odd distortion"
     confusable: ClassVar = {"stiffness_hardening": "positions with preload, where it vanishes"}
-    imitated: ClassVar = True
+    imitated_by: ClassVar = _SPRING
 
     joint: Joint = eqx.field(static=True)
     gap: Number
@@ -124,6 +129,10 @@ class Backlash(AbstractStructure):
         if own is not None and float(own[spring_of(robot, joint)]) > 0:
             return ()
         return tuple(cls(joint, gap).candidate(0.2 * gap, 3.0 * gap, f"gap {gap:g} rad") for gap in _GAPS)
+
+    @classmethod
+    def starts(cls, robot: "Robot", joint: Joint) -> tuple[Self, ...]:
+        return tuple(cls(joint, gap) for gap in (6e-4, 9e-4))
 
     def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
         return (OwnNumber(f"{robot.axis_names[axis_of(robot, self.joint)]}.backlash", "gap"),)

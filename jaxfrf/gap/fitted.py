@@ -213,12 +213,21 @@ class RobotFit:
         self.kept = Rounds(None, robot, self.numbers, record, ())
 
     @classmethod
-    def beside(cls, start: Fitted, robot: Robot, unknown: Tolerances, record: Measured, say: Say) -> "RobotFit":
-        """A robot with other effects or tolerances, its numbers where those of `start` are.
+    def beside(
+        cls,
+        start: Fitted,
+        robot: Robot,
+        unknown: Tolerances,
+        record: Measured,
+        say: Say,
+        anew: Collection[str] = (),
+    ) -> "RobotFit":
+        """A robot with other effects or tolerances, its numbers where those of `start` are, or as they were given
+        (`anew`).
 
         **Raises:** `jaxfrf.InputError` where it cannot be simulated there."""
         fit = cls(robot, unknown, record, say)
-        known = {n.name: (n, float(x)) for n, x in zip(start.numbers, start.x, strict=True)}
+        known = {n.name: (n, float(x)) for n, x in zip(start.numbers, start.x, strict=True) if n.name not in anew}
         x = np.array([_begins(n, known) for n in fit.numbers])
         fit.begin(_kept(x, start.iterate.orders, start.iterate.evidence.floor, start.near, start.inside))
         return fit

@@ -38,6 +38,11 @@ class Hypothesis(eqx.Module):
     def key(self) -> tuple[str, str]:
         return self.effect.name, self.joint
 
+    @property
+    def imitated_by(self) -> tuple[str, ...]:
+        """Numbers of the robot that imitate the effect."""
+        return tuple(f"{self.joint}.{kind}" for kind in self.effect.imitated_by)
+
     def estimates(self, found: Fitted) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of every parameter of the effect in a robot that was fitted, as it is stated;
         of times, no less than what the sampling leaves open. The first says how much of it there is."""

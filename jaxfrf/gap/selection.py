@@ -7,7 +7,7 @@ and so on, until nothing is beyond the floor or nothing is better.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -21,7 +21,7 @@ from ..trajectory.evidence import by_band
 from ..trajectory.measured import Measured
 from .fitted import Fitted, RobotFit, Say, as_given, at, fitted, further
 from .hypothesis import Hypothesis, hypothesis, one_class
-from .judge import COMPARED, Comparison, compared, each_written, over_floor, written
+from .judge import COMPARED, Comparison, Written, compared, each_written, over_floor, written
 from .rank import Scored, ranked
 from .rounds import KeptRound, keep_round, read_round
 from .settings import (
@@ -285,12 +285,29 @@ class _Round:
                 f"  {name}: {result.before:.3g} -> {result.after:.3g} beyond the floor on positions that decide, gain "
                 f"{result.gain:.1%} (from {result.least:.1%}), p = {result.p_value:.2g}"
             )
-        against = _against(best, results)
+        against = _against(best, results, self._gain_on_its_axis(best, before, its)) or self._uncertain(best)
         if against:
             return None, f"{name} was not taken: {against}"
         near = lambda w: _near(versus(w, its), results[-1].before)
         rivals = tuple(Rival(r.hypothesis.key, c, near(w)) for r, c, w in simulated[1:])
         return Step(best.hypothesis, best.scored, best.found, others[-1], results[-1], cost, rivals), ""
+
+    def _uncertain(self, best: _Candidate) -> str:
+        """What its interval says against an effect; where few positions tell how much there is of it, those that
+        decided are asked, too."""
+        against = _holds_none(best.hypothesis, best.found)
+        if not against or len(self.records.opened) == len(self.records.fit):
+            return against
+        return _holds_none(best.hypothesis, _on_all(best.found, self.records, self.say))
+
+    def _gain_on_its_axis(self, best: _Candidate, before: Sequence[Written | None], its: Written) -> float:
+        """The least, over robots that it must beat, of what is beyond the floor on the effect's own axis."""
+        if best.hypothesis.joint not in self.now.robot.axis_names:
+            return 0.0
+        axis = self.now.robot.axis_names.index(best.hypothesis.joint)
+        own, floor = (lambda w: w.residual[..., axis:][..., :1]), its.evidence.plain[:, axis:][:, :1]
+        gains = [compared(own(one), own(its), floor, self.deciding.frequency).gain for one in before if one is not None]
+        return min(gains, default=0.0)
 
     def _of_one_class(self, simulated):
         """The same, the first of them that of its class that leaves least on positions that decide: what the fit tells
@@ -312,9 +329,10 @@ class _Round:
             if self._run(view, _chosen(scored, had), found):
                 return found
         most = max((s.part for _, scored in seen for s in scored[:1]), default=0.0)
-        if most < DOUBTFUL and np.max(self.now.of_axes) > FLOOR:
-            for view, scored in seen:
-                self._run(view, _imitated(view, scored, had), found)
+        doubtful = most < DOUBTFUL and np.max(self.now.of_axes) > FLOOR
+        joints = {self.now.robot.axis_names[int(np.argmax(self.now.of_axes))]} if doubtful else set()
+        for view, scored in seen:
+            self._run(view, _imitated(scored, joints, _out_of_tolerance(self.now), had), found)
         return found
 
     def _run(self, view: Fitted, chosen: Sequence[Scored], found: list[_Candidate]) -> bool:
@@ -329,14 +347,26 @@ class _Round:
         *costs, before = _costs([*(r.found for r in found), self.now], self.now)
         return bool(costs) and min(costs) < MUCH * before
 
-    def _start(self, view: Fitted, this: Scored, hypothesis: Hypothesis) -> "_Candidate | None":
+    def _start(self, view: Fitted, this: Scored, start: Hypothesis) -> "_Candidate | None":
+        """A candidate after its first rounds, from that of its starts that leaves least behind one step."""
         self.say(f"  tries {said(this.key)}, which promises {this.part:.1%}")
+        starts = [(start, ())]
+        for effect in this.effect.starts(view.robot, this.joint):
+            other = hypothesis(view, effect, this.joint)
+            starts += [] if other is None else [(other, other.imitated_by)]
+        begun = [(one, fit) for one, anew in starts if (fit := self._beside(view, one, anew)) is not None]
+        if not begun:
+            return None
+        costs = _costs([fit.found for _, fit in begun], self.now)
+        best, fit = begun[int(np.argmin(costs))]
+        fit.go_on(FIRST_ROUNDS - 1)
+        return _Candidate(this, best, fit)
+
+    def _beside(self, view: Fitted, start: Hypothesis, anew: Collection[str]) -> RobotFit | None:
         try:
-            fit = RobotFit.beside(view, hypothesis.robot, hypothesis.unknown, self.record, self.say)
+            return RobotFit.beside(view, start.robot, start.unknown, self.record, self.say, anew)
         except InputError:
             return None
-        fit.go_on(FIRST_ROUNDS - 1)
-        return _Candidate(this, hypothesis, fit)
 
     def _finish(self, candidate: _Candidate) -> None:
         candidate.fit.go_on(MORE_ROUNDS)
@@ -375,12 +405,13 @@ def _stands(this: Scored, had: Sequence[Step]) -> bool:
     return any(one_class(step.hypothesis.effect, step.key, this.key) for step in had)
 
 
-def _imitated(view: Fitted, scored: Sequence[Scored], had) -> list[Scored]:
-    """Effects of the axis with most left that its numbers imitate to first order."""
-    joint = view.robot.axis_names[int(np.argmax(view.of_axes))]
+def _imitated(scored: Sequence[Scored], joints: Collection[str], disbelieved: Collection[str], had) -> list[Scored]:
+    """Effects that a joint's numbers imitate to first order: of these joints, and of those with such a number that is
+    off by more than is known."""
     best: dict[tuple[str, str], Scored] = {}
     for this in scored:
-        if this.effect.imitated and this.joint == joint and not _stands(this, had):
+        by = [f"{this.joint}.{kind}" for kind in this.effect.imitated_by]
+        if by and (this.joint in joints or any(name in disbelieved for name in by)) and not _stands(this, had):
             best.setdefault(this.key, this)
     return list(best.values())
 
@@ -395,23 +426,31 @@ def _costs(robots: Sequence[Fitted], like: Fitted) -> list[float]:
     return [over(found) / effect + found.prior_cost for found in robots]
 
 
-def _against(best: _Candidate, results: Sequence[Comparison]) -> str:
-    """What speaks against an effect, in words; empty where nothing does."""
-    estimates = best.hypothesis.estimates(best.found)
-    name, (value, std) = next(iter(estimates.items()), ("", (np.inf, 0.0)))
-    if abs(value - best.hypothesis.effect.nothing) < 1.96 * std:
+def _holds_none(start: Hypothesis, found: Fitted) -> str:
+    """That an effect's interval holds none of it, in words; empty where it does not."""
+    name, (value, std) = next(iter(start.estimates(found).items()), ("", (np.inf, 0.0)))
+    if abs(value - start.effect.nothing) < 1.96 * std:
         return f"its {name} is {value:.3g} +- {1.96 * std:.2g}, which holds none of it"
+    return ""
+
+
+def _against(best: _Candidate, results: Sequence[Comparison], on_its_axis: float) -> str:
+    """What the positions that decide say against an effect, in words; empty where nothing does. `on_its_axis`: part of
+    what is beyond the floor there that it takes away: little of all of it where another effect is louder, on another
+    axis."""
     if not results:
         return "the robot without it cannot be simulated where it is decided"
-    least = EXPLAINED if best.hypothesis.is_number else LEAST_GAIN
-    return next((text for text in (shows_nothing(result, least) for result in results) if text), "")
+    number = best.hypothesis.is_number
+    said = (shows_nothing(r, EXPLAINED) if number else shows_nothing(r, own=on_its_axis) for r in results)
+    return next((text for text in said if text), "")
 
 
-def shows_nothing(result: Comparison, least: float = LEAST_GAIN) -> str:
-    """Why a comparison does not speak for an effect that must take away so much, in words; empty where it does."""
+def shows_nothing(result: Comparison, least: float = LEAST_GAIN, own: float = 0.0) -> str:
+    """Why a comparison does not speak for an effect that must take away so much, of all or of its `own` axis' part, in
+    words; empty where it does."""
     if not result.before:
         return "on positions that chose nothing the misfit is nowhere beyond its floor without it"
-    if result.p_value <= max(SIGNIFICANT, result.finest) and result.gain >= least and result.least > 0.0:
+    if result.p_value <= max(SIGNIFICANT, result.finest) and max(result.gain, own) >= least and result.least > 0.0:
         return ""
     return (
         f"on positions that chose nothing it takes away {result.gain:.0%} of what is beyond the floor, p = "

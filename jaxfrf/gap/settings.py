@@ -36,7 +36,7 @@ OWN = 1e-3  # of a column's square that must be its own beside the robot's numbe
 # What decides
 MOST = 4  # effects
 SIGNIFICANT = 0.05  # p-value of the gain on positions that chose nothing, signs of its blocks flipped
-LEAST_GAIN = 0.2  # of what is beyond the floor there, that must be gained
+LEAST_GAIN = 0.2  # of what is beyond the floor there, of all axes or of its own, that must be gained
 BLOCKS = 8  # at least: runs, cut into combs of lines where there are fewer
 TOOTH = 4  # neighbouring lines of a comb's tooth: excited and unexcited ones stand in each
 NEAR = 0.05  # of what was beyond the floor: a rival that leaves no more than this beyond the best candidate is as good
