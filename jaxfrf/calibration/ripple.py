@@ -33,12 +33,24 @@ def with_found_orders(
 
 
 def sure_orders(orders: Sequence[Order], posterior: Posterior, inside=0.0) -> list[bool]:
-    """Which orders are there beyond chance, by the scatter of the data; `inside`: what of them the robot has, (order,
-    2)."""
-    waves = posterior.change[-2 * len(orders) :].reshape(-1, 2) + inside if orders else np.zeros((0, 2))
-    spread = np.sqrt(np.diag(posterior.covariance))[-2 * len(orders) :].reshape(-1, 2) if orders else waves
+    """Which orders are there beyond chance, by the scatter of the data, each alone or only together: where a motor
+    hardly turns, neighbours take each other's place. `inside`: what of them the robot has, (order, 2)."""
+    if not orders:
+        return []
+    first = len(posterior.change) - 2 * len(orders)
+    waves = posterior.change[first:].reshape(-1, 2) + inside
+    spread = np.sqrt(np.diag(posterior.covariance))[first:].reshape(-1, 2)
     size = np.sum((waves / np.where(spread > 0, spread, np.inf)) ** 2, axis=1)
-    return list(size > scipy.stats.chi2.isf(_CHANCE, 2))
+    sure = size > scipy.stats.chi2.isf(_CHANCE, 2)
+    covariance = np.linalg.inv(posterior.normal)[first:, first:]
+    out: list[int] = []
+    for i in np.argsort(size):
+        rows = np.ravel([(2 * k, 2 * k + 1) for k in (*out, i)])
+        together = waves.ravel()[rows] @ np.linalg.solve(covariance[np.ix_(rows, rows)], waves.ravel()[rows])
+        if sure[i] or together > scipy.stats.chi2.isf(_CHANCE, len(rows)):
+            break  # it and all that are stronger stay
+        out.append(int(i))
+    return [i not in out for i in range(len(orders))]
 
 
 def found_waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave] = ()) -> tuple[Wave, ...]:
