@@ -27,8 +27,9 @@ class Posterior:
 
     **Fields:** `change`: of every column's coefficient, numbers first. `effect`: the design effect: so many lines count
     as one. `normal`: the normal matrix A/effect + P. `by_cluster`: estimates of the change without each cluster,
-    (cluster, column). `prior`: P's diagonal. `scores`: of every position and band of lines, (pos, band, column), where
-    they are known: an error of the model that is the same at all positions shows between bands only.
+    (cluster, column). `prior`: P's diagonal. `left`: squares that are left behind the step, over the effect. `scores`:
+    of every position and band of lines, (pos, band, column), where they are known: an error of the model that is the
+    same at all positions shows between bands only.
     """
 
     change: Float[np.ndarray, "column"]
@@ -36,6 +37,7 @@ class Posterior:
     normal: Float[np.ndarray, "column column"]
     by_cluster: Float[np.ndarray, "cluster column"]
     prior: Float[np.ndarray, "column"]
+    left: float = np.inf
     scores: Float[np.ndarray, "pos band column"] | None = None
 
     @property
@@ -110,8 +112,9 @@ def solve(gram: Gram, numbers: Sequence[Number], x: Float[np.ndarray, "number"])
     for _ in range(_ROUNDS):
         effect = max(_design_effect(A, b, whole, change_by(whole, right, effect)), 1.0)
     without = [change_by(_information(whole - a), right - c, effect) for a, c in zip(A, b, strict=True)]
-    normal = whole / effect + np.diag(prior)
-    return Posterior(change_by(whole, right, effect), effect, normal, np.array(without), prior)
+    normal, change = whole / effect + np.diag(prior), change_by(whole, right, effect)
+    left = float(gram.rr.sum() - 2.0 * right @ change + change @ whole @ change) / effect
+    return Posterior(change, effect, normal, np.array(without), prior, left)
 
 
 def with_bands(posterior: Posterior, weighed: Weighed, bands: int) -> Posterior:

@@ -13,6 +13,7 @@ from .least_squares import Posterior
 TRIED = {"torque": np.arange(1, 51), "resolver": np.arange(1, 13)}  # whole orders of the motor's turn
 _AT_ONCE = {"torque": 3, "resolver": 2}  # of every motor, in a round
 _CHANCE = 1e-3  # of an order that is kept without being there
+_MUCH = 0.5  # of the squares that are left: orders that take away more together stay, sure or not
 
 
 def with_found_orders(
@@ -33,8 +34,9 @@ def with_found_orders(
 
 
 def sure_orders(orders: Sequence[Order], posterior: Posterior, inside=0.0) -> list[bool]:
-    """Which orders are there beyond chance, by the scatter of the data, each alone or only together: where a motor
-    hardly turns, neighbours take each other's place. `inside`: what of them the robot has, (order, 2)."""
+    """Which orders are there beyond chance, by the scatter of the data, or together: where a motor hardly turns,
+    neighbours take each other's place, and without all of them much more would be left. `inside`: what of them the
+    robot has, (order, 2)."""
     if not orders:
         return []
     first = len(posterior.change) - 2 * len(orders)
@@ -47,7 +49,7 @@ def sure_orders(orders: Sequence[Order], posterior: Posterior, inside=0.0) -> li
     for i in np.argsort(size):
         rows = np.ravel([(2 * k, 2 * k + 1) for k in (*out, i)])
         together = waves.ravel()[rows] @ np.linalg.solve(covariance[np.ix_(rows, rows)], waves.ravel()[rows])
-        if sure[i] or together > scipy.stats.chi2.isf(_CHANCE, len(rows)):
+        if sure[i] or together > max(_MUCH * posterior.left, scipy.stats.chi2.isf(_CHANCE, len(rows))):
             break  # it and all that are stronger stay
         out.append(int(i))
     return [i not in out for i in range(len(orders))]
