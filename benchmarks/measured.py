@@ -2,8 +2,8 @@
 
     python benchmarks/measured.py [--check]
 
-A table stands in the page between `<!-- table: NAME -->` and `<!-- end of table -->`, NAME being one of `TABLES`; the text around it is
-written by hand. `--check` writes nothing and ends with 1 where the page is not what the results say.
+A table stands in the page between `<!-- table: NAME -->` and `<!-- end of table -->`, NAME being one of `TABLES`; the
+text around it is written by hand. `--check` writes nothing and ends with 1 where the page is not what the results say.
 """
 
 import argparse
