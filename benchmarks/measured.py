@@ -82,16 +82,12 @@ def calibration() -> str:
 
 
 def hidden() -> str:
-    """What the diagnosis found, of all cases, of each robot and of each simulator."""
-    found = json.loads(results("gap.json"))
-    groups: dict[str, Mapping[str, Any]] = {"all": found["all"]}
-    for by in ("robot", "simulator"):
-        if len(found[by]) > 1:
-            groups |= found[by]
-    cell = lambda its: (
-        f"{its['k']} of {its['n']} ({100 * its['low']:.0f}-{100 * its['high']:.0f} %)" if its["n"] else ""
-    )
-    rows = [[text, *(cell(_inside(group, path)) for group in groups.values())] for text, path in HIDDEN]
+    """What the diagnosis found on each robot, and of its records by simulator."""
+    groups: dict[str, Mapping[str, Any]] = {}
+    for name, file in (("small arm", "gap.json"), ("palletiser", "gap_pallet.json")):
+        found = json.loads(results(file))
+        groups |= {name: found["all"], f"{name}, MuJoCo's": found["simulator"]["mujoco"]}
+    rows = [[text, *(_share(_inside(group, path)) for group in groups.values())] for text, path in HIDDEN]
     return table(["with 95 % intervals", *(f"{name}, {group['cases']} cases" for name, group in groups.items())], rows)
 
 
