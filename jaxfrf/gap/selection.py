@@ -350,7 +350,7 @@ class _Round:
     def _start(self, view: Fitted, this: Scored, start: Hypothesis) -> "_Candidate | None":
         """A candidate after its first rounds, from that of its starts that leaves least behind one step."""
         self.say(f"  tries {said(this.key)}, which promises {this.part:.1%}")
-        starts = [(start, ())]
+        starts: list[tuple[Hypothesis, tuple[str, ...]]] = [(start, ())]
         for effect in this.effect.starts(view.robot, this.joint):
             other = hypothesis(view, effect, this.joint)
             starts += [] if other is None else [(other, other.imitated_by)]

@@ -21,7 +21,7 @@ from jaxfrf.calibration.columns import number_columns
 from jaxfrf.calibration.least_squares import Posterior, solve, with_bands
 from jaxfrf.calibration.numbers import Number, numbers, with_numbers
 from jaxfrf.calibration.result import Round
-from jaxfrf.calibration.ripple import found_waves
+from jaxfrf.calibration.ripple import found_waves, sure_orders
 from jaxfrf.parts import Parts
 from jaxfrf.robot import operating_point, parameters, r3x, tolerances_from
 from jaxfrf.robot.regressor import link_parameters, link_regressor
@@ -241,6 +241,20 @@ def test_bands_of_lines_stand_for_runs():
 
 
 # --- ripple, which is simulated near the truth
+
+
+def test_orders_that_are_told_together_only():
+    """Two whose columns are nearly alike: neither is sure, and without both of them much more is left."""
+    A = np.eye(4) + np.array([[0, 0, 1, 0], [0, 0, 0, 1], [1, 0, 0, 0], [0, 1, 0, 0]]) * (1 - 1e-4)
+    orders, change = [Order("torque", 0, 2.0), Order("torque", 0, 3.0)], np.array([3.0, 0.0, 4.0, 0.0])
+    alike = np.array([1.0, 0.0, -1.0, 0.0])  # what only their difference tells
+    clusters = change + 6.0 * np.random.default_rng(0).standard_normal((5, 1)) * alike
+    told = lambda left: Posterior(change, 1.0, A, clusters, np.zeros(4), left)
+    together = change @ A @ change
+    assert sure_orders(orders, told(np.inf)) == [False, False]
+    assert sure_orders(orders, told(4.0 * together)) == [False, False]
+    assert any(sure_orders(orders, told(0.5 * together)))
+    assert sure_orders([], told(1.0)) == []
 
 
 def test_ripple_as_it_is_written():

@@ -13,6 +13,7 @@ import scipy.signal
 import jaxfrf as jf
 from jaxfrf import effects as ef
 from jaxfrf.effects._harmonics import harmonics
+from jaxfrf.robot.tolerances import DEFAULTS
 
 KEY = jr.key(1)
 AXIS = {"axis": [0.0, 0.0, 1.0], "offset": [0.0, 0.0, 0.0], "com": [0.0, 0.0, 0.0]}
@@ -299,3 +300,16 @@ class TestLibrary:
             one_joint(stiffness=np.inf).with_effects(ef.Backlash(0, 1e-4))
         with pytest.raises(jf.InputError, match=r"delay: found 0.01 s"):
             ef.TorqueDelay(0, 0.01)
+
+
+def test_further_starts_of_what_numbers_imitate():
+    """On a joint of the robot, of plausible size, beside kinds of numbers that a robot has."""
+    robot = jf.robot.r3x()
+    for kind in ef.library().values():
+        starts = kind.starts(robot, "joint2")
+        assert bool(starts) == bool(kind.imitated_by), kind.name
+        assert set(kind.imitated_by) <= set(DEFAULTS)
+        for start in starts:
+            assert start.joint == "joint2"
+            assert all(low <= getattr(start, name) <= high for name, (low, high) in kind.bounds.items())
+            robot.with_effects(start)
