@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import effects as fx
-from ..calibration.least_squares import Posterior, solve
+from ..calibration.least_squares import solve
 from ..effects import AbstractEffect, OwnNumber
 from ..effects._place import axis_of
 from ..robot import Robot
@@ -51,17 +51,10 @@ def ranked(
     The cost is |residual/floor|^2/effect + the squares of the tolerances that numbers are off by; a column takes off it
     what is its own beside the numbers, and what it saves them. A number whose tolerance cannot be believed is set
     free."""
-    cost = squares(view.iterate.weighed.gram, view.iterate.posterior) + view.prior_cost
+    cost = view.iterate.posterior.left + view.prior_cost
     numbers = _set_free(view, record, cost)
     terms = _columns(view, record, own) if misses or not numbers else []
     return sorted([*terms, *numbers], key=lambda s: -s.part)
-
-
-def squares(gram: Gram, posterior: Posterior) -> float:
-    """Of what is left, over the floor, so many counting as one."""
-    change = posterior.change
-    A, b = gram.A.sum(axis=0), gram.b.sum(axis=0)
-    return float(gram.rr.sum() - 2 * b @ change + change @ A @ change) / posterior.effect
 
 
 def _columns(view: Fitted, record: Measured, own) -> list[Scored]:
@@ -74,7 +67,7 @@ def _columns(view: Fitted, record: Measured, own) -> list[Scored]:
     base = Gram(gram.A[:, :count, :count], gram.b[:, :count], gram.rr, gram.position, gram.count)
     posterior = solve(base, view.numbers, iterate.x)
     x = iterate.x + posterior.change[: len(view.numbers)]
-    cost = squares(base, posterior) + float(np.sum(posterior.prior[: len(x)] * x**2))
+    cost = posterior.left + float(np.sum(posterior.prior[: len(x)] * x**2))
     left = gram.b - np.einsum("rij,j->ri", gram.A[:, :, :count], posterior.change)
     whole = gram.A.sum(axis=0)
     share = np.linalg.solve(posterior.normal, whole[:count, count:] / posterior.effect)

@@ -301,12 +301,13 @@ class _Round:
         return _holds_none(best.hypothesis, _on_all(best.found, self.records, self.say))
 
     def _gain_on_its_axis(self, best: _Candidate, before: Sequence[Written | None], its: Written) -> float:
-        """The least, over robots that it must beat, of what is beyond the floor on the effect's own axis."""
+        """Part of what is beyond the floor on the effect's own axis that it takes away, least of those it must beat."""
         if best.hypothesis.joint not in self.now.robot.axis_names:
             return 0.0
         axis = self.now.robot.axis_names.index(best.hypothesis.joint)
-        own, floor = (lambda w: w.residual[..., axis:][..., :1]), its.evidence.plain[:, axis:][:, :1]
-        gains = [compared(own(one), own(its), floor, self.deciding.frequency).gain for one in before if one is not None]
+        floor, frequency = its.evidence.plain[:, [axis]], self.deciding.frequency
+        own = lambda one: compared(one.residual[..., [axis]], its.residual[..., [axis]], floor, frequency)
+        gains = [own(one).gain for one in before if one is not None]
         return min(gains, default=0.0)
 
     def _of_one_class(self, simulated):
@@ -441,8 +442,8 @@ def _against(best: _Candidate, results: Sequence[Comparison], on_its_axis: float
     if not results:
         return "the robot without it cannot be simulated where it is decided"
     number = best.hypothesis.is_number
-    said = (shows_nothing(r, EXPLAINED) if number else shows_nothing(r, own=on_its_axis) for r in results)
-    return next((text for text in said if text), "")
+    each = (shows_nothing(r, EXPLAINED) if number else shows_nothing(r, own=on_its_axis) for r in results)
+    return next((text for text in each if text), "")
 
 
 def shows_nothing(result: Comparison, least: float = LEAST_GAIN, own: float = 0.0) -> str:
