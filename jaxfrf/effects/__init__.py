@@ -49,14 +49,16 @@ from .sensor import (
     ResolverRipple as ResolverRipple,
     SensorDelay as SensorDelay,
 )
-from .structure import (
+from .springs import (
     Backlash as Backlash,
+    StiffnessHardening as StiffnessHardening,
+)
+from .structure import (
     Counterbalance as Counterbalance,
     DressPack as DressPack,
     ExtraFlexibility as ExtraFlexibility,
     MotorInertia as MotorInertia,
     Payload as Payload,
-    StiffnessHardening as StiffnessHardening,
 )
 from .transmission import (
     GearHysteresis as GearHysteresis,
