@@ -12,8 +12,9 @@ from ..experiment import Experiment
 from ..parts import Parts
 from ..robot import Robot
 from ..simulation.checks import check_data, check_fit
+from ..trajectory.controller import ShownController, shown_controller
 from ..trajectory.evidence import Evidence
-from ..trajectory.following import compared, why_followed
+from ..trajectory.following import why_followed
 from ..trajectory.joined import joined, together
 from ..trajectory.measured import Measured, measured
 from ..trajectory.rigid_motion import check_rigid
@@ -108,10 +109,13 @@ def calibrate(
             f"{robot.name}: tolerances", "0 for every number", "something that is not exact", "State a tolerance."
         )
     fitted, judged = _split(measured(data, carried if any(p is not None for p in carried) else ()), heldout)
-    kept = Rounds(parts, robot, uncertain, fitted, heldout)
-    descent = Descent(robot, fitted, uncertain, say, near_rest_columns(robot))
+    shown = shown_controller(robot, fitted)
+    if shown.says():
+        say(f"controller: {shown.says()}")
+    kept = Rounds(parts, shown.robot, uncertain, fitted, heldout)
+    descent = Descent(shown.robot, fitted, uncertain, say, near_rest_columns(robot))
     descent.run(rounds, kept)
-    return _result(descent, kept, judged)
+    return _result(robot, shown, descent, kept, judged)
 
 
 def _carried(payloads: Sequence[Payload | None], records: Sequence[Experiment]) -> list[Payload | None]:
@@ -144,7 +148,9 @@ def _split(record: Measured, heldout: Sequence[int]) -> tuple[Measured, Measured
     return record.at([p for p in range(n) if p not in held]), record.at(held)
 
 
-def _result(descent: Descent, kept: Rounds, judged: Measured | None) -> Calibration:
+def _result(
+    given: Robot, shown: ShownController, descent: Descent, kept: Rounds, judged: Measured | None
+) -> Calibration:
     robot, uncertain, iterate, fitted = descent.robot, descent.numbers, descent.iterate, descent.record
     posterior, count = iterate.posterior, len(uncertain)
     x = np.where(np.abs(descent.x) < _NOTHING, 0.0, descent.x)
@@ -152,8 +158,8 @@ def _result(descent: Descent, kept: Rounds, judged: Measured | None) -> Calibrat
     found = with_numbers(with_ripple(robot, waves), uncertain, x)
     part = slice(0, count)
     return Calibration(
-        given=robot,
-        robot=found,
+        given=given,
+        robot=shown.restored(found),
         numbers=tuple(uncertain),
         x=x,
         covariance=posterior.covariance[part, part],
@@ -167,7 +173,7 @@ def _result(descent: Descent, kept: Rounds, judged: Measured | None) -> Calibrat
         missed_before=kept.done[0].missed,
         missed_after=missed(Evidence(found, fitted), fitted),
         heldout=None if judged is None else _missed_pair(robot, found, judged),
-        compared=compared(robot, fitted.data),
+        compared=shown.compared(fitted.data),
         sources=fitted.data.sources,
     )
 

@@ -1,5 +1,6 @@
 """Find where a model and its measurement disagree, name what is missing, add it, and see the gap shrink."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,7 +14,7 @@ from ..experiment import Experiment
 from ..frf import FRF
 from ..parts import Parts
 from ..robot import Robot
-from ..trajectory.following import compared
+from ..trajectory.controller import shown_controller
 from ..trajectory.joined import joined, places
 from ..trajectory.measured import Measured, fewer, measured
 from ..trajectory.rigid_motion import check_rigid
@@ -92,8 +93,13 @@ def diagnose(
     require_x64("A diagnosis")
     record, say = joined([x for x in records if isinstance(x, Experiment)]), say or (lambda text: None)
     parts_of = split(measured(fewer(record, EXPERIMENTS)), measured(fewer(record, JUDGING)), heldout_count)
-    found = select_effects(robot, parts_of, tuple(own), say, progress or (lambda part: None), parts)
-    return assembled(found, parts_of, robot, compared(robot, record))
+    shown = shown_controller(robot, parts_of.whole.at(parts_of.opened))
+    if shown.says():
+        say(f"controller: {shown.says()}")
+    found = select_effects(shown.robot, parts_of, tuple(own), say, progress or (lambda part: None), parts)
+    result = assembled(found, parts_of, robot, shown.compared(record))
+    base, extended = (shown.restored(x) for x in (result.base, result.extended))
+    return dataclasses.replace(result, base=base, extended=extended)
 
 
 def _by_channel(

@@ -45,20 +45,37 @@ class Controller(eqx.Module):
     speed_filter: Float[Array, "..."] | None = None
     anti_windup: bool = eqx.field(static=True, default=False)
 
-    def feedback(self, frequency: Float[Array, "freq"], sampling_frequency: float) -> Complex[np.ndarray, "freq axis"]:
-        """FRF from measured motor position to the torque that the controller takes back, -du/dq, N m/rad.
+    def command(
+        self,
+        frequency: Float[Array, "freq"],
+        sampling_frequency: float,
+        position: Complex[np.ndarray, "... freq axis"],
+        velocity: Complex[np.ndarray, "... freq axis"],
+        measured: Complex[np.ndarray, "... freq axis"],
+    ) -> Complex[np.ndarray, "... freq axis"]:
+        """Torque command for references and measured motor position, lines of one period, N m.
 
         Sampled as it runs: the speed is the filtered difference of two positions, the integral the sum of all errors.
-        Limits of the torque are left out. `frequency`: Hz, above 0.
+        Limits of the torque are left out. `frequency`: Hz, above 0. `position`, `measured`: rad. `velocity`: rad/s.
         """
         back = np.exp(-2j * np.pi * np.asarray(frequency) / sampling_frequency)[:, None]
         speed = sampling_frequency * (1.0 - back)
         if self.speed_filter is not None:
             kept = np.exp(-2 * np.pi * np.asarray(self.speed_filter) / sampling_frequency)
             speed = speed * (1.0 - kept) / (1.0 - kept * back)
-        error = np.asarray(self.position_gain) + speed
+        error = np.asarray(self.position_gain) * (position - measured) - speed * measured
+        if self.feedforward:
+            error = error + velocity
         rate = 1.0 / (sampling_frequency * np.asarray(self.integral_time))
         return np.asarray(self.velocity_gain) * error * (1.0 + rate / (1.0 - back))
+
+    def feedback(self, frequency: Float[Array, "freq"], sampling_frequency: float) -> Complex[np.ndarray, "freq axis"]:
+        """FRF from measured motor position to the torque that the controller takes back, -du/dq, N m/rad.
+
+        As `command` says it. `frequency`: Hz, above 0.
+        """
+        nothing = np.zeros(())
+        return -self.command(frequency, sampling_frequency, nothing, nothing, np.ones(()))
 
 
 class Robot(eqx.Module):

@@ -29,6 +29,7 @@ KINDS: dict[str, str] = {
     "torque_offset": "N m",
     "torque_ripple": "N m",
     "resolver_ripple": "rad",
+    "controller_gain": "1",
     "effect": "",
 }
 """Kinds of numbers that an experiment may tell, with their units: `effect` is any parameter of an effect."""
@@ -96,6 +97,7 @@ DEFAULTS: dict[str, Tolerance] = {
     "torque_offset": Tolerance(math.inf, relative=False),
     "torque_ripple": Tolerance(math.inf, relative=False),
     "resolver_ripple": Tolerance(math.inf, relative=False),
+    "controller_gain": Tolerance(0.1),
     "effect": Tolerance(0.5),
 }
 """Of a robot that says nothing: catalogue springs, links from CAD, friction that drifts with temperature."""
