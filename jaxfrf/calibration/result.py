@@ -153,12 +153,14 @@ class Calibration(eqx.Module):
                 for o, (s, c) in zip(self.orders, self.waves.tolist(), strict=True)
             ],
             "converged": self.converged,
+            "doubts": self.doubts(),
             "rounds": [{"misfit": r.misfit, "left": r.left, "design_effect": r.design_effect} for r in self.rounds],
             "torque_missed": {
                 "before": self.missed_before.tolist(),
                 "after": self.missed_after.tolist(),
                 "heldout": None if self.heldout is None else [x.tolist() for x in self.heldout],
             },
+            "axes": list(self.given.axis_names),
             "robot": self.given.name,
             "sources": [{"name": s.name, "sha256": s.sha256} for s in self.sources],
             "version": __version__,
@@ -175,4 +177,8 @@ class Calibration(eqx.Module):
             "determined_by": self.determined_by(name),
             "with": list(self.partners(name))[:3] if self.determined_by(name) == "data in combination" else [],
             "identifiable": self.determined_by(name) == "data",
+            "kind": number.kind,
+            "size": number.size,
+            "logarithmic": number.positive,
+            "known_before": bool(number.prior),
         }

@@ -4,59 +4,92 @@ import json
 import pathlib
 import tempfile
 import webbrowser
+from collections.abc import Sequence
+from typing import Any
 
-from .._errors import InputError, input_error
+from .._errors import input_error
+from .._text import counted
 from ..io._formats import FRFS
-from .arguments import check_result, check_target, command
+from .arguments import check_result, check_target, command, naming
 
 EXAMPLES = (
     "jaxfrf view frf.nc",
     "jaxfrf view before.nc after.nc -o both.html",
+    "jaxfrf view fit.json -o fit.html",
 )
 
 
 def add(commands) -> None:
-    parser = command(commands, "view", run, "Look at FRFs: a page on which to choose, zoom and read values.")
-    parser.add_argument("frf", nargs="+", metavar="FRF", help=f"FRFs: {' '.join(FRFS)}")
+    parser = command(
+        commands, "view", run, "Look at FRFs (a page to choose, zoom and read values on), a fit or a diagnosis."
+    )
+    parser.add_argument(
+        "frf",
+        nargs="+",
+        metavar="FILE",
+        help=f"FRFs ({' '.join(FRFS)}), several beside each other; or one fit.json of `identify`, one gap.json of "
+        "`diagnose`",
+    )
     parser.add_argument("-o", "--output", metavar="FILE", help="page to write, .html, not opened then")
 
 
 def run(given) -> dict:
-    from ..report.response import write_frf_page
-
     if given.output:
         check_target(given.output, (".html", ".htm"))
-        check_result(given.output, given.frf, "FRF")
-    frfs, labels = [_read(path) for path in given.frf], _labels(given.frf)
+        check_result(given.output, given.frf, "file")
+    labels = _labels(given.frf)
     page = given.output or str(
         pathlib.Path(tempfile.mkdtemp(prefix="jaxfrf-")) / f"{pathlib.Path(labels[0]).stem}.html"
     )
-    write_frf_page(page, frfs, labels if len(frfs) > 1 else None)
+    _write(page, given.frf, labels)
     opened = not given.output and webbrowser.open(pathlib.Path(page).resolve().as_uri())
     text = f"opened {page}" if opened else f"wrote {page}" + ("" if given.output else ": open it in a browser")
     return {"text": [text], "json": {"output": [page], "opened": bool(opened)}}
 
 
-def _read(path: str):
+def _write(page: str, paths: Sequence[str], labels: Sequence[str]) -> None:
+    """The page of these files: FRFs together, anything else alone."""
     from ..io import read_frf
 
-    if pathlib.Path(path).suffix.lower() == ".json":
-        raise _not_viewed(path)
-    return read_frf(path)
+    results = [path for path in paths if pathlib.Path(path).suffix.lower() == ".json"]
+    if results and len(paths) > 1:
+        others = len(paths) - 1
+        raise input_error(
+            results[0], f"a result beside {counted(others, 'other file')}", "FRFs, or one result", "View it alone."
+        )
+    if results:
+        _write_result(page, results[0])
+        return
+    from ..report.response import write_frf_page
+
+    write_frf_page(page, [read_frf(path) for path in paths], labels if len(paths) > 1 else None)
 
 
-def _not_viewed(path: str) -> InputError:
-    """Results that have pages of their own, made with them."""
+def _write_result(page: str, path: str) -> None:
+    """The page of what `identify` or `diagnose` wrote."""
+    from .. import io
+
+    fields = _fields(path)
+    if "verdict" not in fields and "parameters" not in fields:
+        expected = f"an FRF ({' '.join(FRFS)}), a fit.json of `identify` or a gap.json of `diagnose`"
+        raise input_error(path, "JSON of something else", expected, "Name what it was made from.")
+    from .. import report
+
+    with naming([path]):
+        if "verdict" in fields:
+            report.write_gap_report(page, io.read_gap(path))
+        elif fields.get("kind") == "whole robot":
+            report.write_calibration(page, io.read_fit(path))
+        else:
+            report.write_identification(page, io.read_fit(path))
+
+
+def _fields(path: str) -> dict[str, Any]:
     try:
-        fields = set(json.loads(pathlib.Path(path).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError, RecursionError):
-        fields = set()
-    for field, what, name in (("verdict", "a diagnosis", "diagnose"), ("parameters", "a fit", "identify")):
-        if field in fields:
-            page = f"{pathlib.Path(path).stem}.html"
-            do = f"Its page is made with it: jaxfrf {name} ... -o {path} --report {page}."
-            return input_error(path, what, f"an FRF: {' '.join(FRFS)}", do)
-    return input_error(path, "JSON", f"an FRF: {' '.join(FRFS)}", "Name the FRF that it was made from.")
+        found = json.loads(pathlib.Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        found = None
+    return found if isinstance(found, dict) else {}
 
 
 def _labels(paths) -> list[str]:

@@ -132,3 +132,16 @@ class Diagnosis(eqx.Module):
     next_experiment: str = eqx.field(static=True)
     sources: tuple = ()
     settings: dict = eqx.field(default_factory=dict)
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        return self.base.axis_names
+
+    @property
+    def ripple(self) -> dict[str, list[int]]:
+        """Orders of ripple by joint that the refitted robot has and the given one had not."""
+        waves = lambda robot: [effect for effect in robot.effects if hasattr(effect, "order")]
+        orders: dict[str, list[int]] = {}
+        for effect in waves(self.base)[len(waves(self.given)) :]:
+            orders.setdefault(str(effect.joint), []).extend(effect.order)
+        return {joint: sorted(set(found)) for joint, found in orders.items()}

@@ -84,6 +84,22 @@ class Quality(eqx.Module):
         return self._mean(self.chi_square, (2, 3))
 
     @property
+    def of_noise(self) -> bool:
+        """Whether the covariance is known, so that residuals can be told in parts of the noise."""
+        return bool(np.isfinite(self.chi_square).any())
+
+    @property
+    def maps(self) -> tuple[Float[np.ndarray, "vec band"], Float[np.ndarray, "pos band"]]:
+        """Residuals over the noise, sqrt(chi-square), by element (rows of G one after the other) and by position; where
+        the covariance is unknown rms errors in dB."""
+        if not self.of_noise:
+            cells = _DECIBEL * np.sqrt(np.nan_to_num(self.square[..., 0]))
+            return cells.mean(axis=0).reshape(len(cells[0]), -1).T, cells.mean(axis=(2, 3))
+        with np.errstate(invalid="ignore"):
+            by_element = np.sqrt(self.element_band).reshape(len(self.edges) - 1, -1).T
+            return by_element, np.sqrt(self.position_band)
+
+    @property
     def cost(self) -> float:
         """Weighted square error over what the weights allow, as `graybox.evaluate`: 1 is floor and noise."""
         return float(np.sum(self.weighted) / np.sum(self.assumed))

@@ -127,6 +127,10 @@ class Identification(eqx.Module):
                 "result": self.result,
                 "explanation": self.explain(),
                 "starts": starts_contents(self.direct),
+                "correlation_matrix": {
+                    "names": list(fitted.coordinates.names),
+                    "values": fitted.uncertainty.correlation,
+                },
                 "quality": _quality_contents(self.quality, self.positions),
                 "heldout": None if held is None else _heldout_contents(held, held.indirect or held.direct),
                 "direct": fit_contents(self.direct, self.model)
@@ -179,6 +183,7 @@ def _quality_contents(own: Quality, positions: Sequence[int]) -> dict[str, Any]:
             "by_position": own.by_position,
             "band_edges_hz": own.edges,
         },
+        "maps": {"of_noise": own.of_noise, **dict(zip(("by_element", "by_position"), own.maps, strict=True))},
         "positions": list(positions),
         "worst": own.worst(positions),
     }

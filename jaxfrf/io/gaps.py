@@ -2,16 +2,20 @@
 
     verdict, says  one of sufficient, named, ambiguous, unexplained, inconclusive; the same in a sentence or two
     effects        [{name, joint, parameters: {name: {value, std, unit, interval95}}, p_value, equivalent,
-                   separating_experiment, explains, visible, kind, equation}], in the order in which they were found;
-                   kind: "a term is missing", or "a number is wrong" that the robot has
+                   separating_experiment, explains, visible, kind, equation, signature}], in the order in which they
+                   were found; kind: "a term is missing", or "a number is wrong" that the robot has; signature: how it
+                   shows in data
     ranking        [{name, joint, score, p_value, expected, visible, why}]: candidates by what each explains alone
     where          [{position, channel, band_hz, z, says}], position null: at all
-    gap            {before, after, floor, shrink, unit, on, torque_before, torque_after: {axis: part}}
+    gap            {before, after, floor, shrink, unit, on, quantity, torque_before, torque_after: {axis: part}}
     parameters     {name: {value, std, unit, start, identifiable, interval95, changed}} of the extended model; start: of
                    the robot as given, changed: relative to it
     compared       how measurement and model were compared
     next_experiment
     positions      {fitted: [...], heldout: [...]}
+    maps           {before, after, bands, courses}: residuals over their floor, (position, axis, band), edges of the
+                   bands in Hz, and {signal: [values, before, after]}, each (axis, bin)
+    robot, axes, ripple  its name, those of its axes, {joint: orders of the ripple that its motors show}
     settings, sources [{name, sha256}], version
 
 Standard JSON: what is not finite is null.
@@ -75,11 +79,15 @@ def gap_contents(diagnosis: Any) -> dict[str, Any]:
         "effects": [_named(x) for x in d.effects],
         "ranking": [_ranked(x) for x in d.ranking],
         "where": [_cell(x) for x in d.where],
-        "gap": _gap(d.gap, d.base.axis_names),
+        "gap": _gap(d.gap, d.axis_names),
+        "maps": {name: getattr(d.maps, name) for name in ("before", "after", "bands", "courses")},
         "parameters": _parameters(d),
         "compared": d.compared,
         "next_experiment": d.next_experiment,
         "positions": {"fitted": list(d.fitted), "heldout": list(d.heldout)},
+        "robot": d.base.name,
+        "axes": list(d.axis_names),
+        "ripple": d.ripple,
         "settings": dict(d.settings),
         "sources": [{"name": s.name, "sha256": s.sha256} for s in d.sources],
         "version": __version__,
@@ -108,6 +116,7 @@ def _named(x) -> dict[str, Any]:
         "visible": x.visible,
         "kind": "a number is wrong" if x.is_number else "a term is missing",
         "equation": equation(x.effect),
+        "signature": x.effect.signature,
     }
 
 
@@ -121,7 +130,7 @@ def _cell(x) -> dict[str, Any]:
 
 
 def _gap(gap, axes: tuple[str, ...]) -> dict[str, Any]:
-    whole = {name: getattr(gap, name) for name in ("before", "after", "floor", "shrink", "unit", "on")}
+    whole = {name: getattr(gap, name) for name in ("before", "after", "floor", "shrink", "unit", "on", "quantity")}
     each = {name: dict(zip(axes, getattr(gap, name), strict=True)) for name in ("torque_before", "torque_after")}
     return whole | each
 

@@ -1,6 +1,6 @@
 """The picture of a calibration: where every number was thought to be, and where the records put it."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -23,8 +23,23 @@ def numbers_found(found: Calibration, kinds: Sequence[str] | None = None, title:
 
     **Returns:** the figure, and its axes by kind.
     """
+    determined = {n.name for n in found.numbers if found.determined_by(n.name) == "data"}
+    return draw_numbers(found.numbers, found.x, found.half_width, determined, kinds=kinds, title=title)
+
+
+def draw_numbers(
+    numbers: Sequence[Number],
+    x: Sequence[float] | np.ndarray,
+    half_width: Sequence[float] | np.ndarray,
+    determined: Collection[str],
+    *,
+    kinds: Sequence[str] | None = None,
+    title: str = "",
+):
+    """The same from its numbers: where each is and half its 95 % interval, in tolerances, and the names of those that
+    the records determine."""
     groups: dict[str, list[int]] = {}
-    for i, number in enumerate(found.numbers):
+    for i, number in enumerate(numbers):
         if kinds is None or number.kind in kinds:
             groups.setdefault(number.kind, []).append(i)
     columns = min(_COLUMNS, len(groups))
@@ -39,30 +54,29 @@ def numbers_found(found: Calibration, kinds: Sequence[str] | None = None, title:
         for ax in line[len(row) :]:
             ax.set_axis_off()
         for ax, (kind, members) in zip(line, row, strict=False):
-            _draw(ax, found, kind, members)
+            _draw(ax, [(numbers[i], float(x[i]), float(half_width[i])) for i in members], kind, determined)
             axes[kind] = ax
     if title:
         figure.suptitle(title)
     return figure, axes
 
 
-def _draw(ax, found: Calibration, kind: str, members: Sequence[int]) -> None:
-    for row, i in enumerate(members):
-        number, x, half = found.numbers[i], float(found.x[i]), float(found.half_width[i])
+def _draw(ax, members: Sequence[tuple[Number, float, float]], kind: str, determined: Collection[str]) -> None:
+    for row, (number, x, half) in enumerate(members):
         scale = _scale(number)
         if number.prior:
             for width, shade in ((2.0, "0.93"), (1.0, "0.85")):
                 low, high = (scale(s * width) for s in (-1.0, 1.0))
                 ax.barh(row, high - low, 0.8, left=low, color=shade, zorder=0)
-        determined = found.determined_by(number.name) == "data"
-        colour = _style.COLOURS[0] if determined else _style.DOUBTFUL
+        known = number.name in determined
+        colour = _style.COLOURS[0] if known else _style.DOUBTFUL
         ax.plot([scale(x - half), scale(x + half)], [row, row], color=colour, lw=1.2)
-        ax.plot(scale(x), row, "o", ms=3.6, color=colour, mfc=colour if determined else "white")
-    ax.set_yticks(range(len(members)), [_label(found.numbers[i]) for i in members], fontsize=6.5)
+        ax.plot(scale(x), row, "o", ms=3.6, color=colour, mfc=colour if known else "white")
+    ax.set_yticks(range(len(members)), [_label(number) for number, _, _ in members], fontsize=6.5)
     ax.set_ylim(len(members) - 0.4, -0.6)
     ax.axvline(0.0, color="0.4", lw=0.6, zorder=1)
     ax.set_title(kind.replace("_", " "), fontsize=8)
-    ax.set_xlabel("change, %" if found.numbers[members[0]].positive else "change, tolerances", fontsize=7)
+    ax.set_xlabel("change, %" if members[0][0].positive else "change, tolerances", fontsize=7)
     _style.dress(ax)
 
 

@@ -88,29 +88,28 @@ def residual_maps(quality: Quality, positions: Sequence[int] | None = None):
     **Returns:** the figure and its two axes.
     """
     positions = range(len(quality.weighted)) if positions is None else positions
-    n_out, n_in = quality.chi_square.shape[2:]
-    known = np.isfinite(quality.chi_square).any()
-    with np.errstate(invalid="ignore"):
-        by_element = np.sqrt(quality.element_band).reshape(len(quality.edges) - 1, -1).T
-        by_position = np.sqrt(quality.position_band)
-    if not known:
-        cells = 20 / np.log(10) * np.sqrt(np.nan_to_num(quality.square[..., 0]))
-        by_element, by_position = cells.mean(axis=0).reshape(len(cells[0]), -1).T, cells.mean(axis=(2, 3))
-    names = [f"$G_{{{i + 1}{j + 1}}}$" for i in range(n_out) for j in range(n_in)]
+    return draw_residual_maps(
+        *quality.maps, quality.edges, positions, n_in=quality.chi_square.shape[3], of_noise=quality.of_noise
+    )
+
+
+def draw_residual_maps(by_element, by_position, edges, positions: Sequence[object], *, n_in: int, of_noise: bool):
+    """The same from its numbers, those of `Quality.maps`, as fit.json holds them."""
+    names = [f"$G_{{{k // n_in + 1}{k % n_in + 1}}}$" for k in range(len(by_element))]
     row, left, right, top, bottom = 0.17, *_MARGIN
     heights = [max(row * len(names), 0.9), max(row * len(positions), 0.6)]
     width = 3.1
     full = 2 * (left + width) + 0.3 + right
     figure = _style.new_figure(full, top + max(heights) + bottom)
     axes = []
-    what = "residual / noise" if known else "rms error, dB"
+    what = "residual / noise" if of_noise else "rms error, dB"
     for k, (values, labels, name) in enumerate(
         ((by_element, names, "element"), (by_position, [str(p) for p in positions], "position"))
     ):
         axis = _style.add_axes(
             figure, left + k * (left + width + 0.1), bottom + max(heights) - heights[k], width, heights[k]
         )
-        image = _map(axis, values, quality.edges, labels, name)
+        image = _map(axis, np.asarray(values, float), edges, labels, name)
         axes.append(axis)
     bar = _style.add_axes(figure, full - right + 0.1, bottom + max(heights) - 0.9, 0.12, 0.9)
     colours = figure.colorbar(image, cax=bar)
@@ -150,12 +149,17 @@ def start_paths(fitted: Fit):
 
     **Returns:** the figure and its axes.
     """
+    return draw_start_paths([s.cost for s in fitted.starts], [s.path_cost for s in fitted.starts])
+
+
+def draw_start_paths(costs: Sequence[float], paths: Sequence[Sequence[float] | np.ndarray]):
+    """The same from the cost at which every start ended, and after every step."""
     figure = _style.new_figure(5.6, 2.5)
     axis = _style.add_axes(figure, 0.65, 0.45, 4.8, 1.9)
-    best = min(s.cost for s in fitted.starts)
-    for s in fitted.starts:
-        close = s.cost <= 1.01 * best + 1e-300
-        path = np.maximum(np.asarray(s.path_cost, float), 1e-12)
+    best = np.nanmin(np.asarray(costs, float))
+    for cost, steps in zip(np.asarray(costs, float), paths, strict=True):
+        close = cost <= 1.01 * best + 1e-300
+        path = np.maximum(np.asarray(steps, float), 1e-12)
         axis.plot(np.arange(len(path)), path, color=_style.COLOURS[0 if close else 1], lw=0.8, alpha=0.7)
         axis.plot(len(path) - 1, path[-1], "o", ms=3, color=_style.COLOURS[0 if close else 1])
     axis.set_yscale("log")
@@ -172,7 +176,12 @@ def correlation_map(fitted: Fit):
 
     **Returns:** the figure and its axes.
     """
-    names, rho = fitted.coordinates.names, fitted.uncertainty.correlation
+    return draw_correlation_map(fitted.coordinates.names, fitted.uncertainty.correlation)
+
+
+def draw_correlation_map(names: Sequence[str], rho):
+    """The same from the names and their correlation matrix."""
+    rho = np.asarray(rho, float)
     side = max(1.2, 0.17 * len(names))
     left = 0.25 + 0.05 * max(len(n) for n in names)
     figure = _style.new_figure(left + side + 0.8, side + left + 0.1)

@@ -4,13 +4,15 @@ import html
 import math
 import os
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from ..effects import library
-from ..io.gaps import equation
+from ..io.gaps import gap_contents
 from ..plot.gap import gap_bode, gap_dumbbells, gap_maps, torque_courses
+from .gap_record import RecordedDiagnosis, recorded
 from .gap_words import (
     axes_of,
     closed,
@@ -25,6 +27,7 @@ from .gap_words import (
     what,
 )
 from .page import beside, choice, facts, figure, number, page, paragraph, section, table, write_page
+from .recorded import reading
 
 _DRAWN = 2  # axes whose FRFs the page holds
 _POSITIONS = 4  # of each
@@ -62,7 +65,8 @@ details > summary { cursor: pointer; color: #0a5c96; margin: 4px 0 8px; font-siz
 def write_gap_report(path: str | os.PathLike, diagnosis: Any) -> None:
     """Write the page about a `diagnosis`, as `jaxfrf.gap.diagnose` returns it, one HTML file that needs nothing else.
 
-    **Arguments:** `path`: of the file. `diagnosis`: a `jaxfrf.gap.Diagnosis`.
+    **Arguments:** `path`: of the file. `diagnosis`: a `jaxfrf.gap.Diagnosis`, or what its gap.json holds
+    (`jaxfrf.io.read_gap`): the FRFs are in no gap.json, and their pictures then not on the page.
 
     **Raises:** `ImportError` without matplotlib; `jaxfrf.InputError` if the folder is not there.
     """
@@ -70,11 +74,20 @@ def write_gap_report(path: str | os.PathLike, diagnosis: Any) -> None:
 
 
 def gap_page(diagnosis: Any) -> str:
-    """The page about a `diagnosis` as HTML text."""
-    d = diagnosis
-    names = joined([s.name for s in d.sources]) or "data in memory"
+    """The page about a `diagnosis`, or about what its gap.json holds, as HTML text.
+
+    **Raises:** `jaxfrf.InputError` if the file lacks what the page shows.
+    """
+    if not isinstance(diagnosis, Mapping):
+        return _page(recorded(gap_contents(diagnosis), diagnosis.frf))
+    with reading("gap.json", "diagnose"):
+        return _page(recorded(diagnosis, from_file=True))
+
+
+def _page(d: RecordedDiagnosis) -> str:
+    names = joined([s["name"] for s in d.sources]) or "data in memory"
     positions = len(d.fitted) + len(d.heldout)
-    subtitle = f"Diagnosis of {d.base.name} from {names}, {positions} position{'s' if positions != 1 else ''}"
+    subtitle = f"Diagnosis of {d.robot} from {names}, {positions} position{'s' if positions != 1 else ''}"
     sections = [
         _STYLE + _verdict(d) + _tiles(d),
         _where(d),
@@ -127,7 +140,7 @@ def _tiles(d) -> str:
 
 
 def _where(d) -> str:
-    names, concerned = d.base.axis_names, axes_of(d)
+    names, concerned = d.axis_names, axes_of(d)
     rows = [
         [
             "all" if c.position is None else str(c.position),
@@ -195,7 +208,7 @@ def _card(x, title: str) -> str:
     )
     rows = [
         ("with 95 % intervals", values),
-        ("in data", html.escape(_greek(x.effect.signature))),
+        ("in data", html.escape(_greek(x.signature))),
         ("evidence", html.escape(_evidence(x))),
     ]
     if x.equivalent:
@@ -205,7 +218,7 @@ def _card(x, title: str) -> str:
         rows.append(("what would separate them", html.escape(x.separating_experiment)))
     body = "".join(f"<dt>{a}</dt><dd>{b}</dd>" for a, b in rows)
     heading = html.escape(title[:1].upper() + title[1:])
-    law = html.escape(_greek(equation(x.effect)))
+    law = html.escape(_greek(x.equation))
     return f'<div class="effect"><h3>{heading}</h3><p class="law">{law}</p><dl>{body}</dl></div>'
 
 
@@ -259,7 +272,7 @@ def _expected(ranked) -> str:
 
 
 def _worth(d) -> str:
-    gap, names = d.gap, d.base.axis_names
+    gap, names = d.gap, d.axis_names
     after = gap.torque_after if _changed(d) else None
     of = gap.unit if gap.unit.startswith("of ") else "of the torque" if "torque" in gap.quantity else ""
     label = f"{gap.quantity}, % {of} (rms)".replace("  ", " ")
@@ -282,9 +295,13 @@ def _bars(gap, changed: bool) -> str:
 
 
 def _bode(d) -> str:
+    if d.from_file:
+        return paragraph(
+            "Pictures of the FRFs are on the page that `jaxfrf diagnose --report` makes: a gap.json holds none."
+        )
     if d.frf is None:
         return paragraph("There are no FRFs on held-out positions to compare.")
-    names = d.base.axis_names
+    names = d.axis_names
     drawn = [names.index(n) for n in axes_of(d)][:_DRAWN] or [_worst(d.gap)]
     frfs = d.frf if _changed(d) else d.frf[:2]
     many = min(d.frf[0].n_pos, _POSITIONS)
@@ -353,15 +370,13 @@ def _finite(x: float | None) -> float:
 
 
 def _provenance(d) -> str:
-    from .. import __version__
-
     about = {
         "compared": d.compared,
         "positions fitted": ", ".join(map(str, d.fitted)) or "none",
         "positions held out": ", ".join(map(str, d.heldout)) or "none",
         **{str(k): _plain(v) for k, v in d.settings.items()},
-        "jaxfrf": __version__,
-        **{s.name: f"sha256 {s.sha256}" for s in d.sources},
+        "jaxfrf": d.version,
+        **{s["name"]: f"sha256 {s['sha256']}" for s in d.sources},
     }
     return section("Settings and provenance", facts({k: v for k, v in about.items() if v not in ("", None)}))
 

@@ -34,7 +34,7 @@ def what(named, verdict: str) -> str:
 def axes_of(diagnosis) -> list[str]:
     """Names of the axes that a diagnosis is about: those of its effects (of one without a joint: those whose torque it
     brought down), or of the cells where the model is far off."""
-    names = diagnosis.base.axis_names
+    names = diagnosis.axis_names
     if not diagnosis.effects:
         largest = max((cell.z for cell in diagnosis.where if math.isfinite(cell.z)), default=0.0)
         said = [axis_of_channel(cell.channel, names) for cell in diagnosis.where if not cell.z < _FAR * largest]
@@ -124,12 +124,7 @@ def closed(gap) -> str:
 
 def ripple_written(diagnosis) -> str:
     """Ripple of the motors that is written with the robot though nobody misses it, in a sentence; "" for none."""
-    ripple = lambda robot: [effect for effect in robot.effects if hasattr(effect, "order")]
-    given = len(ripple(diagnosis.given))
-    orders: dict[str, list[int]] = {}
-    for effect in ripple(diagnosis.base)[given:]:
-        orders.setdefault(str(effect.joint), []).extend(effect.order)
-    if not orders:
+    if not diagnosis.ripple:
         return ""
-    told = "; ".join(f"{joint}: {', '.join(str(h) for h in sorted(set(found)))}" for joint, found in orders.items())
+    told = "; ".join(f"{joint}: {', '.join(map(str, orders))}" for joint, orders in diagnosis.ripple.items())
     return f"The robot is written with the ripple that its motors show (orders of {told})."

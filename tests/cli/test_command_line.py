@@ -349,15 +349,25 @@ def test_results_in_the_place_of_a_record_or_an_frf(tmp_path, capsys):
         assert re.search(rf"{name}: found an FRF; .* jaxfrf view .*{name}\. .*: jaxfrf identify .*{name}\.", error), (
             error
         )
+
+
+def test_view_of_what_it_cannot_show(tmp_path, capsys):
+    """Files of earlier versions, other JSON, a result beside other files."""
     for text, says in (
-        ('{"verdict": "named", "parameters": {}}', r"found a diagnosis; .* jaxfrf diagnose \.\.\. .*--report a\.html"),
-        ('{"parameters": {}}', r"found a fit; .* jaxfrf identify \.\.\. .*--report a\.html"),
-        ("3", "found JSON; expected an FRF"),
+        ('{"verdict": "named", "parameters": {}}', "a.json: found JSON without effects, ranking, where and gap"),
+        ('{"parameters": {}, "kind": "direct"}', "a.json: .*found no .*; expected what `jaxfrf identify --springs`"),
+        ('{"parameters": {}, "kind": "whole robot"}', "a.json: .*found no .*; expected what `jaxfrf identify`"),
+        ('{"parameters": 3, "kind": "whole robot", "sources": []}', "a.json: .*found "),
+        ("3", "found JSON of something else; expected an FRF"),
+        ("{", "found JSON of something else; expected an FRF"),
     ):
         (tmp_path / "a.json").write_text(text)
-        assert main(["view", str(tmp_path / "a.json")]) == 2
+        assert main(["view", str(tmp_path / "a.json"), "-o", str(tmp_path / "a.html")]) == 2
         error = capsys.readouterr().err
-        assert re.search(says, error), error
+        assert re.search(says, error) and error.count("\n") == 1, error
+    assert main(["view", str(tmp_path / "a.json"), *[str(tmp_path / "a.json")] * 2]) == 2
+    assert "found a result beside 2 other files; expected FRFs, or one result" in capsys.readouterr().err
+    assert not (tmp_path / "a.html").exists()
 
 
 def test_the_shell_completes_commands_and_options(tmp_path):
