@@ -199,6 +199,7 @@
       }
       element("path", { d: line(e, level, indices, magnitude.toY), stroke: e.colour, class: "line" }, magnitude.drawn);
       element("path", { d: line(e, angle, indices, phase.toY, 120), stroke: e.colour, class: "line" }, phase.drawn);
+      if (!e.points) continue;
       marks(e, level, indices, magnitude.toY, magnitude.drawn);
       marks(e, angle, indices, phase.toY, phase.drawn);
     }

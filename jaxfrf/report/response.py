@@ -1,9 +1,5 @@
 """The page about FRFs: choose position, output and input, zoom, read values."""
 
-import base64
-import html
-import importlib.resources
-import json
 import os
 from collections.abc import Sequence
 
@@ -16,63 +12,15 @@ from .._text import number, plus_minus
 from ..frf import FRF
 from ..frf.covariance import variances
 from ..frf.features import features
-from ..plot._style import COLOURS, breaks
+from ..plot._style import COLOURS
 from ..plot.bode import confidence_radius
 from ..units import input_unit, output_unit, response_unit
 from .page import facts, listing, page, paragraph, section, table, write_page
+from .picture import Curve, decibel, picture, responses
 
 _SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
 _NUMBERS = 950_000  # of two bytes each, that a page holds: some 2.6 MB of text
-_MISSING = -32768
 _LINES = 12  # of a table of features
-
-_STYLE = """<style>
-#frf .choose { display: flex; flex-wrap: wrap; gap: 8px 14px; align-items: center; margin: 0 0 8px; font-size: 14px; }
-#frf select, #frf .choose button { font: inherit; padding: 3px 8px; border: 1px solid var(--line); border-radius: 3px;
-  background: var(--paper); color: var(--ink); max-width: 100%; }
-#frf .choose button { cursor: pointer; }
-#frf select { margin-left: 5px; }
-#frf .legend { display: flex; flex-wrap: wrap; gap: 4px 18px; font-size: 14px; margin: 0 0 4px; }
-#frf .legend i { display: inline-block; width: 14px; height: 4px; margin: 0 6px 3px 4px; }
-#frf [hidden] { display: none; }
-#frf .what { color: var(--soft); font-size: 13.5px; margin: 0 0 4px; }
-#frf .chart svg { width: 100%; height: auto; display: block; touch-action: pan-y; cursor: crosshair;
-  user-select: none; }
-#frf .charts:focus-visible { outline: 2px solid #0072b2; outline-offset: 3px; }
-#frf .grid { stroke: var(--line); stroke-width: 1; } #frf .frame { fill: none; stroke: #7b858e; }
-#frf .tick { font-size: 12px; fill: var(--soft); font-variant-numeric: tabular-nums; }
-#frf .line { fill: none; stroke-width: 1.1; opacity: .75; } #frf .band { opacity: .18; stroke: none; }
-#frf .doubtful { fill: var(--paper); stroke: #9a9a9a; stroke-width: .7; }
-#frf .cursor { stroke: var(--ink); stroke-width: 1; stroke-dasharray: 3 3; pointer-events: none; }
-#frf .chosen { fill: #0072b2; opacity: .15; }
-#frf .values { margin: 8px 0 4px; } #frf .values td:first-child { padding-left: 8px; white-space: normal; }
-#frf .matrix { display: grid; gap: 4px; margin: 14px 0 0; max-width: 760px; }
-#frf .cell { position: relative; padding: 2px; border: 1px solid var(--line); border-radius: 3px;
-  background: var(--paper); cursor: pointer; min-width: 0; }
-#frf .cell svg { display: block; width: 100%; height: 44px; } #frf .cell path { fill: none; stroke-width: 1.5;
-  vector-effect: non-scaling-stroke; }
-#frf .cell span { position: absolute; left: 4px; top: 1px; font-size: 11px; color: var(--soft);
-  background: var(--paper); padding: 0 2px; line-height: 1.2; }
-#frf .cell[aria-pressed=true] { border-color: var(--ink); box-shadow: 0 0 0 1px var(--ink); }
-@media print { #frf .choose, #frf .matrix, #frf .hint, #frf .legend input { display: none; } }
-</style>"""
-
-_BODY = """<div id="frf">
-<noscript><p>This page draws with JavaScript, which is switched off here.</p></noscript>
-<div class="choose"><label>Position<select class="position"></select></label>
-<label>Output<select class="output"></select></label><label>Input<select class="input"></select></label>
-<button type="button" class="in" title="Zoom in about the cursor">zoom in</button>
-<button type="button" class="out" title="Zoom out">zoom out</button>
-<button type="button" class="reset">whole band</button><button type="button" class="axis"></button></div>
-<div class="legend"></div><p class="what"></p>
-<div class="charts" tabindex="0" aria-label="Magnitude and phase; arrow keys move the cursor">
-<div class="chart magnitude"></div><div class="chart phase"></div></div>
-<div class="wide"><table class="values"><thead><tr><th>at the cursor</th><th class="number">Hz</th>
-<th class="number">|G|, UNIT</th><th class="number">CONFIDENCE % region</th><th class="number">dB</th>
-<th class="number">phase, degrees</th></tr></thead><tbody></tbody></table></div>
-<p class="what hint">Drag across a picture to zoom, double-click for the whole band, move to read values (arrow keys, +,
-- and Escape do the same). Bands: CONFIDENCE % regions; hollow points: doubtful estimates; DOTTED.</p>
-<div class="matrix"></div></div>"""
 
 
 def write_frf_page(
@@ -119,25 +67,20 @@ def frf_page(
     _check(frfs, labels)
     positions, stride = _room(frfs)
     first = frfs[0]
-    data = {
-        "estimates": [
-            _packed(f, label, COLOURS[k % len(COLOURS)], positions, stride, confidence)
+    levels = first.cov_total is not None
+    drawn = picture(
+        [
+            _curve(f, label, COLOURS[k % len(COLOURS)], positions, stride, confidence)
             for k, (f, label) in enumerate(zip(frfs, labels, strict=True))
         ],
-        "outputs": [f"y{i + 1} ({output_unit(first)})" for i in range(first.n_out)],
-        "inputs": [f"u{j + 1} ({input_unit(first)})" for j in range(first.n_in)],
-        "positions": [f"position {p}" for p in range(min(positions, max(f.n_pos for f in frfs)))],
-        "unit": response_unit(first),
-    }
-    levels = first.cov_total is not None
-    body = _BODY.replace("UNIT", html.escape(response_unit(first))).replace("CONFIDENCE", f"{100 * confidence:g}")
-    body = body.replace("DOTTED", "dotted: noise, dashed: noise and distortion" if levels else "lines join neighbours")
-    left_out = _left_out(frfs, positions, stride)
-    script = importlib.resources.files(__package__).joinpath("response.js").read_text(encoding="utf-8")
-    drawn = (
-        f'{_STYLE}\n{body}\n<script type="application/json" id="frf-data">{_json(data)}</script>\n'
-        f"<script>{script}</script>"
+        outputs=[f"y{i + 1} ({output_unit(first)})" for i in range(first.n_out)],
+        inputs=[f"u{j + 1} ({input_unit(first)})" for j in range(first.n_in)],
+        positions=[f"position {p}" for p in range(min(positions, max(f.n_pos for f in frfs)))],
+        unit=response_unit(first),
+        confidence=confidence,
+        lines="dotted: noise, dashed: noise and distortion" if levels else "lines join neighbours",
     )
+    left_out = _left_out(frfs, positions, stride)
     names = ", ".join(dict.fromkeys(s.name for f in frfs for s in f.sources))
     sections = [
         listing([*about, *left_out]),
@@ -195,46 +138,22 @@ def _left_out(frfs: Sequence[FRF], positions: int, stride: int) -> list[str]:
     return said
 
 
-def _packed(frf: FRF, label: str, colour: str, positions: int, stride: int, confidence: float) -> dict:
-    """What the script needs of one estimate: hundredths of decibels and degrees in two bytes each."""
+def _curve(frf: FRF, label: str, colour: str, positions: int, stride: int, confidence: float) -> Curve:
     at = slice(None, positions), slice(None, None, stride)
-    G, frequency = np.asarray(frf.G)[at], np.asarray(frf.frequency, float)[::stride]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        found = {
-            "level": _decibel(np.abs(G)),
-            "phase": np.where(np.isfinite(G), np.degrees(np.angle(G)), np.nan),
-            "radius": _decibel(np.asarray(confidence_radius(frf, confidence))[at]),
-            "doubt": np.broadcast_to(_doubted(frf)[at][..., None, None], G.shape),
-        }
-        for name in _layers(frf)[4:]:
-            spread = np.asarray(variances(getattr(frf, f"cov_{name}")))
-            found[name] = _decibel(np.sqrt(np.maximum(spread, 0)).reshape(*frf.G.shape[:2], frf.n_in, frf.n_out)[at])
-            found[name] = found[name].swapaxes(-1, -2)
-    order = np.argsort(frequency, kind="stable")
-    layers = np.stack([np.moveaxis(x[:, order], 1, -1) for x in found.values()], axis=1)  # (pos, layer, out, in, freq)
-    whole = np.where(np.isfinite(layers), np.clip(np.round(100 * layers), -32767, 32767), _MISSING).astype("<i2")
-    return {
-        "name": label,
-        "colour": colour,
-        "layers": list(found),
-        "positions": len(G),
-        "frequency": [float(f"{f:.7g}") for f in frequency[order]],
-        "cuts": np.flatnonzero(breaks(frequency[order])).tolist() if len(frequency) > 1 else [],
-        "data": base64.b64encode(whole.tobytes()).decode(),
+    G = np.asarray(frf.G)[at]
+    found = responses(G) | {
+        "radius": decibel(np.asarray(confidence_radius(frf, confidence))[at]),
+        "doubt": np.broadcast_to(_doubted(frf)[at][..., None, None], G.shape),
     }
-
-
-def _decibel(x: np.ndarray) -> np.ndarray:
-    return 20 * np.log10(np.where(x > 0, x, np.nan))
+    for name in _layers(frf)[4:]:
+        spread = np.asarray(variances(getattr(frf, f"cov_{name}")))
+        std = np.sqrt(np.maximum(spread, 0)).reshape(*frf.G.shape[:2], frf.n_in, frf.n_out)[at]
+        found[name] = decibel(std).swapaxes(-1, -2)
+    return Curve(label, colour, np.asarray(frf.frequency, float)[::stride], found)
 
 
 def _doubted(frf: FRF) -> np.ndarray:
     return ((np.asarray(frf.status) & int(_SERIOUS)) != 0).astype(float)
-
-
-def _json(data: dict) -> str:
-    """JSON that may stand inside a script element."""
-    return json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 # --- words

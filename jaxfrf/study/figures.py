@@ -7,6 +7,7 @@ import numpy as np
 
 from ..experiment import Experiment
 from ..io._optional import require
+from ..plot.bode import confidence_radius
 from ..robot import Robot
 from .bias import estimates, true_response
 from .settings import Settings
@@ -19,22 +20,61 @@ SHOWN = {
 }
 _TICKS = (5, 10, 15, 20, 30, 40, 50, 80)
 _ONE = ("#3a9a4a", "-", 0.9)
+_TRUE = "#f0a030"
+_POSITIONS = 2  # that the picture holds: half a megabyte each
+_RADIUS = "radius of "
 
 
 def example_responses(robot: Robot, data: Experiment, settings: Settings) -> dict[str, np.ndarray]:
-    """Diagonal elements of the truth and of every estimate in the figures, at the first position of a record:
-    name -> (freq, axis)."""
+    """The truth and every estimate of the figures, at the first positions of a record: name -> (pos, freq, out, in),
+    and `radius of` its name -> that of its 95 % region; `frequency`, Hz."""
     found = estimates(data, settings)
     frequency = next(iter(found[6].values())).frequency
-    diagonal = lambda G: np.diagonal(np.asarray(G)[0], axis1=-2, axis2=-1)
-    arrays = {"frequency": np.asarray(frequency)}
-    arrays["true"] = diagonal(true_response(robot, data, frequency))
     most = settings.experiments[0]
-    arrays[f"LOG_{most}"] = diagonal(found[most]["LOG"].G)
-    for name in SHOWN:
-        arrays[f"{name}_6"] = diagonal(found[6][name].G)
-    arrays["LRM, JIO_1"] = diagonal(found[1]["LRM, JIO"].G)
+    shown = {f"LOG_{most}": found[most]["LOG"]} | {f"{name}_6": found[6][name] for name in SHOWN}
+    shown["LRM, JIO_1"] = found[1]["LRM, JIO"]
+    cut = lambda x: np.asarray(x)[:_POSITIONS]
+    arrays = {"frequency": np.asarray(frequency), "true": cut(true_response(robot, data, frequency))}
+    for name, frf in shown.items():
+        arrays[name], arrays[_RADIUS + name] = cut(frf.G), cut(confidence_radius(frf))
     return arrays
+
+
+def picture_of(arrays: Mapping[str, np.ndarray], position: int) -> str:
+    """What both figures show, to choose from: every element, position and estimate, with its 95 % regions.
+
+    **Arguments:** `position`: number of the first one.
+
+    **Returns:** HTML.
+    """
+    from ..report.picture import Curve, decibel, picture, responses
+
+    curves = [Curve("true", _TRUE, arrays["frequency"], responses(arrays["true"]), points=False)]
+    for name, (colour, _) in _estimates(arrays).items():
+        layers = responses(arrays[name]) | {"radius": decibel(arrays[_RADIUS + name])}
+        curves.append(Curve(_called(name), colour, arrays["frequency"], layers))
+    axes = range(1, arrays["true"].shape[-1] + 1)
+    return picture(
+        curves,
+        outputs=[f"acceleration of motor {i} (rad/s²)" for i in axes],
+        inputs=[f"torque of motor {i} (N m)" for i in axes],
+        positions=[f"position {position + k}" for k in range(len(arrays["true"]))],
+        unit="rad/s² per N m",
+    )
+
+
+def _estimates(arrays: Mapping[str, np.ndarray]) -> dict[str, tuple[str, float]]:
+    """Names of the estimates with colour and width, that of the most experiments first; LOG of six is paler beside
+    it."""
+    most = max((n for n in arrays if n.startswith("LOG_")), key=lambda n: int(n[4:]))
+    names = dict.fromkeys((most, *(f"{n}_6" for n in SHOWN)))
+    found = {name: (SHOWN[name.rpartition("_")[0]][0], SHOWN[name.rpartition("_")[0]][2]) for name in names}
+    return found | {"LRM, JIO_1": (_ONE[0], _ONE[2])}
+
+
+def _called(name: str) -> str:
+    method, _, count = name.rpartition("_")
+    return f"{method}, {count} experiment{'s' if count != '1' else ''}"
 
 
 def read_curves(path: pathlib.Path) -> dict[str, np.ndarray]:
@@ -57,7 +97,7 @@ def diagonals(arrays: Mapping[str, np.ndarray]):
     """Figure 3: the magnitude of every diagonal element."""
     figure = require("matplotlib.figure", "plot").Figure(figsize=(11, 6.4), layout="constrained")
     axes = figure.subplots(2, 3, sharex=True)
-    for i, ax in enumerate(axes.flat[: arrays["true"].shape[1]]):
+    for i, ax in enumerate(axes.flat[: arrays["true"].shape[-1]]):
         _curves(ax, arrays, i)
         ax.set_title(f"$G_{{{i + 1}{i + 1}}}$", fontsize=10)
     for ax in axes[-1]:
@@ -75,7 +115,7 @@ def enlargement(arrays: Mapping[str, np.ndarray]):
     _curves(ax, arrays, 2)
     ax.set_xlabel("frequency, Hz")
     ax.set_ylabel("magnitude of $G_{33}$, dB (rad/s² per N m)")
-    frequency, level = arrays["frequency"], 20 * np.log10(np.abs(arrays["true"][:, 2]))
+    frequency, level = arrays["frequency"], 20 * np.log10(np.abs(arrays["true"][0, :, 2, 2]))
     middle = frequency[np.argmin(level)]
     inside = (frequency > 0.6 * middle) & (frequency < 3.2 * middle)
     ax.set_xlim(0.6 * middle, 3.2 * middle)
@@ -129,8 +169,8 @@ def _number(ax, place: int, number: Mapping) -> None:
 
 def _curves(ax, arrays, axis: int) -> None:
     frequency = arrays["frequency"]
-    level = lambda name: 20 * np.log10(np.maximum(np.abs(arrays[name][:, axis]), 1e-300))
-    ax.semilogx(frequency, level("true"), color="#f0a030", lw=2.6, alpha=0.75, label="true")
+    level = lambda name: 20 * np.log10(np.maximum(np.abs(arrays[name][0, :, axis, axis]), 1e-300))
+    ax.semilogx(frequency, level("true"), color=_TRUE, lw=2.6, alpha=0.75, label="true")
     most = max((n for n in arrays if n.startswith("LOG_")), key=lambda n: int(n[4:]))
     for name in dict.fromkeys((most, *(f"{n}_6" for n in SHOWN))):
         method, _, count = name.rpartition("_")

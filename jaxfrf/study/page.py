@@ -22,7 +22,7 @@ from ..report.page import (
     write_page,
 )
 from .claims import claims
-from .figures import diagonals, enlargement
+from .figures import diagonals, enlargement, picture_of
 from .page_uncertain import in_a_sentence, uncertain_section
 from .parameters import STACKED
 from .settings import PAPER, PUBLISHED_BIAS, PUBLISHED_PARAMETERS, design
@@ -47,7 +47,7 @@ def study_page(results: dict, curves: Mapping[str, np.ndarray], courses: Mapping
             _headline(results),
             section("The excitation", *_excitation(results)),
             section("Table I: bias of the FRF amplitude", *_table_one(results)),
-            section("Figures 3 and 4: estimates at one position", *_figures(results, curves)),
+            section("Estimates, and Figures 3 and 4", *_figures(results, curves)),
             section("Table II: bias of the parameters", *_table_two(results)),
             section("Parameters, one by one", *_parameters(results)),
             uncertain_section(results["uncertain"]),
@@ -148,6 +148,7 @@ def _figures(results: dict, curves) -> list[str]:
     example = results["example"]
     where = ", ".join(f"{np.rad2deg(x):.0f}" for x in example["q"])
     return [
+        picture_of(curves, example["position"]),
         figure(
             diagonals(curves),
             f"Figure 3: diagonal elements at position {example['position']} (arm angles {where} degrees); the "
