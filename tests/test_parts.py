@@ -367,7 +367,7 @@ class TestEstimate:
             (0, ["--method", "h2", "--resume"], r"\(method: H1\(\) then, H2\(.*\) now\)"),
             (0, ["--method", "h1", "--resume", "--band", "5:20"], r"lines: 4 from 4 to 14 Hz then, 3 from 6 to 14 Hz"),
             (0, ["--method", "h1", "--resume", "--set", "y_quantity=position"], r"output: velocity then, position now"),
-            (0, ["--method", "h1", "--resume", "--scale", "y=2"], r"\(--scale: none then, y=2 now\)"),
+            (0, ["--method", "h1", "--resume", "--factor", "y=2"], r"\(--factor: none then, y=2 now\)"),
             (1, ["--method", "h1", "--resume"], r"data: run\.npz \(sha256 \w+\) then, run\.npz \(sha256 \w+\) now"),
         ],
     )

@@ -36,7 +36,7 @@ def bench(measured, kind, y="omega_max", scale=1.0):
         bench_file(measured, kind),
         names={"r": "iq_refx", "u": "iq_adx", "y": y},
         values={"fs": 2500, "period": 2500, "transient_periods": 1},
-        scale={"y": scale},
+        factor={"y": scale},
     )
 
 
@@ -234,11 +234,11 @@ def test_emps_needs_whole_periods(measured, tmp_path, capsys):
 RAD = np.pi / 180
 KUKA = (
     *("--map", "u=rec.act_torque_abs_nm'[0:3],y=rec.act_vel_mot_deg_per_s'[0:3],t=rec.time_cont"),
-    *("--scale", f"y={RAD!r}"),
+    *("--factor", f"y={RAD!r}"),
 )
 KUKA_WITH_REFERENCE = (
     *("--map", f"{KUKA[1]},r=rec.ref_pos_deg'[0:3]"),
-    *("--scale", f"y={RAD!r},r={RAD!r}", "--set", "r_quantity=position"),
+    *("--factor", f"y={RAD!r},r={RAD!r}", "--set", "r_quantity=position"),
 )
 
 

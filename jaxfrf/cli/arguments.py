@@ -54,12 +54,23 @@ def add_reading_options(parser: argparse.ArgumentParser) -> None:
         action=_Joined,
         help="what the files do not say: fs=2500,period=2500,transient_periods=1,samples=0:18720,y_unit=deg/s",
     )
-    parser.add_argument("--scale", action=_Joined, help="factors to SI units: y=0.0174532925")
+    parser.add_argument("--factor", action=_Joined, help="factors to SI units: y=0.0174532925")
+    add_renamed_option(parser, "--scale", "--factor")
     add_anyway_option(parser)
 
 
+def add_renamed_option(parser: argparse.ArgumentParser, before: str, now: str) -> None:
+    """An option by the name that it had: told, since that means something else in another command."""
+    parser.add_argument(before, action=_Renamed, const=now, dest=argparse.SUPPRESS, help=argparse.SUPPRESS)
+
+
+class _Renamed(argparse.Action):
+    def __call__(self, parser, namespace, values, option_string=None):
+        parser.error(f"{option_string}: found a name of before; expected {self.const}. Write {self.const} {values}.")
+
+
 class _Joined(argparse.Action):
-    """Settings of several such options add up: `--scale u=10 --scale y=2` is `--scale u=10,y=2`."""
+    """Settings of several such options add up: `--factor u=10 --factor y=2` is `--factor u=10,y=2`."""
 
     def __call__(self, parser, namespace, values, option_string=None):
         before = getattr(namespace, self.dest)
@@ -146,7 +157,7 @@ class _ListMethods(argparse.Action):
 
 
 def read_records(given: argparse.Namespace, files: Sequence[str]):
-    """The experiment in these files, as `--map`, `--set` and `--scale` say."""
+    """The experiment in these files, as `--map`, `--set` and `--factor` say."""
     from .. import io
 
     return io.read(*files, **_how(given))
@@ -158,7 +169,7 @@ def _how(given: argparse.Namespace) -> dict[str, Any]:
     return {
         "names": io.parse_map(given.map) if given.map else None,
         "values": io.parse_values(given.set) if given.set else None,
-        "scale": io.parse_scale(given.scale) if given.scale else None,
+        "factor": io.parse_factor(given.factor) if given.factor else None,
         "anyway": given.anyway,
     }
 
@@ -227,10 +238,10 @@ def _check_variables(given: argparse.Namespace) -> None:
     files = getattr(given, "data", None)
     if not files or not hasattr(given, "map"):
         return
-    from ..io.record_arguments import parse_map, parse_scale, parse_values
+    from ..io.record_arguments import parse_factor, parse_map, parse_values
 
     names = parse_map(given.map) if given.map else {}
-    for text, parse in ((given.set, parse_values), (given.scale, parse_scale)):
+    for text, parse in ((given.set, parse_values), (given.factor, parse_factor)):
         if text:
             parse(text)
     path = pathlib.Path(files[0])

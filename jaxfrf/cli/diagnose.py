@@ -122,7 +122,7 @@ def _about(given, data) -> dict:
         "data": files_text(s for x in data for s in x.sources),
         "--map": given.map,
         "--set": given.set,
-        "--scale": given.scale,
+        "--factor": given.factor,
         "--heldout-count": given.heldout_count,
         "--tolerance": given.tolerance,
         "--anyway": given.anyway,

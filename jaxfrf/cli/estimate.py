@@ -24,7 +24,7 @@ from .arguments import (
 from .each import add_each_options, sharing
 from .progress import Progress
 
-_READ_BY = ("map", "set", "scale", "anyway", "periods", "band", "robust", "segment")  # options
+_READ_BY = ("map", "set", "factor", "anyway", "periods", "band", "robust", "segment")  # options
 
 EXAMPLES = (
     "jaxfrf estimate run.nc -o frf.nc --report frf.html",

@@ -29,7 +29,7 @@ from .arguments import (
 from .each import add_each_options
 from .progress import Progress
 
-_RECORDS_ONLY = ("method", "option", "map", "set", "scale", "periods")
+_RECORDS_ONLY = ("method", "option", "map", "set", "factor", "periods")
 _SPRINGS_ONLY = (
     "starts", "seed", "guess", "direct", "fix", "free", "share", "weights", "method", "option", "band", "plot"
 )  # fmt: skip

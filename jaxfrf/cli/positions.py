@@ -3,7 +3,7 @@
 from .._errors import input_error
 from .._text import percent
 from . import own_effects
-from .arguments import check_picture, check_seed, check_target, check_x64, command
+from .arguments import add_renamed_option, check_picture, check_seed, check_target, check_x64, command
 
 EXAMPLES = ("jaxfrf positions robot.toml design.toml -n 7 -o positions.csv --plot accuracy.png",)
 
@@ -16,7 +16,14 @@ def add(commands) -> None:
     parser.add_argument("-n", "--count", type=int, default=7, help="positions to choose (default 7)")
     parser.add_argument("--candidates", type=int, default=200, metavar="N", help="random ones to choose from (200)")
     parser.add_argument("--seed", type=int, default=0, help="of the candidates (default 0)")
-    parser.add_argument("--noise", type=float, default=0.05, help="relative standard deviation of the FRF (.05)")
+    parser.add_argument(
+        "--relative-noise",
+        type=float,
+        default=0.05,
+        metavar="PART",
+        help="standard deviation over size of the FRF (.05)",
+    )
+    add_renamed_option(parser, "--noise", "--relative-noise")
     parser.add_argument("-o", "--output", required=True, help="arm angles to write, for `simulate`: .csv or .txt")
     parser.add_argument("--plot", metavar="FILE", help="picture of the accuracy to expect: .png, .pdf, .svg")
 
@@ -39,10 +46,10 @@ def run(given) -> dict:
     robot, design = own_effects.robot_of(given), read_design(given.design)
     model = RobotModel(robot, slow_amplitude=None if design.slow is None else design.slow.amplitude)
     candidates = random_positions(given.candidates, jr.key(given.seed), robot.n_axes)
-    plan = plan_positions(model, design.frequency, candidates, given.count, noise=given.noise)
+    plan = plan_positions(model, design.frequency, candidates, given.count, noise=given.relative_noise)
     about = (
         f"{robot.name}: {given.count} of {given.candidates} positions (seed {given.seed}), D-optimal for springs and "
-        f"dampers at {100 * given.noise:g} % noise"
+        f"dampers at {100 * given.relative_noise:g} % noise"
     )
     write_positions(given.output, plan.points, robot.axis_names, [about])
     written = [given.output]

@@ -34,7 +34,7 @@ def add(commands) -> None:
     own_effects.add_effects_option(parser)
     parser.add_argument("-o", "--output", required=True, help="record to write: .nc, .mat or .npz")
     place = parser.add_mutually_exclusive_group()
-    place.add_argument("--positions", type=int, default=None, metavar="N", help="random positions (default 1)")
+    place.add_argument("--positions", type=int, default=None, metavar="N", help="how many, drawn at random (default 1)")
     place.add_argument(
         "--configurations", metavar="FILE", help="arm angles instead, rad: .csv or .txt, one row for each position"
     )

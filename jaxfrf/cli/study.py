@@ -33,7 +33,7 @@ def add(commands) -> None:
         help="demo: the shortest run that shows every part, three minutes (default); medium: all of the paper's "
         "comparisons from fewer positions and experiments, half an hour; paper: everything, hours",
     )
-    parser.add_argument("--positions", type=int, metavar="N", help="fewer of them than the scale has")
+    parser.add_argument("--positions", type=int, metavar="N", help="how many, fewer than the scale has")
     add_worker_options(parser)
     add_resume_option(parser)
 

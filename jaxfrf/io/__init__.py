@@ -20,7 +20,7 @@ _PUBLIC = {
     "write_mjcf": "mjcf",
     "write_positions": "positions",
     "parse_map": "record_arguments",
-    "parse_scale": "record_arguments",
+    "parse_factor": "record_arguments",
     "parse_values": "record_arguments",
     "read": "records",
     "write": "records",
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from .gaps import read_gap as read_gap, write_gap as write_gap
     from .mjcf import mjcf as mjcf, write_mjcf as write_mjcf
     from .positions import write_positions as write_positions
-    from .record_arguments import parse_map as parse_map, parse_scale as parse_scale, parse_values as parse_values
+    from .record_arguments import parse_factor as parse_factor, parse_map as parse_map, parse_values as parse_values
     from .records import read as read, write as write
     from .references import read_reference as read_reference, write_reference as write_reference
     from .responses import (

@@ -45,7 +45,7 @@ def mean_configurations(file: File, steady: slice, positions: int) -> tuple[np.n
             "q",
             f"joint {joint + 1} moving by {number(travel.max(), 2)} rad within an experiment",
             f"arm angles that stay within {_STILL:g} rad, whose mean is the operating point",
-            "Degrees? --set q_unit=deg. Motor angles? --scale q=FACTOR, 1 over the gear ratio. Where the arm travels "
+            "Degrees? --set q_unit=deg. Motor angles? --factor q=FACTOR, 1 over the gear ratio. Where the arm travels "
             "on purpose, leave q out.",
         )
     means = x.mean(axis=2)

@@ -76,7 +76,7 @@ def _rate(file: File, time: np.ndarray, n_time: int) -> tuple[float, float]:
 def _rate_advice(ratio: float, rate: float) -> str:
     for unit, factor in (("ms", 1e-3), ("microseconds", 1e-6), ("ns", 1e-9)):
         if abs(ratio / factor - 1) < _RATE:
-            return f"The time vector looks like {unit}: --scale t={factor:g}."
+            return f"The time vector looks like {unit}: --factor t={factor:g}."
     return f"Correct one of them, e.g. --set fs={number(rate, 6)}."
 
 
@@ -115,6 +115,6 @@ def _no_rate(file: File, n_time: int) -> InputError:
         "fs",
         "no such variable",
         "the sampling frequency fs (Hz), or a time vector t (s)",
-        f"Set it, e.g. --set fs=2000, or name the time vector: --map {_argument(like[0])} (--scale t=1e-6 if it is "
+        f"Set it, e.g. --set fs=2000, or name the time vector: --map {_argument(like[0])} (--factor t=1e-6 if it is "
         "in microseconds).",
     )

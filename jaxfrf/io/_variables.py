@@ -20,7 +20,7 @@ class Given:
 
     names: Mapping[str, str]
     values: Mapping[str, object]
-    scale: Mapping[str, float | tuple[float, ...]]
+    factor: Mapping[str, float | tuple[float, ...]]
     anyway: bool = False
 
 
@@ -68,12 +68,12 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
     found = {known_unit(text) or (text, 1.0) for text in said}
     if len(found) == 1:
         return found.pop()
-    if key not in file.given.scale and len({factor for _, factor in found}) > 1:
+    if key not in file.given.factor and len({factor for _, factor in found}) > 1:
         raise file.error(
             key,
             f"channels in {', '.join(sorted(said))}",
             "one unit for all",
-            f"Say one factor for each: --scale {key}=[...].",
+            f"Say one factor for each: --factor {key}=[...].",
         )
     return "", 1.0
 
@@ -90,7 +90,7 @@ def _stated(units: Mapping[str, str], name: str) -> str:
 
 
 def scaled(file: File, key: str, x: np.ndarray) -> np.ndarray:
-    factor = file.given.scale.get(key)
+    factor = file.given.factor.get(key)
     if factor is None:
         factor = unit_of(file, key)[1] if key in (*SIGNALS, "q", "t") else 1.0
         return x if factor == 1.0 else x * factor
@@ -98,9 +98,9 @@ def scaled(file: File, key: str, x: np.ndarray) -> np.ndarray:
     if np.size(factor) not in (1, channels):
         raise file.error(
             key,
-            f"{np.size(factor)} factors in --scale for {channels} channels",
+            f"{np.size(factor)} factors in --factor for {channels} channels",
             "one, or one each",
-            "Correct --scale.",
+            "Correct --factor.",
         )
     return x * np.asarray(factor, np.float64)
 

@@ -16,7 +16,7 @@ from ._configurations import gathered
 from ._container import check_file, load, positions_in
 from ._joined import part_of
 from ._variables import Given
-from .record_arguments import check_names, check_scale, check_values
+from .record_arguments import check_factor, check_names, check_values
 from .records import as_given, record_of, source_of
 
 _SMALL = 1e8  # bytes of u in a file that is not read twice
@@ -153,7 +153,7 @@ def data_set(
     *paths: str | os.PathLike,
     names: Mapping[str, str] | None = None,
     values: Mapping[str, object] | None = None,
-    scale: Mapping[str, float | tuple[float, ...]] | None = None,
+    factor: Mapping[str, float | tuple[float, ...]] | None = None,
     anyway: bool = False,
 ) -> DataSet | None:
     """What `jaxfrf.io.read` would read, to be read some positions at a time; `None` where it cannot be: where the
@@ -163,7 +163,7 @@ def data_set(
 
     **Arguments** and **Raises:** as `jaxfrf.io.read`.
     """
-    given = as_given(check_names(names), check_values(values), check_scale(scale), anyway)
+    given = as_given(check_names(names), check_values(values), check_factor(factor), anyway)
     files = [pathlib.Path(path) for path in paths]
     if len(files) > 1 and any(part_of(name, files) for name in given.names.values()):
         return None

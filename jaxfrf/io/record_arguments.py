@@ -2,7 +2,7 @@
 
 names    u=iq_adx,y=omega_max      which variable of the file is which
 values   fs=2500,period=2500       what the file does not say
-scale    y=0.0174532925            factors that make the units SI
+factor    y=0.0174532925            factors that make the units SI
 """
 
 import difflib
@@ -49,12 +49,12 @@ def parse_values(text: str) -> dict[str, object]:
     return check_values(_pairs("--set", text, "fs=2500,period=2500"))
 
 
-def parse_scale(text: str) -> dict[str, float | tuple[float, ...]]:
+def parse_factor(text: str) -> dict[str, float | tuple[float, ...]]:
     """Factors for unit conversion, from `y=0.0174532925` or, one for each channel, `y=[1;-1]`.
 
     **Raises:** `jaxfrf.InputError` if the text is not of this form.
     """
-    return check_scale(_pairs("--scale", text, "y=0.0174532925"))
+    return check_factor(_pairs("--factor", text, "y=0.0174532925"))
 
 
 def check_names(names: Mapping[str, str] | None) -> dict[str, str]:
@@ -72,10 +72,10 @@ def check_values(values: Mapping[str, object] | None) -> dict[str, object]:
     return {key: _value(key, value) for key, value in values.items()}
 
 
-def check_scale(scale: Mapping[str, object] | None) -> dict[str, float | tuple[float, ...]]:
-    scale = _mapping("scale", scale, "parse_scale")
-    _check_keys("--scale", scale, SCALED)
-    return {key: _factor(key, value) for key, value in scale.items()}
+def check_factor(factor: Mapping[str, object] | None) -> dict[str, float | tuple[float, ...]]:
+    factor = _mapping("factor", factor, "parse_factor")
+    _check_keys("--factor", factor, SCALED)
+    return {key: _factor(key, value) for key, value in factor.items()}
 
 
 def split(text: str, separator: str) -> list[str]:
@@ -178,9 +178,9 @@ def _factor(key: str, value) -> float | tuple[float, ...]:
         parts = split(value.strip("[]"), ";") if isinstance(value, str) else np.ravel(value)
         factors = tuple(number(x) if isinstance(x, str) else float(x) for x in parts)
     except (ValueError, TypeError):
-        raise _bad_value("--scale", key, value, "a factor like 0.0174532925, or one a channel like [1;-1]") from None
+        raise _bad_value("--factor", key, value, "a factor like 0.0174532925, or one a channel like [1;-1]") from None
     if not factors or not np.isfinite(factors).all() or 0.0 in factors:
-        raise _bad_value("--scale", key, value, "finite factors other than zero")
+        raise _bad_value("--factor", key, value, "finite factors other than zero")
     return factors[0] if len(factors) == 1 else factors
 
 

@@ -23,7 +23,7 @@ from ._matlab import NAMELESS
 from ._rate import sampling_frequency
 from ._select import column, missing
 from ._variables import File, Given, numbers, scalar, scaled, text, unit_of
-from .record_arguments import SIGNALS, check_names, check_scale, check_values
+from .record_arguments import SIGNALS, check_factor, check_names, check_values
 
 _CHANNEL = {"r": "input", "u": "input", "y": "output"}
 
@@ -32,7 +32,7 @@ def read(
     *paths: str | os.PathLike,
     names: Mapping[str, str] | None = None,
     values: Mapping[str, object] | None = None,
-    scale: Mapping[str, float | tuple[float, ...]] | None = None,
+    factor: Mapping[str, float | tuple[float, ...]] | None = None,
     anyway: bool = False,
 ) -> Experiment:
     """Read experiment files; several are one data set (see `jaxfrf.concatenate`).
@@ -44,7 +44,7 @@ def read(
       `lines`, `transient_periods`, `r_quantity`, `y_quantity` as in `jaxfrf.Experiment`. Only `u`, `y` and
       either `fs` or a time vector `t` (s) are needed. A file that says neither `y_quantity` nor the unit of y is taken
       to hold velocities, with a warning. Units that a file states (a line of units, `speed [deg/s]`, attributes) are
-      converted to SI, unless `scale` says how; the SI units go with the record.
+      converted to SI, unless `factor` says how; the SI units go with the record.
     - `names`: what they are called in the files, `{"u": "iq_adx", "y": "rec.act_vel'[0:3]"}` (see
       `parse_map`). Where one names its file, `{"u": "currents.csv:tau1", "y": "angles.csv:q1"}`, all files are one
       record.
@@ -52,7 +52,7 @@ def read(
       .02 rad are of one position.
     - `values`: what the files do not say or say wrongly, `{"fs": 2500, "period": 2500, "samples": slice(0,
       18720)}` (see `parse_values`). `samples` is the part of the record to keep.
-    - `scale`: factors that make the units SI, `{"y": np.pi / 180}`, one for all or one for each channel.
+    - `factor`: factors that make the units SI, `{"y": np.pi / 180}`, one for all or one for each channel.
     - `anyway`: read records, too, that `jaxfrf.examine` would have refused (a period that they contradict).
 
     What looks suspicious but can be used stands in `Experiment.warnings` (see `jaxfrf.screen`). A record of
@@ -62,21 +62,21 @@ def read(
     **Raises:** `jaxfrf.InputError` naming the file, the variable, what was found, what was expected and what
     to do.
     """
-    return _compared(concatenate(_each(paths, names, values, scale, anyway)), anyway)
+    return _compared(concatenate(_each(paths, names, values, factor, anyway)), anyway)
 
 
 def read_each(
     *paths: str | os.PathLike,
     names: Mapping[str, str] | None = None,
     values: Mapping[str, object] | None = None,
-    scale: Mapping[str, float | tuple[float, ...]] | None = None,
+    factor: Mapping[str, float | tuple[float, ...]] | None = None,
     anyway: bool = False,
 ) -> list[Experiment]:
     """The same, one record a file, or one of all where `names` says which file a signal is in.
 
     **Arguments** and **Raises:** as `read`.
     """
-    return [_compared(data, anyway) for data in _each(paths, names, values, scale, anyway)]
+    return [_compared(data, anyway) for data in _each(paths, names, values, factor, anyway)]
 
 
 def _compared(data: Experiment, anyway: bool) -> Experiment:
@@ -84,7 +84,7 @@ def _compared(data: Experiment, anyway: bool) -> Experiment:
     return screened(data, checks=ACROSS, anyway=anyway) if data.n_exp * data.n_pos > 1 else data
 
 
-def _each(paths: Sequence[str | os.PathLike], names, values, scale, anyway: bool) -> list[Experiment]:
+def _each(paths: Sequence[str | os.PathLike], names, values, factor, anyway: bool) -> list[Experiment]:
     """One record a file, screened; of measured configurations that are near each other the first is that of all."""
     for path in paths:
         if not isinstance(path, str | os.PathLike):
@@ -92,7 +92,7 @@ def _each(paths: Sequence[str | os.PathLike], names, values, scale, anyway: bool
             raise input_error("files", f"{type(path).__name__} {path!r:.60}", "names of files", several)
     if not paths:
         raise input_error("files", "none", "at least one measurement file", "Name a file.")
-    given = Given(check_names(names), check_values(values), check_scale(scale), anyway)
+    given = Given(check_names(names), check_values(values), check_factor(factor), anyway)
     files = [pathlib.Path(path) for path in paths]
     if len(files) > 1 and any(part_of(name, files) for name in given.names.values()):
         return [_read_one(files, dataclasses.replace(given, names=expanded(given.names, files)))[0]]
@@ -170,9 +170,9 @@ def _read_one(paths: Sequence[pathlib.Path], given: Given) -> tuple[Experiment, 
     return (dataclasses.replace(data, warnings=warnings) if warnings else data), mean
 
 
-def as_given(names, values, scale, anyway: bool) -> Given:
+def as_given(names, values, factor, anyway: bool) -> Given:
     """What the caller says about the files, checked."""
-    return Given(names, values, scale, anyway)
+    return Given(names, values, factor, anyway)
 
 
 def source_of(path: pathlib.Path) -> Source:
@@ -319,13 +319,13 @@ def _conversions(file: File) -> list[str]:
     said = []
     for key in (*SIGNALS, "q"):
         unit, factor = unit_of(file, key)
-        if unit and known_unit(unit) is None and key not in file.given.scale and file.get(key) is not None:
+        if unit and known_unit(unit) is None and key not in file.given.factor and file.get(key) is not None:
             said.append(
                 f"{file.label(key)}: {unit!r} is no unit that is known here. It is kept as a name, and the numbers are "
-                f"as they were: --scale {key}=FACTOR converts them."
+                f"as they were: --factor {key}=FACTOR converts them."
             )
         stated = f"{key}_unit" in file.given.values
-        if factor != 1.0 and key not in file.given.scale and not stated and file.get(key) is not None:
+        if factor != 1.0 and key not in file.given.factor and not stated and file.get(key) is not None:
             said.append(
                 f"{file.label(key)}: converted to {unit}, as the file states its unit (factor {number(factor, 6)})."
             )

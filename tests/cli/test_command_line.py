@@ -194,7 +194,7 @@ def test_other_names_and_units(tmp_path):
     arrays, G = record(noise=0.0)
     names = {"torque": arrays["u"], "speed_deg": np.rad2deg(arrays["y"])}
     data = write(tmp_path / "log.npz", names, fs=None, period=None, lines=None)
-    arguments = ("--map", "u=torque,y=speed_deg", "--scale", f"y={np.pi / 180!r}")
+    arguments = ("--map", "u=torque,y=speed_deg", "--factor", f"y={np.pi / 180!r}")
     values = ("--set", f"fs={FS:g}", "--set", f"period={PERIOD},lines=5:100:2")  # several of them add up
     assert estimate(data, "-o", tmp_path / "frf.npz", "--method", "h1", *arguments, *values) == 0
     np.testing.assert_allclose(jf.io.read_frf(tmp_path / "frf.npz").G[0], G, rtol=1e-9)
@@ -513,7 +513,8 @@ BAD = {
     "empty band": (None, {}, ["--band", "60:80"], r"band: found no excited line between 60 and 80 Hz"),
     "wrong --map": (None, {}, ["--map", "v=torque"], r"--map: found the unknown name 'v'"),
     "wrong --set": (None, {}, ["--set", "fs=fast"], r"--set fs: found 'fast'; expected a number"),
-    "wrong --scale": (None, {}, ["--scale", "y=0"], r"--scale y: found '0'; expected finite factors"),
+    "--scale of before": (None, {}, ["--scale", "y=2"], r"--scale: found a name of before; .* Write --factor y=2\."),
+    "wrong --factor": (None, {}, ["--factor", "y=0"], r"--factor y: found '0'; expected finite factors"),
     "unknown picture": (None, {}, ["--plot", "bode.xyz"], r"bode\.xyz: found the suffix '\.xyz'; .*\.png"),
     "picture in no folder": (None, {}, ["--plot", "no/such/bode.png"], r"bode\.png: found no folder no/such"),
 }  # fmt: skip

@@ -80,7 +80,7 @@ class TestWhatIsHandedOver:
     def test_names_units_and_heldout_positions(self, folder, tmp_path, diagnosing):
         raw = np.load(folder / "run0.npz")
         np.savez(tmp_path / "log.npz", current=raw["u"], speed=raw["y"], wanted=raw["r"], rate=500.0)
-        options = ["--map", "u=current,y=speed,r=wanted,fs=rate", "--set", "period=100", "--scale", "y=0.5"]
+        options = ["--map", "u=current,y=speed,r=wanted,fs=rate", "--set", "period=100", "--factor", "y=0.5"]
         more = ["--heldout-count", "1"]
         assert run(tmp_path, tmp_path / "gap.json", *options, *more, data=["log.npz"], robot=folder / "robot.toml") == 0
         (data,) = diagnosing.given["data"]

@@ -65,7 +65,7 @@ def test_emps_by_the_command(measured, emps, emps_robot, tmp_path):
     robot, gap, page = tmp_path / "emps.toml", tmp_path / "gap.json", tmp_path / "gap.html"
     jf.io.write_robot(emps_robot, robot)
     files = [str(measured / "emps" / f"{name}.mat") for name in ("DATA_EMPS", "DATA_EMPS_PULSES")]
-    options = ["--map", "u=vir,y=qm", "--set", "y_quantity=position", "--scale", f"u={NEWTON_PER_VOLT}"]
+    options = ["--map", "u=vir,y=qm", "--set", "y_quantity=position", "--factor", f"u={NEWTON_PER_VOLT}"]
     written = ["-o", str(gap), "--report", str(page), "--heldout-count", "1"]
     assert main(["diagnose", *files, "--robot", str(robot), *options, *written]) == 0
     found = json.loads(gap.read_text())
@@ -130,7 +130,7 @@ def kuka_runs(measured):
                 "t": "rec.time_cont",
             },
             values={"y_quantity": "position"},
-            scale={"y": RAD},
+            factor={"y": RAD},
         )
         for path in sorted((measured / "kuka_kr300").glob("*/data.mat"))
     ]

@@ -40,7 +40,7 @@ def test_units_are_converted(tmp_path, heading):
     np.testing.assert_allclose(data.u[0, 0, :, 0], U, rtol=1e-12)
     np.testing.assert_allclose(data.y[0, 0, :, 0], Y, rtol=1e-12)
     assert data.fs == 1000.0 and data.y_quantity == "velocity" and (data.u_unit, data.y_unit) == ("", "")
-    scaled = jf.io.read(path, names={"t": "time", "u": "M", "y": "n"}, values=PERIOD, scale={"u": 1.0})
+    scaled = jf.io.read(path, names={"t": "time", "u": "M", "y": "n"}, values=PERIOD, factor={"u": 1.0})
     np.testing.assert_allclose(scaled.u[0, 0, :, 0], 1e3 * U, rtol=1e-12)
 
 

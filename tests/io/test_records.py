@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 import jaxfrf as jf
 from jaxfrf.io import _matlab
-from jaxfrf.io.record_arguments import parse_map, parse_scale, parse_values
+from jaxfrf.io.record_arguments import parse_factor, parse_map, parse_values
 from jaxfrf.io.records import read, write
 
 FS, PERIOD = 500.0, 50
@@ -365,11 +365,11 @@ def test_stacked_picked_and_transposed_channels(tmp_path):
 def test_scale_for_all_or_for_each_channel(tmp_path):
     u, y = signals()
     path = saved(tmp_path / "a.npz", u=u, y=y, q=np.array([[90.0, 45.0]]), fs=FS)
-    data = read(path, scale=parse_scale("u=2,y=[1;-0.5],q=0.0174532925199433"))
+    data = read(path, factor=parse_factor("u=2,y=[1;-0.5],q=0.0174532925199433"))
     np.testing.assert_allclose(data.u[0, 0], 2 * u)
     np.testing.assert_allclose(data.y[0, 0], y * [1, -0.5])
     np.testing.assert_allclose(data.q, [[np.pi / 2, np.pi / 4]])
-    assert "3 factors in --scale for 2 channels" in message(path, scale={"y": (1, 2, 3)})
+    assert "3 factors in --factor for 2 channels" in message(path, factor={"y": (1, 2, 3)})
 
 
 def test_what_is_set_goes_before_the_file(tmp_path):
@@ -394,7 +394,7 @@ def test_parsed_texts():
     assert parse_values("fs=2.5e3,period=2500") == {"fs": 2500.0, "period": 2500.0}
     assert parse_values("samples=0:18720") == {"samples": slice(0, 18720)}
     np.testing.assert_array_equal(parse_values("lines=13;17;21")["lines"], [13, 17, 21])
-    assert parse_scale("y=0.5,u=[1;-1]") == {"y": 0.5, "u": (1.0, -1.0)}
+    assert parse_factor("y=0.5,u=[1;-1]") == {"y": 0.5, "u": (1.0, -1.0)}
 
 
 @pytest.mark.parametrize(
@@ -410,8 +410,8 @@ def test_parsed_texts():
         (parse_values, "samples=18720", r"expected START:STOP"),
         (parse_values, "samples=0:10:2", r"expected START:STOP"),
         (parse_values, "lines=a;b", r"line numbers like 11:251"),
-        (parse_scale, "y=0", r"finite factors other than zero"),
-        (parse_scale, "y=deg", r"a factor like"),
+        (parse_factor, "y=0", r"finite factors other than zero"),
+        (parse_factor, "y=deg", r"a factor like"),
     ],
 )
 def test_wrong_texts(parse, text, says):
@@ -425,7 +425,7 @@ def test_wrong_texts(parse, text, says):
 def test_rate_from_a_time_vector(tmp_path):
     u, y = signals()
     path = saved(tmp_path / "a.npz", u=u, y=y, clock=2000.0 * np.arange(200) + 1e6)
-    assert read(path, names={"t": "clock"}, scale={"t": 1e-6}).fs == FS
+    assert read(path, names={"t": "clock"}, factor={"t": 1e-6}).fs == FS
 
 
 @pytest.mark.parametrize(
@@ -439,7 +439,7 @@ def test_rate_from_a_time_vector(tmp_path):
         ({}, r"fs: found neither fs nor a time vector; expected the sampling frequency"),
         ({"time": np.arange(200) / FS}, r"fs: found no such variable.*--map t=time"),
         ({"fs": 1000.0, "t": np.arange(200) / FS}, r"fs: found 1000 Hz against 500 Hz.*--set fs=500"),
-        ({"fs": FS, "t": np.arange(200) * 2000.0}, r"against 0\.0005 Hz.*microseconds: --scale t=1e-06"),
+        ({"fs": FS, "t": np.arange(200) * 2000.0}, r"against 0\.0005 Hz.*microseconds: --factor t=1e-06"),
         (
             {"t": np.delete(np.arange(201), 90) / FS},
             r"t: found time stamps up to 0\.\d+ sample intervals off",
@@ -682,8 +682,8 @@ def test_two_mass_bench_objects_and_time(measured):
     path = measured / "two_mass_bench" / "MultisineTypeA.mat"
     assert "ms.Hampl): found a MATLAB object" in message(path, names={"u": "ms.Hampl", "y": "omega_max"})
     timed = {"u": "iq_adx", "y": "[omega_max;omega_may]", "t": "time"}
-    assert "looks like microseconds: --scale t=1e-06" in message(path, names=timed)
-    data = read(path, names=timed, scale=parse_scale("t=1e-6,y=[1;-1]"))
+    assert "looks like microseconds: --factor t=1e-06" in message(path, names=timed)
+    data = read(path, names=timed, factor=parse_factor("t=1e-6,y=[1;-1]"))
     assert data.fs == 2500.0 and data.n_out == 2
 
 
@@ -716,7 +716,7 @@ def test_kuka(measured):
     runs = sorted((measured / "kuka_kr300").glob("*/data.mat"))
     assert len(runs) == 3
     names = parse_map("u=rec.act_torque_abs_nm'[0:3],y=rec.act_vel_mot_deg_per_s'[0:3],t=rec.time_cont")
-    data = read(*runs, names=names, scale=parse_scale("y=0.0174532925199433"))
+    data = read(*runs, names=names, factor=parse_factor("y=0.0174532925199433"))
     assert (data.u.shape, data.fs, data.period) == ((1, 3, 2501, 3), 250.0, 0)
     raw = scipy.io.loadmat(runs[2], simplify_cells=True)["rec"]["act_vel_mot_deg_per_s"]
     np.testing.assert_allclose(data.y[0, 2].T, np.deg2rad(raw[:3]), rtol=1e-14)
@@ -766,7 +766,7 @@ def test_units_that_nobody_knows_are_told(tmp_path):
     path.write_text("t,u [Nm],y [furlong]\n" + table(","))
     data = jf.io.read(path, values={"y_quantity": "position"})
     (remark,) = (w for w in data.warnings if "furlong" in w)
-    assert "--scale y=FACTOR" in remark and data.y_unit == "furlong"
+    assert "--factor y=FACTOR" in remark and data.y_unit == "furlong"
     np.testing.assert_allclose(data.y[0, 0, :, 0], TABLE[:, 2], atol=1e-6)
 
 

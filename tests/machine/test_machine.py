@@ -91,7 +91,7 @@ def test_a_real_axis(measured):
         measured / "emps" / "DATA_EMPS.mat",
         names={"u": "vir", "y": "qm"},
         values={"fs": 1000, "period": 6240, "samples": slice(6240, 18720), "y_quantity": "position", "y_unit": "m"},
-        scale={"u": 35.15},
+        factor={"u": 35.15},
     )
     slide = Machine(
         lambda v: (v["mass"] * jnp.eye(1), v["damping"] * jnp.eye(1), jnp.zeros((1, 1))),

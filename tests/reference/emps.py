@@ -37,5 +37,5 @@ def emps_record(measured, name):
         measured / "emps" / f"{name}.mat",
         names={"u": "vir", "y": "qm"},
         values={"y_quantity": "position"},
-        scale={"u": NEWTON_PER_VOLT},
+        factor={"u": NEWTON_PER_VOLT},
     )

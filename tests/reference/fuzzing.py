@@ -19,7 +19,7 @@ import jaxfrf as jf
 from jaxfrf.frf.catalogue import METHODS, method
 from jaxfrf.io import _matlab
 from jaxfrf.io._container import Variable
-from jaxfrf.io.record_arguments import parse_map, parse_scale, parse_values
+from jaxfrf.io.record_arguments import parse_factor, parse_map, parse_values
 from jaxfrf.robot.tolerances import tolerances_from
 from jaxfrf.simulation import read_positions
 
@@ -92,7 +92,7 @@ def _arguments(robot: bytes):
     """Texts of the command line, as if they were files."""
     yield "map", b"u=[a;b'],y=rec.vel[0:3],r=c[2],fs=rate", parse_map
     yield "set", b"fs=2500,period=2.5e3,samples=0:18720,lines=13:250:4,q=0;0.5,y_quantity=position", parse_values
-    yield "scale", b"y=[0.0174532925;-1],u=2,t=1e-6", parse_scale
+    yield "scale", b"y=[0.0174532925;-1],u=2,t=1e-6", parse_factor
 
     def option(text):
         name, *pairs = text.split() or [""]
