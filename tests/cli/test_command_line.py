@@ -351,6 +351,22 @@ def test_results_in_the_place_of_a_record_or_an_frf(tmp_path, capsys):
         )
 
 
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        ("estimate a.npz -o b.nc --scale y=2", r"--scale: found a name of before; .* Write --factor y=2\."),
+        (
+            "positions r.toml d.toml -o p.csv --noise 0.1",
+            r"--noise: found a name of before; .* --relative-noise 0\.1\.",
+        ),
+    ],
+)
+def test_names_of_before(command, says, capsys):
+    with pytest.raises(SystemExit):
+        main(command.split())
+    assert re.search(says, capsys.readouterr().err)
+
+
 def test_view_of_what_it_cannot_show(tmp_path, capsys):
     """Files of earlier versions, other JSON, a result beside other files."""
     for text, says in (
@@ -513,7 +529,6 @@ BAD = {
     "empty band": (None, {}, ["--band", "60:80"], r"band: found no excited line between 60 and 80 Hz"),
     "wrong --map": (None, {}, ["--map", "v=torque"], r"--map: found the unknown name 'v'"),
     "wrong --set": (None, {}, ["--set", "fs=fast"], r"--set fs: found 'fast'; expected a number"),
-    "--scale of before": (None, {}, ["--scale", "y=2"], r"--scale: found a name of before; .* Write --factor y=2\."),
     "wrong --factor": (None, {}, ["--factor", "y=0"], r"--factor y: found '0'; expected finite factors"),
     "unknown picture": (None, {}, ["--plot", "bode.xyz"], r"bode\.xyz: found the suffix '\.xyz'; .*\.png"),
     "picture in no folder": (None, {}, ["--plot", "no/such/bode.png"], r"bode\.png: found no folder no/such"),
