@@ -357,7 +357,7 @@ def test_results_in_the_place_of_a_record_or_an_frf(tmp_path, capsys):
         ("estimate a.npz -o b.nc --scale y=2", r"--scale: found a name of before; .* Write --factor y=2\."),
         (
             "positions r.toml d.toml -o p.csv --noise 0.1",
-            r"--noise: found a name of before; .* --relative-noise 0\.1\.",
+            r"--noise: found a name of before; .* --relative-noise 0\.1",
         ),
     ],
 )
