@@ -29,7 +29,8 @@ _STYLE = """<style>
 #frf .charts:focus-visible { outline: 2px solid #0072b2; outline-offset: 3px; }
 #frf .grid { stroke: var(--line); stroke-width: 1; } #frf .frame { fill: none; stroke: #7b858e; }
 #frf .tick { font-size: 12px; fill: var(--soft); font-variant-numeric: tabular-nums; }
-#frf .line { fill: none; stroke-width: 1.1; opacity: .75; } #frf .band { opacity: .18; stroke: none; }
+#frf .line { fill: none; stroke-width: 1.1; opacity: .75; } #frf .line.model { stroke-width: 2.6; }
+#frf .band { opacity: .18; stroke: none; }
 #frf .doubtful { fill: var(--paper); stroke: #9a9a9a; stroke-width: .7; }
 #frf .cursor { stroke: var(--ink); stroke-width: 1; stroke-dasharray: 3 3; pointer-events: none; }
 #frf .chosen { fill: #0072b2; opacity: .15; }

@@ -197,8 +197,9 @@
         const values = layer(e, name);
         if (values) element("path", { d: line(e, values, indices, magnitude.toY), stroke: e.colour, class: "line", "stroke-dasharray": dash }, magnitude.drawn);
       }
-      element("path", { d: line(e, level, indices, magnitude.toY), stroke: e.colour, class: "line" }, magnitude.drawn);
-      element("path", { d: line(e, angle, indices, phase.toY, 120), stroke: e.colour, class: "line" }, phase.drawn);
+      const look = { stroke: e.colour, class: e.points ? "line" : "line model" };
+      element("path", { d: line(e, level, indices, magnitude.toY), ...look }, magnitude.drawn);
+      element("path", { d: line(e, angle, indices, phase.toY, 120), ...look }, phase.drawn);
       if (!e.points) continue;
       marks(e, level, indices, magnitude.toY, magnitude.drawn);
       marks(e, angle, indices, phase.toY, phase.drawn);
@@ -258,7 +259,7 @@
         e.name,
         written(e.frequency[k]),
         written(linear(level[k])),
-        Number.isFinite(relative) ? `± ${(100 * relative).toPrecision(2)} %` : "unknown",
+        Number.isFinite(relative) ? `± ${(100 * relative).toPrecision(2)} %` : e.points ? "unknown" : "",
         level[k].toFixed(2),
         Number.isFinite(degrees) ? `${angle[k].toFixed(1)} ± ${degrees.toPrecision(2)}` : angle[k].toFixed(1),
       ];

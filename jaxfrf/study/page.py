@@ -148,6 +148,10 @@ def _figures(results: dict, curves) -> list[str]:
     example = results["example"]
     where = ", ".join(f"{np.rad2deg(x):.0f}" for x in example["q"])
     return [
+        paragraph(
+            "Every element and estimate, to choose, zoom and read values in; the figures of the paper are below. Truth "
+            "is the linearised robot in motion, as in Table I."
+        ),
         picture_of(curves, example["position"]),
         figure(
             diagonals(curves),

@@ -1,10 +1,12 @@
 """The part of a study's page about machines of which nothing is known exactly."""
 
 from ..report.gap_words import plain
-from ..report.page import beside, figure, listing, paragraph, section, table
+from ..report.page import beside, choice, figure, listing, paragraph, section, table
 from .figures import errors_of_numbers
 from .summary import has_springs, held, machines, spread
 from .uncertain import MEASURED
+
+_DRAWN = 3  # machines whose numbers the page draws, so that it stays below 3 MB
 
 
 def in_a_sentence(entry: dict) -> str:
@@ -25,7 +27,7 @@ def uncertain_section(uncertain: dict) -> str:
     if not summary:
         return ""
     most = max(row["experiments"] for row in uncertain["machines"])
-    shown = next(row for row in uncertain["machines"] if row["experiments"] == most)
+    shown = [row for row in uncertain["machines"] if row["experiments"] == most][:_DRAWN]
     springs = has_springs(summary[0])
     headers = ["n_e", "mean error, %", "as given", *(["all else taken as exact"] if springs else []), "whole robot"]
     return section(
@@ -33,14 +35,29 @@ def uncertain_section(uncertain: dict) -> str:
         paragraph(_setting(summary[0], uncertain["off"])),
         table([*headers, "its largest"], [row for entry in summary for row in _rows(entry, springs)]),
         listing([f"95 % intervals that hold, n_e = {e['experiments']}: {held(e['intervals'])}" for e in summary]),
-        beside(*(figure(drawn) for drawn in errors_of_numbers(shown["numbers"]))),
+        _drawn(shown),
         paragraph(
-            f"Error of every number of one machine (seed {shown['seed']}, n_e = {most}): grey crosses as given, "
+            f"Error of every number of {_which(shown)}, n_e = {most}: grey crosses as given, "
             + ("orange squares where all else is taken as exact, " if springs else "")
             + "blue dots where the whole robot is calibrated. Bars are half of the 95 % interval: where a dot stands "
             "beyond its bar, the interval does not hold the truth. What is smaller than the axis stands at its edge."
         ),
     )
+
+
+def _drawn(machines: list[dict]) -> str:
+    """The numbers of one machine at a time."""
+    blocks = {
+        f"machine {row['seed']}": beside(*(figure(drawn) for drawn in errors_of_numbers(row["numbers"])))
+        for row in machines
+    }
+    return choice("machine", blocks) if len(blocks) > 1 else "".join(blocks.values())
+
+
+def _which(machines: list[dict]) -> str:
+    if len(machines) == 1:
+        return f"one machine (seed {machines[0]['seed']})"
+    return f"one machine at a time (seeds {', '.join(str(row['seed']) for row in machines)})"
 
 
 def _setting(entry: dict, off: dict[str, float]) -> str:

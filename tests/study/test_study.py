@@ -1,7 +1,10 @@
 """The study: its measures against plain loops, the paper's claims on the paper's own numbers, interrupted runs."""
 
+import base64
 import json
+import re
 
+import browser
 import numpy as np
 import pytest
 
@@ -14,6 +17,7 @@ from jaxfrf.robot import parameters, r3x
 from jaxfrf.study import DEMO, MEDIUM, PAPER, claims as claims_module, run as run_module
 from jaxfrf.study.bias import amplitude_bias, level_error, weights
 from jaxfrf.study.claims import claims
+from jaxfrf.study.figures import SHOWN, picture_of
 from jaxfrf.study.hidden import HIDDEN, OFF, machine, model
 from jaxfrf.study.page import _made_smaller
 from jaxfrf.study.page_uncertain import in_a_sentence, uncertain_section
@@ -222,6 +226,28 @@ def test_errors_where_nothing_is_known_exactly():
     assert entry["machines"] == 2 and compared([]) == []
 
 
+def data_of(page: str) -> dict:
+    return json.loads(re.search(r'id="frf-data">(.*?)</script>', page)[1])
+
+
+def test_the_picture_holds_every_element():
+    """As the estimates are: every position, method and element, with their regions, and the truth without points."""
+    G = {name: random_response(k, n=2)[None] for k, name in enumerate(("true", "LOG_12", *(f"{n}_6" for n in SHOWN)))}
+    G["LRM, JIO_1"] = random_response(9, n=2)[None]
+    radii = {f"radius of {name}": 0.1 * np.abs(x) for name, x in G.items() if name != "true"}
+    html = picture_of({"frequency": np.geomspace(4, 80, 7)} | G | radii, 3)
+    data = data_of(html)
+    assert data["positions"] == ["position 3"] and len(data["outputs"]) == len(data["inputs"]) == 2
+    names = [e["name"] for e in data["estimates"]]
+    assert names[:3] == ["true", "LOG, 12 experiments", "LOG, 6 experiments"] and names[-1] == "LRM, JIO, 1 experiment"
+    assert [e["points"] for e in data["estimates"]] == [False] + [True] * 6
+    (estimate,) = (e for e in data["estimates"] if e["name"] == "LRM, JIO, 6 experiments")
+    held = np.frombuffer(base64.b64decode(estimate["data"]), "<i2").reshape(1, 3, 2, 2, 7) / 100
+    wanted = np.moveaxis(20 * np.log10(np.abs(G["LRM, JIO_6"])), 1, -1)
+    np.testing.assert_allclose(held[:, 0], wanted, atol=0.006)
+    np.testing.assert_allclose(held[:, 2], wanted - 20, atol=0.006)
+
+
 def test_the_page_and_the_summary_say_what_nothing_known_exactly_costs():
     uncertain = {"off": UNKNOWN, "machines": machines_example(), "summary": compared(machines_example())}
     page, text = uncertain_section(uncertain), "\n".join(uncertain_lines(uncertain["summary"]))
@@ -232,7 +258,10 @@ def test_the_page_and_the_summary_say_what_nothing_known_exactly_costs():
         "own simulator",
     ):
         assert said in page, said
-    assert page.count("<img") == 4 and "2.00 [1.00-3.00]" in page
+    assert page.count("<img") == 2 * 4 and "2.00 [1.00-3.00]" in page
+    assert ">machine 0</label>" in page and ">machine 1</label>" in page and "(seeds 0, 1), n_e = 2" in page
+    one = uncertain_section(uncertain | {"machines": machines_example()[:1]})
+    assert "<label" not in one and "one machine (seed 0), n_e = 2" in one
     assert "2.00 [1.00-3.00]" in text and "Coulomb friction" in text and "6 of 10" in text
     whole = [dict(row, numbers=[dict(n, springs=None) for n in row["numbers"]]) for row in machines_example()]
     alone = {"off": UNKNOWN, "machines": whole, "summary": compared(whole)}
@@ -400,8 +429,7 @@ def test_the_demo_finds_what_is_true(tmp_path):
     assert level["low"] < HIDDEN.level < level["high"] < 1.2 * HIDDEN.level
     assert hidden["heldout"] == [2] and hidden["gap"]["after"] < 0.5 * hidden["gap"]["before"]
     assert hidden["torque"]["shoulder"]["after"] < 0.5 * hidden["torque"]["shoulder"]["before"]
+    browser.assert_fine(tmp_path / "study" / "index.html")
     text = (tmp_path / "study" / "index.html").read_text()
-    assert (
-        all(heading in text for heading in ("Table I", "Table II", "When nothing is known exactly", "A hidden effect"))
-        and "http://" not in text
-    )
+    headings = ("Table I", "Table II", "When nothing is known exactly", "A hidden effect")
+    assert all(heading in text for heading in headings) and data_of(text)["positions"][1] == "position 1"
