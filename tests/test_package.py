@@ -281,7 +281,7 @@ MAY_IMPORT = {
     "plot": IO | {"trajectory", "calibration", "plot"},
     "pipeline": IO,
     "identification": WHOLE | {"identification"},
-    "report": WHOLE | {"plot", "identification", "report"},
+    "report": WHOLE | {"plot", "identification", "gap", "report"},
     "study": WHOLE | {"plot", "identification", "report", "gap", "batch", "study"},
     "batch": WHOLE | {"report", "batch"},
     "cli": WHOLE | {"examples", "plot", "identification", "report", "study", "gap", "batch", "cli"},
