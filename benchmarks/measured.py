@@ -176,7 +176,47 @@ def large() -> str:
     return table(head, [*told, ["two workers", gain.strip()]])
 
 
+def kept() -> str:
+    """What a fit and a simulation take, by processor time."""
+    fit, simulation = results("fit.txt"), results("simulation.txt")
+    whole = _found(r"jaxfrf\.fit\(starts=20\) +[\d.]+ +([\d.]+) +\d+ +(\d+)/20 +(\d+) times / (\d+) times", fit)
+    one = fit.partition("One start")[2]
+    times = [_found(rf"^ *{name}, differences .*\s([\d.]+) \([\d.-]+\)$", one)[0] for name in ("BFGS", "least_squares")]
+    steps = max(float(x) for x in re.findall(r"([\d.]+) times as fast per core", simulation))
+    runs, of, minutes = _found(r"(\d+) of (\d+) runs.*or ([\d.]+) min with 1", simulation)
+    of_fit, of_simulation = (
+        (_origin(name, text),) for name, text in (("fit.txt", fit), ("simulation.txt", simulation))
+    )
+    model = "7 positions, 336 lines, 36 elements, 22 parameters"
+    rivals = "SciPy's BFGS / `least_squares` with differences on vectorised NumPy"
+    rows = [
+        (f"gray-box fit, {model}: twenty starts", f"{whole[0]} s ({whole[1]} of 20 at the best cost)", *of_fit),
+        (f"the same, a start: against {rivals}", f"{whole[2]} / {whole[3]} times", *of_fit),
+        ("one descent on all lines against the same", f"{' / '.join(times)} times", *of_fit),
+        (
+            "simulated R3X, against MuJoCo's steps alone (RK4, .25 ms, its fastest as exact)",
+            f"{steps:g} times",
+            *of_simulation,
+        ),
+        (f"the paper's {of} experiments of 28 s, from a run of {runs} of them", f"{minutes} min", *of_simulation),
+    ]
+    return table(["what", "processor time, one core", "commit"], rows)
+
+
+def _found(pattern: str, text: str) -> tuple[str, ...]:
+    found = re.search(pattern, text, flags=re.MULTILINE)
+    if found is None:
+        raise SystemExit(f"results: nothing like {pattern}.")
+    return found.groups()
+
+
+def _origin(name: str, text: str) -> str:
+    (commit,) = _found(r"^commit (\w+)", text)
+    return f"[{commit}]({LINK}{name})"
+
+
 TABLES: dict[str, Callable[[], str]] = {
+    "kept": kept,
     "speed": speed,
     "coverage": coverage,
     "calibration": calibration,
