@@ -1,4 +1,4 @@
-"""What the values of one channel show without any model: clipping, quantisation, stretches held, wrap-around."""
+"""What the values of one channel show without any model: clipping, quantisation, stretches held."""
 
 from collections.abc import Iterator
 
@@ -42,11 +42,6 @@ _HELD_RARE = 1e-3  # of the samples equal to the one before, of a signal that ha
 _HELD_STEPS = 4.0  # quanta that it jumps by: a coarse sensor at rest jumps by one
 _HELD_OFTEN = 8  # stretches: more of them are how the signal is (stiction, a slow sensor)
 _SLOW_UPDATE = 0.45  # share of samples equal to the one before, of a signal that is sampled faster than it is updated
-
-_WRAP_RANGE = 0.5  # of the range, that a wrapped signal jumps by in one sample ...
-_WRAP_NEAR = 0.25  # ... from this near one end to this near the other, ...
-_WRAP_USUAL = 2.0  # ... by more than this many times 99 % of the other steps ...
-_WRAP_MIDDLE = 0.2  # ... though this part of its samples stands in the middle half, as that of a square wave does not
 
 
 @of_channels("uyr")
@@ -297,32 +292,6 @@ def _leave_out(c: Channel, start: int, stop: int) -> str:
     if c.period:
         return "record again"
     return f"--set samples=0:{start}" if start > len(c.x) - stop else f"--set samples={stop}:{len(c.x)}"
-
-
-@of_channels("uy")
-def wrapped(c: Channel) -> Iterator[Finding]:
-    """Jumps from near one end of the range to near the other, in one sample: a counter that overflows."""
-    size, (low, high) = c.steps, c.ends
-    jumps = np.flatnonzero(size > _WRAP_RANGE * (high - low))
-    jumps = jumps[(jumps > 1) & (jumps < len(size) - 2)]
-    if not jumps.size or jumps.size > 0.05 * len(size):
-        return
-    near = _WRAP_NEAR * (high - low)
-    before, after = c.x[jumps], c.x[jumps + 1]
-    across = ((before > high - near) & (after < low + near)) | ((before < low + near) & (after > high - near))
-    middle = np.mean(np.abs(c.x - (high + low) / 2) < (high - low) / 4)
-    turn = np.median(size[jumps])
-    usual = np.quantile(size, 0.99 - min(jumps.size / len(size), 0.05))
-    if across.mean() > 0.8 and middle > _WRAP_MIDDLE and size[jumps].min() > _WRAP_USUAL * usual:
-        yield c.finding(
-            "wrapped",
-            Severity.REFUSED,
-            float(turn),
-            f"jumps {jumps.size} times by {number(turn, 6)} from one end of its range to the other, first at "
-            f"sample {int(jumps[0]) + 1}, and goes on as before: a counter that overflowed. Unwrap it before it "
-            f"is used (numpy.unwrap(x, period={number(turn, 6)})).",
-            samples=(int(jumps[0]), int(jumps[-1]) + 2),
-        )
 
 
 def dead(record: Record) -> Iterator[Finding]:

@@ -11,12 +11,13 @@ from .clock import clock
 from .finding import Finding, Severity, shifted
 from .gain import gain_drift
 from .glitch import glitch
-from .levels import clipped, coarse, dead, held, saturated, wrapped
+from .levels import clipped, coarse, dead, held, saturated
 from .period import contradicted, quiet_lines
 from .record import OfChannels, Record
 from .samples import disturbed, lost, spikes
 from .steadiness import drift, noise, odd_period
 from .timing import jitter, noncausal
+from .wrapped import wrapped
 
 Check = Callable[[Record], Iterator[Finding]] | OfChannels
 
