@@ -24,6 +24,12 @@ _TOO_DIFFERENT = 0.3  # energy of the difference over that of the signal, from w
 _EXPLAINED = 0.4  # of the difference, that is left after the shift
 _LIKE_NOISE = 4.0  # energy that is left over what it is where nothing happened
 _SURE = 8.0  # the same in standard deviations of chance
+_END_BLOCKS = 3  # of either end, where a stretch may be too short for what is above; there ...
+_END_LAGS = 64  # ... up to so many samples are looked for, ...
+_END_SHORTEST = 8  # ... and so many must differ, ...
+_END_SURE = 40.0  # ... by this many times more energy than one sample of the usual: e^20 against 2e4 lags and places
+_END_USUAL = 0.9  # of the blocks have less energy than the usual one
+_END_EXPLAINED = 0.25  # of the difference may be left
 _DISTURBED = 30.0  # energy of a block over that of the quieter half ...
 _DISTURBED_FEW = 300.0  # ... with two or three periods, which do not show what is usual at each place
 _DISTURBED_SHARE = 0.5  # of all difference, in ...
@@ -40,7 +46,7 @@ _FLOOR = 1e-4  # of the rms: differences below it do not matter
 @of_channels("uyr")
 def lost(c: Channel) -> Iterator[Finding]:
     """Samples that are missing or doubled somewhere in two periods or more."""
-    if c.n_periods > 1 and (found := _shift(c)) is not None:
+    if c.n_periods > 1 and (found := _shift(c) or _at_ends(c)) is not None:
         lag, at, effect = found
         what = f"has lost {_samples(lag)}" if lag > 0 else f"holds {_samples(-lag)} too many"
         leave = _leave_out(c, at, at + 1)
@@ -203,6 +209,45 @@ def _shift(c: Channel) -> tuple[int, int, float] | None:
     share = min(found.stop - found.start, n) / len(x)
     effect = float(np.sqrt(np.mean((difference[found.start : found.stop]) ** 2)) / x.std() * np.sqrt(share))
     return found.lag, c.first + at, effect
+
+
+def _at_ends(c: Channel) -> tuple[int, int, float] | None:
+    """The same near the end of the record, or its beginning, where less than two blocks are shifted."""
+    x, n = c.x[c.first :], c.period
+    energy, width = _blocks(np.diff(c.steady, axis=0) ** 2, n)
+    usual = np.quantile(energy, _END_USUAL) / width + (_FLOOR * x.std()) ** 2
+    for late, y in ((True, x), (False, x[::-1])):
+        found = _at_end(y, n, min(_END_BLOCKS * width, n // 2), usual)
+        if found is not None:
+            lag, length, energy_there = found
+            effect = float(np.sqrt(energy_there / len(x)) / x.std())
+            return lag, c.first + (len(x) - length if late else length), effect
+    return None
+
+
+def _at_end(x: np.ndarray, n: int, length: int, usual: float) -> tuple[int, int, float] | None:
+    """Samples lost so many samples before the end of x, by the period before; and the energy of the difference."""
+    last = x[-length:]
+    reach = min(_END_LAGS, length // 2)
+    from_end = len(x) - n - length
+    if from_end < reach:
+        return None
+    lags = np.array([k for k in range(-reach, reach + 1) if k])
+    before = (last - x[from_end : from_end + length]) ** 2
+    shifted = np.lib.stride_tricks.sliding_window_view(x[from_end - reach : from_end + length + reach], length)
+    after = (last - shifted[lags + reach]) ** 2
+    tails = lambda e: np.cumsum(e[..., ::-1], axis=-1)  # over the last 1, 2, ... samples
+    more, less = tails(before), tails(after)
+    long = np.arange(1, length + 1)
+    gain = np.where(
+        (less <= _END_EXPLAINED * more) & (less <= _LIKE_NOISE * usual * long) & (long >= _END_SHORTEST),
+        more - less,
+        0.0,
+    )
+    k, at = np.unravel_index(np.argmax(gain), gain.shape)
+    if gain[k, at] <= _END_SURE * usual:
+        return None
+    return int(lags[k]), int(at) + 1, float(more[at])
 
 
 def _best_lag(a, b, high, width: int, n: int, energy, usual: float) -> _Shift | None:

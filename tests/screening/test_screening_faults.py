@@ -73,6 +73,26 @@ def test_doubled_samples_of_two_periods(record, at, count):
     assert f"holds {count} sample" in the_one(found, "lost", signal="y", exp=1).says
 
 
+@pytest.mark.parametrize("name", ["u", "y"])
+@pytest.mark.parametrize("count", [1, 3, 20, -1])
+@pytest.mark.parametrize("tail", [15, 30, 70])
+def test_samples_lost_near_the_end_of_two_periods(record, name, count, tail):
+    """What comes after is filled from the next period, as by a logger that goes on to its number of samples."""
+    at, x = 2 * PERIOD - tail, record[name][1]
+    moved = np.arange(at, 2 * PERIOD) + count if count > 0 else np.r_[at : at - count, at : 2 * PERIOD + count]
+    x[at : 2 * PERIOD] = x[moved].copy()
+    found = the_one(examine(record, 2), "lost", signal=name, exp=1)
+    assert abs(found.samples[0] - at) <= 20
+    assert f"has lost {count} sample" in found.says or (count < 0 and "1 sample too many" in found.says)
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_samples_lost_near_the_beginning_of_two_periods(record, count):
+    record["y"][1, : 25 + count] = np.r_[record["y"][1, PERIOD - count : PERIOD], record["y"][1, :25]]
+    found = the_one(examine(record, 2), "lost", signal="y", exp=1)
+    assert abs(found.samples[0] - 25 - count) <= 15 and f"{count} sample" in found.says
+
+
 def test_held_zeroed_and_disturbed_stretches(record):
     record["y"][0, 2300:2420, 1] = record["y"][0, 2300, 1]
     record["u"][3, 4100:4130, 0] = 0.0
