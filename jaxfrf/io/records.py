@@ -160,7 +160,7 @@ def writing(
 def _read_one(paths: Sequence[pathlib.Path], given: Given) -> tuple[Experiment, bool]:
     """The record in one file, or the one whose channels several files hold, screened; and whether its q is a mean."""
     path = paths[0] if len(paths) == 1 else pathlib.Path(" + ".join(x.name for x in paths))
-    variables = load(path) if len(paths) == 1 else joined({x: load(x) for x in paths})
+    variables = load(path) if len(paths) == 1 else joined({x: load(x) for x in paths}, given.anyway)
     sources = tuple(source_of(x) for x in paths)
     data, remarks, mean = _record(File(path, _with_units(variables), given), sources)
     del variables  # the arrays live on in `data` alone

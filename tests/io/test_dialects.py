@@ -1,5 +1,7 @@
 """What people log: several files, units, structs of other programs, tables without headings, MDF, Parquet."""
 
+import re
+
 import numpy as np
 import pytest
 import scipy.io
@@ -29,8 +31,30 @@ def test_one_record_in_several_files(tmp_path):
     with pytest.raises(jf.InputError, match=r"found 'a'; expected FILE:NAME with one of u\.csv, y\.csv"):
         jf.io.read(u, y, names={"u": "u.csv:a", "y": "a"})
     late = table(tmp_path / "y.csv", "t,a", T + 0.002, Y)
-    with pytest.raises(jf.InputError, match="one clock for all files"):
+    with pytest.raises(jf.InputError, match="one time for all files"):
         jf.io.read(u, late, names={"u": "u.csv:a", "y": "y.csv:a"})
+
+
+@pytest.mark.parametrize("names", [("time", "Zeit"), ("Time [s]", "timestamp"), ("t", "time [ms]"), ("time", "t")])
+def test_files_of_one_record_by_clocks_that_differ(tmp_path, names):
+    a, b = names
+    other = 1e3 if "ms" in b else 1.0
+    u = table(tmp_path / "u.csv", f"{a},tau", T, U)
+    what = {"names": {"u": "u.csv:tau", "y": "y.csv:w"}, "values": {**PERIOD, "fs": 1000.0, "y_quantity": "velocity"}}
+    y = table(tmp_path / "y.csv", f"{b},w", T * other, Y)
+    assert jf.io.read(u, y, **what).n_time == len(T)
+    for time, says in (
+        (2 * T, "steps of 0.002 s, which are 0.001 s by"),
+        (T * 1.01, "steps of 0.00101 s, which are"),
+        (T + 0.3, "a beginning at 0.3 s, which is 0 s by"),
+        (T[:-10], f"{len(T) - 10} samples, which are {len(T)}"),
+        (T + 0.0006 * (T > 0.03) * (T < 0.06), "times that are others"),
+    ):
+        y = table(tmp_path / "y.csv", f"{b},w", time * other, Y[: len(time)])
+        with pytest.raises(jf.InputError, match=re.escape(says)):
+            jf.io.read(u, y, **what)
+        if len(time) == len(T) and "t" not in names:
+            assert jf.io.read(u, y, anyway=True, **what).n_time == len(T)
 
 
 @pytest.mark.parametrize("heading", ["time [ms],M [mNm],n [rpm]", "time,M,n\nms,mNm,rpm"])
