@@ -15,6 +15,15 @@ _COMMENTS = ("#", "%")
 _SEPARATORS = (";", "\t", ",", None)
 _HEADING = re.compile(r"(?P<name>[^\[(]*\w[^\[(]*)[\[(](?P<unit>[^\[\]()\d]{1,9}\d?|1/[^\[\]()\d]{1,8}\d?)[\])]")
 _LOOK = 20  # last lines that tell the separator
+_SEP = re.compile(r"sep=.", re.IGNORECASE)  # a line for spreadsheets
+_QUOTED = {q: re.compile(rf"{q}([^{q}]*){q}") for q in "\"'"}
+_DECIMAL_COMMA = re.compile(r"[-+]?(\d{1,3}(\.\d{3})+|\d*),\d+([eE][-+]?\d+)?")
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+\.\d*")
+_HIDDEN = {ord(c): 0xE000 + ord(c) for c in ",;\t "}  # separators within quotes, in Unicode's private area
+_SHOWN = {hidden: shown for shown, hidden in _HIDDEN.items()}
+_NUMBERED = re.compile(r"\d{1,3}")  # a heading, beside others that are words
+_QUOTES = re.compile(r"\"|'")
+_WORD = re.compile(r"[^\W\d].*", re.DOTALL)
 
 
 def load(path: pathlib.Path) -> dict[str, Leaf]:
@@ -24,9 +33,11 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
     order); one may end every line. A comma between digits is a decimal comma where something else separates. Lines that
     begin with `#` or `%` are comments. Before the numbers may stand lines of text; the last one with as many fields as
     the table holds the headings (as `numpy.savetxt` writes them, commented or not), but for one line of units below it.
-    UTF-8 and UTF-16 are read, with or without a mark at the beginning.
+    UTF-8 and UTF-16 are read, with or without a mark at the beginning. Fields may stand in quotes, numbers too, which
+    then hold a decimal comma or thousands if they like; a first line `sep=;` is left out.
     """
     lines = _text(path).splitlines()
+    lines = _unquoted(lines[1:] if lines and _SEP.fullmatch(lines[0].strip('"\r\n')) else lines)
     if lines and lines[0].startswith("LabVIEW Measurement"):
         lines = _labview(lines)
     numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.startswith(_COMMENTS)]
@@ -39,6 +50,9 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
         text = [line.rstrip(" ").removesuffix(separator) for line in text]
     table = _numbers(path, numbered, separator)
     headings = _headings(text, separator, table.shape[1])
+    if headings is None and text:  # separated by something else than the numbers
+        split = (_fields(text[-1], c) for c in _SEPARATORS)
+        headings = next((fields for fields in split if len(fields) == table.shape[1]), None)
     if headings is None and text:
         _check_headings(path, _fields(text[-1], separator), table.shape[1])
     if headings is None:
@@ -81,6 +95,27 @@ def _text(path: pathlib.Path) -> str:
         return data.decode("cp1252", errors="replace")
 
 
+def _unquoted(lines: list[str]) -> list[str]:
+    """Lines whose quoted fields hold no separators. Numbers lose their quotes where the last line has quoted ones, so
+    that headings in quotes over plain numbers stay what they are."""
+    last = next((line for line in reversed(lines) if line.strip()), "").lstrip()
+    quote = "'" if last.startswith("'") or (lines and lines[0].startswith("'")) else '"'
+    if not any(quote in line for line in lines):
+        return lines
+    numbers = quote in last
+
+    def field(match: re.Match) -> str:
+        text = match[1].strip()
+        if numbers and _DECIMAL_COMMA.fullmatch(text):
+            return text.replace(".", "").replace(",", ".")
+        if numbers and _THOUSANDS.fullmatch(text):
+            return text.replace(",", "")
+        hidden = text.translate(_HIDDEN)
+        return hidden if numbers else f"{quote}{hidden}{quote}"
+
+    return [_QUOTED[quote].sub(field, line) if quote in line else line for line in lines]
+
+
 def _labview(lines: list[str]) -> list[str]:
     """The table of a `.lvm` file: what stands below its last header, without columns that are empty (the comments, and
     the time where none was logged)."""
@@ -119,10 +154,19 @@ def _preamble(numbered, separator) -> tuple[list[str], list]:
         if len(fields) > 1 and not fields[-1]:
             fields = fields[:-1]
         numbers = [_is_number(field, separator) for field in fields]
+        if _QUOTES.match(line.lstrip()) or (line is numbered[0][1] and _named(fields, numbers)):
+            return False
         return all(numbers) or (any(numbers) and len(_fields(line, separator)) == width)
 
     first = next((i for i, (_, line) in enumerate(numbered) if begins(line)), len(numbered))
     return [line for _, line in numbered[:first]], numbered[first:]
+
+
+def _named(fields: list[str], numbers: list[bool]) -> bool:
+    """Whether these are headings of which some are numbers: `t,1,2`; the others are words."""
+    words = [field for field, is_number in zip(fields, numbers, strict=True) if not is_number]
+    counted = [field for field, is_number in zip(fields, numbers, strict=True) if is_number]
+    return bool(words) and all(_WORD.match(x) for x in words) and all(_NUMBERED.fullmatch(x) for x in counted)
 
 
 def _headings(text: list[str], separator: str | None, width: int) -> list[str] | None:
@@ -143,7 +187,7 @@ def _are_units(fields: list[str]) -> bool:
 
 
 def _fields(line: str, separator: str | None) -> list[str]:
-    return [field.strip().strip("\"'") for field in line.strip(" \r\n").split(separator)]
+    return [field.strip().strip("\"'").translate(_SHOWN) for field in line.strip(" \r\n").split(separator)]
 
 
 def _plain(field: str, separator: str | None) -> str:

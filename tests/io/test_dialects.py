@@ -173,3 +173,38 @@ def test_mdf(tmp_path):
     data = jf.io.read(tmp_path / "a.mf4", names={"u": "M", "y": "n"}, values=PERIOD)
     np.testing.assert_allclose(data.u[0, 0, :, 0], U, rtol=1e-12)
     assert abs(data.fs - 1000) < 1e-6
+
+
+def _comma(x):
+    return f"{x:.6f}".replace(".", ",")
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " ; "])
+@pytest.mark.parametrize("written", [repr, _comma, "{:,.6f}".format], ids=["points", "commas", "thousands"])
+@pytest.mark.parametrize("first", ["", "sep=;\n"])
+def test_numbers_in_quotes(tmp_path, separator, written, first):
+    path = tmp_path / "a.csv"
+    if "," in written(1000.5) and separator != " ; " and first:
+        first = ""
+    columns = [T, 3000.0 * U, Y]
+    rows = [separator.join(f'"{written(float(x))}"' for x in row) for row in zip(*columns, strict=True)]
+    path.write_text(first + "\n".join([separator.join(['"t"', '"torque, motor"', '"y"']), *rows]))
+    data = jf.io.read(path, names={"u": "torque, motor"}, values=PERIOD)
+    np.testing.assert_allclose(data.u[0, 0, :, 0], 3000 * U, atol=1e-6)
+    np.testing.assert_allclose(data.y[0, 0, :, 0], Y, atol=1e-6)
+
+
+@pytest.mark.parametrize("heading", ["t,1,2", '"t","1","2"', "t;1;2", "t\t1\t2", '"0","1","2"', 't,"1",2'])
+def test_headings_of_which_some_are_numbers(tmp_path, heading):
+    path = table(tmp_path / "a.csv", heading, T, U, Y)
+    names = {"t": "0" if "0" in heading else "t", "u": "1", "y": "2"}
+    data = jf.io.read(path, names=names, values=PERIOD)
+    assert data.n_time == len(T)
+    np.testing.assert_array_equal(data.u[0, 0, :, 0], U)
+
+
+def test_a_broken_first_row_is_no_heading(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,u,y\nOVL,1,2\n" + "\n".join(f"{a},{b},{c}" for a, b, c in zip(T, U, Y, strict=True)))
+    with pytest.raises(jf.InputError, match="line 2, column 1: found 'OVL'"):
+        jf.io.read(path, values=PERIOD)
