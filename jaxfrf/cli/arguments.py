@@ -11,6 +11,8 @@ from typing import Any
 
 from .._errors import InputError, OutputError, input_error
 from .._files import check_readable, check_writable
+from ..io._toml import read_toml
+from .known_methods import check_method
 from .progress import wipe_progress
 
 _SMALLEST = 1e9  # bytes, that Python, JAX and a block take
@@ -224,12 +226,24 @@ _READ = {
 }
 
 
+_TOML = {
+    "robot": ("a robot in TOML", "`jaxfrf example -o run.nc --robot-out ROBOT.toml` writes one."),
+    "design": ("a design in TOML", "The module jaxfrf.io.designs shows every key."),
+}
+
+
 def check_inputs(given: argparse.Namespace) -> None:
     """Files that are not there, and the syntax of options, before anything large is imported."""
+    if hasattr(given, "method"):
+        check_method(given.method, options_of(given.option))
+    for name, kind in (("periods", int), ("band", float)):
+        range_of(f"--{name}", getattr(given, name, None), kind)
     for name, what in _READ.items():
         paths = getattr(given, name, None) or ()
         for path in [paths] if isinstance(paths, str) else paths:
             check_readable(pathlib.Path(path), what)
+            if name in _TOML and str(path).lower().endswith(".toml"):
+                read_toml(pathlib.Path(path), *_TOML[name])
     _check_variables(given)
 
 
