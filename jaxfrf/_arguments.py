@@ -1,12 +1,15 @@
 """Arguments of public functions: a wrong kind of thing gets a message that says how to make the right one."""
 
+import os
 import pathlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ._errors import InputError, input_error
 
+_LARGEST = 2**53  # whole numbers that a float holds
 _SAID = 60  # letters of a value in a message
 
 _MADE = {
@@ -33,6 +36,47 @@ def expect(name: str, value: Any, *kinds: type) -> None:
     """
     if not isinstance(value, kinds):
         raise wrong_kind(name, value, " or ".join(f"{_article(k.__name__)} jaxfrf.{k.__name__}" for k in kinds), *kinds)
+
+
+def expect_each(name: str, values: Any, kind: type) -> None:
+    """Refuse what is no list of these, or an empty one."""
+    if isinstance(values, str | bytes) or not isinstance(values, Sequence) or not values:
+        raise wrong_kind(name, values, f"a list of jaxfrf.{kind.__name__}, one or more", kind)
+    for value in values:
+        expect(name, value, kind)
+
+
+def expect_path(name: str, value: Any) -> None:
+    """Refuse what names no file."""
+    if not isinstance(value, str | os.PathLike):
+        raise input_error(name, _said(value), "the name of a file", "Give it as text or a pathlib.Path.")
+
+
+def expect_text(name: str, value: Any) -> None:
+    if not isinstance(value, str):
+        raise input_error(name, _said(value), "text", "Give it in quotes.")
+
+
+def expect_whole(name: str, value: Any, least: int | None = 0) -> None:
+    """Refuse what is no whole number of this size; of any size with `None`."""
+    try:
+        whole = np.ndim(value) == 0 and not isinstance(value, bool | str | bytes) and int(value) == value
+    except (TypeError, ValueError, OverflowError):
+        whole = False
+    if not whole or abs(value) > _LARGEST or (least is not None and value < least):
+        size = "" if least is None else f", {least} or more"
+        raise input_error(name, _said(value), f"a whole number{size}", "Choose another.")
+
+
+def expect_real(name: str, value: Any) -> None:
+    """Refuse what is no finite real number, or are no such numbers."""
+    try:
+        x = np.asarray(value)
+        real = x.dtype.kind in "iuf" and x.size > 0 and bool(np.all(np.isfinite(x)))
+    except (TypeError, ValueError):
+        real = False
+    if not real:
+        raise input_error(name, _said(value), "finite real numbers", "Check it.")
 
 
 def wrong_kind(name: str, value: Any, expected: str, *kinds: type) -> InputError:

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Complex, Float
 
+from ._arguments import expect_real
 from ._types import Array
 from .excitation import Multisine, SlowSine, log_odd_lines, reference
 from .experiment import Experiment
@@ -74,6 +75,7 @@ def example_response(frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "1 
 
     **Source:** closed form, C (z - A)^-1 B of the sampled system.
     """
+    expect_real("frequency", frequency)
     A, B, C = _discrete()
     z = np.exp(2j * np.pi * np.asarray(frequency) / FS)
     return (C @ np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape))))[None]

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from .._arguments import expect
+from .._arguments import expect, expect_each
 from .._errors import input_error
 from .._types import require_x64
 from ..effects import Payload
@@ -94,6 +94,8 @@ def calibrate(
     """
     expect("robot", robot, Robot)
     require_x64("calibrate")
+    if not isinstance(data, Experiment):
+        expect_each("data", data, Experiment)
     records = [data] if isinstance(data, Experiment) else list(data)
     say = say or (lambda text: None)
     if not robot.n_motors and not robot.n_elastic:

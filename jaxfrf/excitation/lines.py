@@ -9,6 +9,7 @@ import math
 import numpy as np
 from jaxtyping import Int, PRNGKeyArray
 
+from .._arguments import expect_real, expect_whole
 from .._errors import input_error
 from .._memory import check_memory
 from .._text import number
@@ -29,6 +30,10 @@ def band_lines(low: float, high: float, fs: float, period: int) -> tuple[int, in
 
     **Source:** a definition.
     """
+    expect_real("low", low)
+    expect_real("high", high)
+    expect_real("fs", fs)
+    expect_whole("period", period, 1)
     resolution = fs / period
     if not (math.isfinite(low) and math.isfinite(high)):
         raise input_error("band", f"{low:g} to {high:g} Hz", "finite frequencies", "E.g. band = [4.0, 80.0].")
@@ -64,6 +69,8 @@ def full_lines(first: int, last: int) -> Grid:
 
     **Source:** a definition.
     """
+    expect_whole("first", first)
+    expect_whole("last", last)
     first, last = _range(first, last)
     return np.arange(first, last + 1)
 
@@ -83,6 +90,8 @@ def odd_lines(first: int, last: int) -> Grid:
 
     **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, section 4.3.
     """
+    expect_whole("first", first)
+    expect_whole("last", last)
     first, last = _range(first, last)
     return _some(np.arange(first | 1, last + 1, 2), first, last)
 
@@ -101,6 +110,8 @@ def random_odd_lines(first: int, last: int, *, group: int = 4, key: PRNGKeyArray
 
     **Source:** Pintelon & Schoukens, System Identification, 2nd ed. 2012, section 4.3.1.
     """
+    expect_whole("first", first)
+    expect_whole("last", last)
     if group < 2:
         raise input_error("group", f"{group}", "2 or more odd lines", "Groups of 3 to 5 are usual.")
     lines = odd_lines(first, last)
@@ -127,6 +138,9 @@ def log_odd_lines(first: int, last: int, points: int) -> Grid:
     **Source:** the grid of Zimmermann & Moberg, section IV.A (336 log-spaced odd frequencies, 4 to 80 Hz, period 28 s);
     the rounding is this project's own.
     """
+    expect_whole("first", first)
+    expect_whole("last", last)
+    expect_whole("points", points)
     first, last = _range(first, last)
     if points < 1:
         raise input_error("points", f"{points}", "1 or more", "Say how many points to spread over the band.")

@@ -1,11 +1,11 @@
 """Records cut and put together."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from .._arguments import expect
+from .._arguments import expect, expect_whole, wrong_kind
 from .._errors import input_error
 from .experiment import Experiment
 
@@ -20,6 +20,7 @@ def select_periods(data: Experiment, start: int, stop: int | None = None) -> Exp
 
     **Raises:** `jaxfrf.InputError` if the record is not periodic or nothing is left.
     """
+    expect_whole("start", start, None)
     expect("data", data, Experiment)
     if not data.period:
         raise input_error(
@@ -60,6 +61,8 @@ def segments(data: Experiment, length: int) -> Experiment:
 
     **Raises:** `jaxfrf.InputError` if the record has a period (choose whole periods: `select_periods`), or is shorter.
     """
+    expect("data", data, Experiment)
+    expect_whole("length", length)
     n = data.n_time // length if length == int(length) and length >= 8 else 0
     if data.period or n < 1:
         raise input_error(
@@ -98,6 +101,8 @@ def concatenate(records: Sequence[Experiment]) -> Experiment:
     **Raises:** `jaxfrf.InputError` for none, and where they do not fit together (other `fs`, `period`, lines, channels
     or quantities).
     """
+    if not isinstance(records, Iterable):
+        raise wrong_kind("records", records, "a list of jaxfrf.Experiment, one or more", Experiment)
     records = [records] if isinstance(records, Experiment) else list(records)
     for record in records:
         expect("records", record, Experiment)

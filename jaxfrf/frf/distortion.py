@@ -89,8 +89,12 @@ def with_distortion(frf: FRF, data: Experiment, spectra: Spectra | None = None) 
 
     **Returns:** the FRF, with `cov_total` where the record tells it; units and lines stay.
 
+    **Raises:** `jaxfrf.InputError` if `frf` is no FRF or `data` no experiment.
+
     **Source:** as of `jaxfrf.best_linear_approximation`.
     """
+    expect("frf", frf, FRF)
+    expect("data", data, Experiment)
     if not data.period:
         return frf
     try:
@@ -279,6 +283,8 @@ def distortion(unexcited: Spectra, frf: FRF) -> Float[np.ndarray, "pos freq out"
     **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, section 4.3
     (fast method).
     """
+    expect("unexcited", unexcited, Spectra)
+    expect("frf", frf, FRF)
     if unexcited.n_pos != frf.n_pos or (unexcited.n_out, unexcited.n_in) != (frf.n_out, frf.n_in):
         raise input_error(
             "frf",

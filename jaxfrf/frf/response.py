@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
+from .._arguments import expect_each
 from .._types import Array
 from ..experiment import Source
 from .covariance import AbstractFactors, variances
@@ -93,6 +94,7 @@ def concatenate_positions(frfs: Sequence[FRF]) -> FRF:
 
     **Returns:** an FRF of all positions, in this order; what one of them lacks (`None`) none has.
     """
+    expect_each("frfs", frfs, FRF)
     first = frfs[0]
 
     def join(name):

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import norm
 
+from .._arguments import expect
 from .fit import Fit
 
 
@@ -36,6 +37,7 @@ def derived(
 
     **Source:** the delta method, e.g. Casella & Berger, Statistical Inference, 2nd ed. 2002, section 5.5.4.
     """
+    expect("fitted", fitted, Fit)
     x, cov = jnp.asarray(fitted.x), np.asarray(fitted.uncertainty.cov)
     at = lambda x: {name: jnp.asarray(v, float) for name, v in function(fitted.coordinates.values(x)).items()}
     values, slopes = at(x), jax.jacfwd(at)(x)

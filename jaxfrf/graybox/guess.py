@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import equinox as eqx
 import numpy as np
 
+from .._arguments import expect
 from .._errors import input_error
 from .._text import number
 from .._types import require_x64
@@ -69,6 +70,8 @@ def initial_guess(robot: Robot | RobotModel, frf: FRF) -> Guess:
     **Source:** closed form of an inertia on a spring (its eigenfrequency with the motor held, and free); the search
     from there is this project's own.
     """
+    expect("robot", robot, Robot, RobotModel)
+    expect("frf", frf, FRF)
     require_x64("initial_guess")
     model = robot if isinstance(robot, RobotModel) else RobotModel(robot, quantity=frf.y_quantity)
     _check(model, frf)
@@ -94,6 +97,8 @@ def guessed(model: RobotModel, frf: FRF) -> RobotModel:
 
     **Source:** as of `jaxfrf.initial_guess`.
     """
+    expect("model", model, RobotModel)
+    expect("frf", frf, FRF)
     return starting_near(model, initial_guess(model, frf).values)
 
 

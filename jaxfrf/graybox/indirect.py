@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
+from .._arguments import expect
 from .._errors import input_error
 from ..experiment import Experiment
 from ..frf import FRF, LRM, AbstractMethod, JointInputOutput, estimate
@@ -101,6 +102,7 @@ def fit_through_experiment(
     **Source:** Gourieroux, Monfort & Renault, J. Applied Econometrics 8 (1993) S85-S118 (indirect inference); Anderson,
     J. ACM 12 (1965) 547-560 (the acceleration). Its use for FRFs of robots is this project's own.
     """
+    expect("data", data, Experiment)
     method = default_method() if method is None else method
     weights = Weights() if weights is None else weights
     solver = LevenbergMarquardt() if solver is None else solver

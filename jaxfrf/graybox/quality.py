@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float, PyTree
 
+from .._arguments import expect
 from .._errors import input_error
 from .._text import number
 from .._types import Array
@@ -190,6 +191,8 @@ def quality(fitted: Fit, frf: FRF, weights: Weights | None = None, bands: int = 
 
     **Source:** a definition (chi-square, rms); the cells are this project's own.
     """
+    expect("fitted", fitted, Fit)
+    expect("frf", frf, FRF)
     E, _ = Cost(fitted.model, fitted.coordinates, fitted.target).errors(jnp.asarray(fitted.x))
     return residual_quality(np.asarray(E), fitted.target, frf, weights, bands)
 

@@ -89,6 +89,7 @@ def identify(
     **Source:** as of `jaxfrf.fit_through_experiment` and `jaxfrf.fit`.
     """
     expect("robot", robot, Robot)
+    expect("data", data, Experiment, FRF)
     require_x64("identify")
     held = heldout_numbers(heldout, data.n_pos)
     check_data(robot, data)

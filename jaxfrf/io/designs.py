@@ -43,6 +43,7 @@ import jax.random as jr
 import numpy as np
 
 from .. import excitation
+from .._arguments import expect_path
 from .._errors import InputError, input_error
 from ..excitation import PHASES, Multisine, SlowSine
 from ._toml import read_toml
@@ -58,6 +59,7 @@ def read_design(path: str | os.PathLike) -> Multisine:
     **Raises:** `jaxfrf.InputError` naming the file, the key, what was found and what was expected; an
     unknown key is an error that names the nearest known one.
     """
+    expect_path("path", path)
     path = pathlib.Path(path)
     if not path.is_file():
         raise input_error(str(path), "no such file", "a design in TOML", "Check the name and the folder.")

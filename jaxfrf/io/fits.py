@@ -18,6 +18,7 @@ import pathlib
 from collections.abc import Mapping
 from typing import Any
 
+from .._arguments import expect_path
 from .._errors import input_error
 from ..graybox import AbstractModel, Fit
 from ._json import plain_data as plain_data, write_json
@@ -31,6 +32,7 @@ def write_fit(path: str | os.PathLike, contents: Mapping[str, Any]) -> None:
 
     **Raises:** `jaxfrf.InputError` if the folder is not there.
     """
+    expect_path("path", path)
     write_json(path, contents)
 
 
@@ -39,6 +41,7 @@ def read_fit(path: str | os.PathLike) -> dict[str, Any]:
 
     **Raises:** `jaxfrf.InputError` if the file is missing, no JSON, or holds no fit.
     """
+    expect_path("path", path)
     path = pathlib.Path(path)
     if not path.is_file():
         raise input_error(str(path), "no such file", "a fit.json", "Check the name and the folder.")

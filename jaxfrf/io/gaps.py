@@ -29,6 +29,7 @@ import pathlib
 from typing import Any
 
 from .. import __version__
+from .._arguments import expect_path
 from .._errors import input_error
 from ..effects import AbstractEffect
 from ..robot import PARAMETER_UNITS, Robot, parameters
@@ -45,6 +46,7 @@ def write_gap(path: str | os.PathLike, diagnosis: Any) -> None:
 
     **Raises:** `jaxfrf.InputError` if the folder is not there.
     """
+    expect_path("path", path)
     write_json(path, gap_contents(diagnosis))
 
 
@@ -53,6 +55,7 @@ def read_gap(path: str | os.PathLike) -> dict[str, Any]:
 
     **Raises:** `jaxfrf.InputError` if the file is missing, no JSON, or holds no diagnosis.
     """
+    expect_path("path", path)
     path = pathlib.Path(path)
     if not path.is_file():
         raise input_error(str(path), "no such file", "a gap.json", "Check the name and the folder.")

@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
+from .._arguments import expect, expect_path
 from .._errors import input_error
 from .._files import replacing
 from ..robot.drive import Friction, Spring
@@ -27,6 +28,7 @@ def mjcf(robot: Robot, friction: bool = False, timestep: float = 1e-4) -> str:
     **Raises:** `jaxfrf.InputError` for what MuJoCo cannot do: nonlinear springs, a massless last link, a link
     with mass whose inertia no body can have.
     """
+    expect("robot", robot, Robot)
     _check_springs(robot)
     root = ET.Element("mujoco", model=robot.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -50,6 +52,8 @@ def write_mjcf(robot: Robot, path: str | os.PathLike, friction: bool = False, ti
 
     **Raises:** as `mjcf`, and `jaxfrf.InputError` if the folder is not there.
     """
+    expect("robot", robot, Robot)
+    expect_path("path", path)
     with replacing(pathlib.Path(path)) as draft:
         draft.write_text(mjcf(robot, friction, timestep), encoding="utf-8")
 

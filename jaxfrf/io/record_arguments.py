@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from .._arguments import expect_text
 from .._errors import InputError, input_error
 from .._memory import check_memory
 
@@ -33,6 +34,7 @@ def parse_map(text: str) -> dict[str, str]:
 
     **Raises:** `jaxfrf.InputError` if the text is not of this form.
     """
+    expect_text("text", text)
     return check_names(_pairs("--map", text, "u=NAME,y=NAME"))
 
 
@@ -46,6 +48,7 @@ def parse_values(text: str) -> dict[str, object]:
 
     **Raises:** `jaxfrf.InputError` if the text is not of this form.
     """
+    expect_text("text", text)
     return check_values(_pairs("--set", text, "fs=2500,period=2500"))
 
 
@@ -54,6 +57,7 @@ def parse_factor(text: str) -> dict[str, float | tuple[float, ...]]:
 
     **Raises:** `jaxfrf.InputError` if the text is not of this form.
     """
+    expect_text("text", text)
     return check_factor(_pairs("--factor", text, "y=0.0174532925"))
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from .._arguments import expect
+from .._arguments import expect, expect_path
 from .._errors import InputError, input_error
 from .._files import digest
 from .._text import number
@@ -112,6 +112,7 @@ def write(path: str | os.PathLike, data: Experiment) -> None:
 
     **Raises:** `jaxfrf.InputError` if `data` is no experiment, the folder does not exist or the extension is not known.
     """
+    expect_path("path", path)
     expect("data", data, Experiment)
     units = {"u": input_unit(data), "r": UNITS[data.r_quantity], "y": output_unit(data)}
     variables = {}

@@ -25,7 +25,7 @@ import pathlib
 import numpy as np
 
 from .. import __version__
-from .._arguments import expect
+from .._arguments import expect, expect_path
 from .._errors import InputError, input_error
 from .._files import replacing
 from ..excitation import PHASES, Multisine, Reference, SlowSine
@@ -92,6 +92,7 @@ def read_reference(path: str | os.PathLike) -> Reference:
 
     **Raises:** `jaxfrf.InputError` naming the file if it is no reference.
     """
+    expect_path("path", path)
     path = pathlib.Path(path)
     found = load(path)
     missing = [name for name in _NEEDED if name not in found]

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex, Float
 
-from .._arguments import expect
+from .._arguments import expect, expect_path
 from .._errors import input_error
 from .._files import digest, replacing
 from .._memory import check_memory
@@ -71,6 +71,7 @@ def write_frf(path: str | os.PathLike, frf: FRF) -> None:
 
     **Raises:** `jaxfrf.InputError` if `frf` is none, the suffix is another, or the folder is not there.
     """
+    expect_path("path", path)
     expect("frf", frf, FRF)
     path = pathlib.Path(path)
     if path.suffix.lower() in UNIVERSAL:
@@ -128,6 +129,7 @@ def read_frf(path: str | os.PathLike) -> FRF:
     **Raises:** `jaxfrf.InputError` if the file is missing, empty, truncated, of another format, or holds no
     FRF.
     """
+    expect_path("path", path)
     path = pathlib.Path(path)
     if path.suffix.lower() in UNIVERSAL:
         from .uff import read_uff

@@ -6,7 +6,7 @@ import pathlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .._arguments import expect
+from .._arguments import expect, expect_path
 from .._errors import input_error
 from .._files import check_readable, replacing
 from ..effects import AbstractEffect
@@ -24,6 +24,7 @@ def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()
     **Raises:** `jaxfrf.InputError` naming file and key: not TOML, a key that is unknown (with the nearest
     known one), missing, or of the wrong type. `OSError` if the file cannot be opened.
     """
+    expect_path("path", path)
     path = pathlib.Path(path)
     if path.suffix.lower() == ".urdf":
         from .urdf import drives_beside, read_urdf
@@ -49,6 +50,7 @@ def write_robot(robot: Robot, path: str | os.PathLike) -> None:
 
     **Raises:** `jaxfrf.InputError` if `robot` is none, a file cannot state it, or the folder is not there.
     """
+    expect_path("path", path)
     expect("robot", robot, Robot)
     with replacing(pathlib.Path(path)) as draft:
         draft.write_text(toml_text(table_from_robot(robot)), encoding="utf-8")

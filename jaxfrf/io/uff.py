@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from .._arguments import expect, expect_path
 from .._errors import input_error
 from .._files import replacing
 from .._text import number
@@ -38,6 +39,8 @@ def write_uff(path: str | os.PathLike, frf: FRF) -> None:
     **Raises:** `ImportError` without pyuff; `jaxfrf.InputError` if there are fewer than two frequencies, or some cannot
     be told apart in 6 digits.
     """
+    expect_path("path", path)
+    expect("frf", frf, FRF)
     pyuff = require("pyuff", "io")
     frequency = np.asarray(frf.frequency)
     _check_frequencies(frequency, str(path))
@@ -50,6 +53,7 @@ def read_uff(path: str | os.PathLike) -> FRF:
 
     **Raises:** `jaxfrf.InputError` if the file is missing, or holds no complete set of FRFs.
     """
+    expect_path("path", path)
     pyuff = require("pyuff", "io")
     path = pathlib.Path(path)
     if not path.is_file():

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .._arguments import expect_path
 from .._errors import input_error
 from .._files import check_readable
 from ..effects import AbstractEffect
@@ -32,6 +33,8 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike, own: Sequence[
     **Raises:** `jaxfrf.InputError` for a tree that is not a serial chain, joints of several freedoms, links without
     the numbers that the dynamics need, and joints that only one of the two files has.
     """
+    expect_path("urdf", urdf)
+    expect_path("drives", drives)
     urdf, drives = pathlib.Path(urdf), pathlib.Path(drives)
     check_readable(urdf, "the URDF that the robot's file names")
     try:

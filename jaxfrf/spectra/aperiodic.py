@@ -77,6 +77,7 @@ def segment_spectra(
 
     **Source:** Welch, IEEE Trans. Audio and Electroacoustics 15 (1967) 70-73.
     """
+    expect("data", data, Experiment)
     n = data.n_time
     length = max(2 * n // 9, 8) if segment is None else int(segment)
     if not 8 <= length <= n:

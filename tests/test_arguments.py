@@ -1,0 +1,84 @@
+"""Wrong arguments of public functions are one sentence: what was found, what was expected, what to do."""
+
+import numpy as np
+import pytest
+
+import jaxfrf as jf
+
+NAN = float("nan")
+U = np.tile(np.random.default_rng(0).standard_normal((50, 1)), (3, 1))
+DATA = jf.Experiment(U, np.roll(U, 1, axis=0), 1000.0, 50)
+LONG = jf.Experiment(U, np.roll(U, 1, axis=0), 1000.0)
+
+WRONG = {
+    "read_robot(None)": lambda: jf.io.read_robot(None),
+    "read_robot(3)": lambda: jf.io.read_robot(3),
+    "read(None)": lambda: jf.io.read(None),
+    "read()": lambda: jf.io.read(),
+    "read_frf([])": lambda: jf.io.read_frf([]),
+    "read_design(nan)": lambda: jf.io.read_design(NAN),
+    "read_fit(None)": lambda: jf.io.read_fit(None),
+    "read_gap(b'x')": lambda: jf.io.read_gap(b"x"),
+    "read_reference(None)": lambda: jf.io.read_reference(None),
+    "read_uff(1)": lambda: jf.io.read_uff(1),
+    "read_urdf(None)": lambda: jf.io.read_urdf(None, None),
+    "write(None, data)": lambda: jf.io.write(None, DATA),
+    "write_frf of data": lambda: jf.io.write_frf("a.nc", DATA),
+    "write_robot of text": lambda: jf.io.write_robot("r3x", "r.toml"),
+    "write_mjcf(None)": lambda: jf.io.write_mjcf(None, "r.xml"),
+    "parse_map(None)": lambda: jf.io.parse_map(None),
+    "parse_values(3)": lambda: jf.io.parse_values(3),
+    "parse_scale({})": lambda: jf.io.parse_scale({}),
+    "segments(nan)": lambda: jf.segments(NAN, 100),
+    "segments of nan": lambda: jf.segments(LONG, NAN),
+    "segments of text": lambda: jf.segments(LONG, "100"),
+    "segments of an array": lambda: jf.segments(LONG, np.zeros(3)),
+    "segments of -1": lambda: jf.segments(LONG, -1),
+    "segments of 1e300": lambda: jf.segments(LONG, 1e300),
+    "segment_spectra(None)": lambda: jf.segment_spectra(None, 100),
+    "select_periods(None)": lambda: jf.select_periods(None, 0),
+    "select_periods of nan": lambda: jf.select_periods(DATA, NAN),
+    "full_lines of text": lambda: jf.full_lines("1", 9),
+    "full_lines of nan": lambda: jf.full_lines(1, NAN),
+    "odd_lines(None)": lambda: jf.odd_lines(None, 9),
+    "random_odd_lines(-1)": lambda: jf.random_odd_lines(-1, 9, key=None),
+    "log_odd_lines of []": lambda: jf.log_odd_lines(1, 99, []),
+    "band_lines of period 0": lambda: jf.band_lines(1.0, 9.0, 1000.0, 0),
+    "band_lines of inf": lambda: jf.band_lines(1.0, np.inf, 1000.0, 50),
+    "estimate(None)": lambda: jf.estimate(None, jf.H1()),
+    "estimate by a name": lambda: jf.estimate(DATA, "h1"),
+    "dft of a file": lambda: jf.dft("run.nc"),
+    "examine([])": lambda: jf.examine([]),
+    "screen(None)": lambda: jf.screen(None),
+    "Experiment of nothing": lambda: jf.Experiment(np.zeros(0), np.zeros(0), 1000.0),
+    "Experiment at nan Hz": lambda: jf.Experiment(U, U, NAN),
+    "Experiment at -1 Hz": lambda: jf.Experiment(U, U, -1.0),
+    "Experiment of other lengths": lambda: jf.Experiment(U, U[:-1], 1000.0),
+    "Experiment of NaN": lambda: jf.Experiment(U * NAN, U, 1000.0),
+    "distortion of data": lambda: jf.distortion(DATA, DATA),
+    "with_distortion(None)": lambda: jf.with_distortion(None, DATA),
+    "concatenate([])": lambda: jf.concatenate([]),
+    "concatenate(None)": lambda: jf.concatenate(None),
+    "concatenate of arrays": lambda: jf.concatenate([U]),
+    "concatenate_positions([])": lambda: jf.concatenate_positions([]),
+    "concatenate_positions of data": lambda: jf.concatenate_positions([DATA]),
+    "random_positions(nan)": lambda: jf.random_positions(NAN, None),
+    "random_positions(-3)": lambda: jf.random_positions(-3, None),
+    "example_response([])": lambda: jf.example_response(np.zeros(0)),
+    "quality(None)": lambda: jf.quality(None, None),
+    "derived(None)": lambda: jf.derived(None, lambda x: x),
+    "initial_guess(None)": lambda: jf.initial_guess(None, None),
+    "identify of None": lambda: jf.identify(jf.robot.r3x(), None),
+    "calibrate of None": lambda: jf.calibrate(jf.robot.r3x(), None),
+    "identify(None)": lambda: jf.identify(None, None),
+    "calibrate(None)": lambda: jf.calibrate(None, None),
+    "calibrate of files": lambda: jf.calibrate("r.toml", ["a.nc"]),
+    "modal of data": lambda: jf.modal(DATA),
+    "fit of arrays": lambda: jf.fit(None, U),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_argument_is_one_sentence(name):
+    with pytest.raises(jf.InputError, match=r"found .+; expected .+\."):
+        WRONG[name]()
