@@ -21,6 +21,8 @@ _NEAR_DAMPING_ABSOLUTE = 0.002
 _OFTEN = 0.4  # of the orders above the one where it came up first that a mode is found at
 _LARGEST_DAMPING = 0.5  # more is no resonance
 _SIGNIFICANT = 4.0  # standard deviations of its residues, root mean square over the elements
+_MISSED = 2.0  # misfit from which a mode is fitted to the lines around it, too, to see what the others do to it
+_AROUND, _FEWEST = 8.0, 16  # half widths of the resonance on either side; lines
 _SURE = 0.5  # relative standard deviation of a damping beyond which nothing is known of it
 
 
@@ -114,10 +116,14 @@ def modal(
     elements is fitted with the modes, and left out where it is not significant.
 
     Standard deviations are those of this fit (Cramer-Rao), with the misfit, and with lines that share data (`window`)
-    counted as fewer. Where no mode at all is found and much is left, a hundredth of |G| stands in the place of smaller
-    standard deviations, for `misfit` too. Biased: modes smoothed by a window wider than their resonance look more
-    damped, and closely spaced modes of a record with few lines may be taken as one; delays that differ between channels
-    misfit towards high lines. Fails where fewer than three lines lie in a resonance.
+    counted as fewer. Where much is left (`misfit` above 2: dynamics that are no modes, such as a drive's lag), every
+    mode is fitted once more to the lines around it alone, with a background and a delay of its own, and how far its
+    frequency and damping move widens their standard deviations: the 95 % interval reaches where they move to. Where no
+    mode at all is found and much is left, a hundredth of |G| stands in the place of smaller standard deviations, for
+    `misfit` too. Biased: modes smoothed by a window wider than their resonance look more damped, and closely spaced
+    modes of a record with few lines may be taken as one; delays that differ between channels misfit towards high lines;
+    lags within the band pull modes by more than the widened interval now and then: choose a `band` around the mode.
+    Fails where fewer than three lines lie in a resonance.
 
     **Arguments:**
 
@@ -148,6 +154,8 @@ def modal(
     table, fitted, dropped = found(std)
     if not len(fitted.poles) and std is not None and fitted.misfit > _HOPELESS:
         table, fitted, dropped = found(np.maximum(std, _LINEAR * np.abs(G)))
+    if fitted.misfit > _MISSED:
+        fitted = _widened(fitted, s, G, std, background, shared)
     n_out, n_in = G.shape[1:]
     scale = fitted.misfit if np.isfinite(fitted.misfit) else 1.0
     return ModalModel(
@@ -342,6 +350,34 @@ def _doubtful(fitted: PoleFit) -> np.ndarray:
     loose = fitted.damping_std / np.abs(fitted.damping)
     unlikely = (fitted.damping <= 0) | (fitted.damping > _LARGEST_DAMPING)
     return (_strength(fitted) < _SIGNIFICANT) | ~(loose < _SURE) | unlikely
+
+
+def _widened(fitted: PoleFit, s, G, std, background, shared: float) -> PoleFit:
+    """Standard deviations with how far each mode moves where lines far from it do not count."""
+    moved = np.array([_moved(fitted, i, s, G, std, background, shared) for i in range(len(fitted.poles))]).reshape(
+        -1, 2
+    )
+    return fitted._replace(
+        frequency_std=np.hypot(fitted.frequency_std, moved[:, 0] / 1.96),
+        damping_std=np.hypot(fitted.damping_std, moved[:, 1] / 1.96),
+    )
+
+
+def _moved(fitted: PoleFit, i: int, s, G, std, background, shared: float) -> tuple[float, float]:
+    """Of frequency, Hz, and damping, beyond what the fit around the mode does not know itself; 0 where it fails."""
+    at, damping = abs(fitted.poles[i]), fitted.damping[i]
+    away = np.abs(np.abs(s) - at)
+    wide = max(_AROUND * damping * at, np.sort(away)[min(_FEWEST, len(s)) - 1])
+    near = away <= wide
+    inside = np.abs(np.abs(fitted.poles) - at) <= wide
+    part = lambda x: None if x is None else x[near].reshape(np.count_nonzero(near), -1)
+    local = fit_poles(s[near], part(G), part(std), fitted.poles[inside], background[near], shared=shared, delay=None)
+    j = int(np.argmin(np.abs(local.poles - fitted.poles[i])))
+    by = (abs(local.poles[j]) - at) / (2 * np.pi), local.damping[j] - damping
+    known = local.frequency_std[j], local.damping_std[j]
+    if not (np.isfinite(known).all() and 0 < local.damping[j] < _LARGEST_DAMPING):
+        return 0.0, 0.0
+    return tuple(float(np.sqrt(max(b**2 - k**2, 0.0))) for b, k in zip(by, known, strict=True))  # type: ignore[return-value]
 
 
 def _strength(fitted: PoleFit) -> np.ndarray:

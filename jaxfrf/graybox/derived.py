@@ -35,6 +35,8 @@ def derived(
 
     **Returns:** by name: value, standard deviation and interval, in the unit that the function gives.
 
+    **Raises:** `jaxfrf.InputError` if `fitted` is no fit.
+
     **Source:** the delta method, e.g. Casella & Berger, Statistical Inference, 2nd ed. 2002, section 5.5.4.
     """
     expect("fitted", fitted, Fit)

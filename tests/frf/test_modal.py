@@ -143,3 +143,41 @@ def test_noise_that_says_too_little_does_not_hide_modes():
     for a, b in zip(precise.modes, plain.modes, strict=True):
         assert a.frequency == pytest.approx(b.frequency, rel=0.005)
         assert a.damping == pytest.approx(b.damping, rel=0.1)
+
+
+def drive(f, seed, lagging):
+    """Speed of the first of two masses by torque, late by 1 ms and a lag, which is no mode; its resonance, damping."""
+    rng, s = np.random.default_rng(seed), 2j * np.pi * f
+    low, high, damping = 2 * np.pi * rng.uniform(40, 58), 2 * np.pi * rng.uniform(60, 95), rng.uniform(0.008, 0.03)
+    square = lambda w: s**2 + 2 * damping * w * s + w**2
+    lag = 1 + lagging * s / (2 * np.pi * rng.uniform(30, 120))
+    return square(low) / square(high) / s * np.exp(-1e-3 * s) / lag, high / (2 * np.pi), damping, rng
+
+
+@pytest.mark.parametrize("seeds", [range(5), pytest.param(range(100, 160), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("lagging", [False, True])
+def test_intervals_hold_beside_what_is_no_mode(seeds, lagging):
+    f, covered = np.arange(1.0, 241.0), []
+    for seed in seeds:
+        G, frequency, damping, rng = drive(f, seed, lagging)
+        sigma = 0.004 * np.abs(G)
+        noisy = (G + sigma * plants.circular(rng, G.shape))[:, None, None]
+        variance = (sigma**2)[None, :, None, None] + 0j
+        modes = jf.modal(
+            jf.FRF(
+                G=noisy[None],
+                frequency=f,
+                cov=variance,
+                dof=np.full((1, len(f)), 1e3),
+                status=np.zeros((1, len(f)), int),
+                window=np.ones((1, len(f))),
+                y_quantity="velocity",
+            )
+        ).modes
+        if modes:
+            m = min(modes, key=lambda x: abs(x.frequency - frequency))
+            off = abs(m.frequency - frequency) / m.frequency_std, abs(m.damping - damping) / m.damping_std
+            covered.append([x < 1.96 for x in off])
+    assert len(covered) > 0.85 * len(seeds)
+    assert np.min(np.mean(covered, axis=0)) > (0.85 if len(seeds) > 10 else 0.5)
+    assert len(seeds) < 10 or np.mean(covered) > 0.9
