@@ -370,14 +370,16 @@ def _moved(fitted: PoleFit, i: int, s, G, std, background, shared: float) -> tup
     wide = max(_AROUND * damping * at, np.sort(away)[min(_FEWEST, len(s)) - 1])
     near = away <= wide
     inside = np.abs(np.abs(fitted.poles) - at) <= wide
-    part = lambda x: None if x is None else x[near].reshape(np.count_nonzero(near), -1)
-    local = fit_poles(s[near], part(G), part(std), fitted.poles[inside], background[near], shared=shared, delay=None)
+    part = lambda x: x[near].reshape(np.count_nonzero(near), -1)
+    sigma = None if std is None else part(std)
+    local = fit_poles(s[near], part(G), sigma, fitted.poles[inside], background[near], shared=shared, delay=None)
     j = int(np.argmin(np.abs(local.poles - fitted.poles[i])))
     by = (abs(local.poles[j]) - at) / (2 * np.pi), local.damping[j] - damping
     known = local.frequency_std[j], local.damping_std[j]
     if not (np.isfinite(known).all() and 0 < local.damping[j] < _LARGEST_DAMPING):
         return 0.0, 0.0
-    return tuple(float(np.sqrt(max(b**2 - k**2, 0.0))) for b, k in zip(by, known, strict=True))  # type: ignore[return-value]
+    beyond = [float(np.sqrt(max(b**2 - k**2, 0.0))) for b, k in zip(by, known, strict=True)]
+    return beyond[0], beyond[1]
 
 
 def _strength(fitted: PoleFit) -> np.ndarray:
