@@ -28,7 +28,7 @@ WRONG = {
     "write_mjcf(None)": lambda: jf.io.write_mjcf(None, "r.xml"),
     "parse_map(None)": lambda: jf.io.parse_map(None),
     "parse_values(3)": lambda: jf.io.parse_values(3),
-    "parse_scale({})": lambda: jf.io.parse_scale({}),
+    "parse_factor({})": lambda: jf.io.parse_factor({}),
     "segments(nan)": lambda: jf.segments(NAN, 100),
     "segments of nan": lambda: jf.segments(LONG, NAN),
     "segments of text": lambda: jf.segments(LONG, "100"),

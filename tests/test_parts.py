@@ -531,7 +531,7 @@ class TestOutputsAreTriedFirst:
     def inputs(self, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         for name in ("no.toml", "no.nc"):
-            (tmp_path / name).write_text("nothing")
+            (tmp_path / name).write_text("nothing = 0")
 
     def refused(self, capsys, tmp_path, command, option, place, says):
         given, outputs = OUTPUTS[command]

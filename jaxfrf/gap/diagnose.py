@@ -60,8 +60,8 @@ def diagnose(
     **Arguments:**
 
     - `robot`: nominal; `None` for a single drive (a rigid one of unknown inertia then) and for deflections. Where its
-      controller or the references are not known, or where it runs at another rate than the log, its motors are moved
-      as they were measured, which compares torques only.
+      controller or the references are not known, where the record contradicts the controller's law, or where it runs at
+      another rate than the log, its motors are moved as they were measured, which compares torques only.
     - `data`: one or several records (other amplitudes, payload as given) of the same period and lines, with `q`. Or
       records of any motion of a rigid robot; records whose y are the positions of all motors, then of all links; FRFs
       or periodic records of one drive.

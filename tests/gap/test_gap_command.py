@@ -131,7 +131,7 @@ class TestWhatIsWritten:
         (kind,) = own_effects(folder / "own.py")
         robot = jf.io.read_robot(tmp_path / "extended.toml", own=[kind])
         assert "quadratic_friction" in [e.name for e in robot.effects]
-        (tmp_path / "no.toml").write_text("nothing")
+        (tmp_path / "no.toml").write_text("nothing = 0")
         design = str(tmp_path / "no.toml")
         assert main(["positions", str(tmp_path / "extended.toml"), design, "-o", str(tmp_path / "q.csv")]) == 2
         assert "found 'quadratic_friction'" in capsys.readouterr().err
