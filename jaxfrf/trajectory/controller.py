@@ -28,6 +28,7 @@ _GAINS = ("position_gain", "velocity_gain", "integral_time")
 _ANOTHER = 0.02  # of the torque command left unexplained, and several times what noise leaves: another law
 _OVER_NOISE = 5.0
 _TOLD = 1e-3  # relative change of a gain that is worth a word, where it is three of its deviations
+_UNKNOWN = 10.0  # of the logarithm: a gain of which nothing is known
 _LIMITED = 0.999  # of the torque limit: clipped commands follow no linear law
 _LEAST = 1e-5  # of the command: rounding of logs
 _TIMES = 3  # fits, each weighed by what the one before left
@@ -95,6 +96,9 @@ def shown_controller(robot: Robot, record: Measured) -> ShownController:
 
     **Arguments:** `record`: of a robot that plays references under its own controller; any other stays as it is.
 
+    Where the speed reference is fed forward the law is K_v (s + K_p)(s + 1/T_i)/s^2 of the speed error, but for its
+    sampling: K_p and 1/T_i may change places, and are told badly where they are equal. The commands are the same.
+
     **Biased** where the motion's noise is not small against the motion: the controller reads it, too, and a log of
     speeds or accelerations does not hold it.
 
@@ -105,7 +109,7 @@ def shown_controller(robot: Robot, record: Measured) -> ShownController:
     if controller is None or why_followed(robot, record.data):
         return ShownController(robot, controller, change, std, left, noise)
     law = _Law.of(robot, controller, record)
-    for axis in map(int, np.flatnonzero(~_clipped(robot, record))):
+    for axis in map(int, np.flatnonzero(~_clipped(robot, record) & law.commands)):
         prior = _priors(robot, law.gains[:, axis], axis)
         change[:, axis], std[:, axis], left[axis], noise[axis] = law.fitted(axis, prior)
     now = _controller(controller, law.gains * np.exp(change)) if np.any(change) else controller
@@ -117,8 +121,9 @@ def shown_controller(robot: Robot, record: Measured) -> ShownController:
 
 def _priors(robot: Robot, gains, axis: int) -> Float[np.ndarray, "3"]:
     """Tolerance of an axis' gains, 0 where they are exact or cannot move."""
-    tolerance = robot.tolerances.of(f"{robot.axis_names[axis]}.controller_gain").std
-    return np.where((gains > 0) & np.isfinite(gains), tolerance, 0.0)
+    tolerance = min(robot.tolerances.of(f"{robot.axis_names[axis]}.controller_gain").std, _UNKNOWN)
+    acts = gains[_GAINS.index("velocity_gain")] > 0
+    return np.where(acts & (gains > 0) & np.isfinite(gains), tolerance, 0.0)
 
 
 def _gains(controller: Controller, axes: int) -> Float[np.ndarray, "3 axis"]:
@@ -166,6 +171,11 @@ class _Law(eqx.Module):
             record.U[:, :, lines],
             np.abs(feedback) * record.noise[lines],
         )
+
+    @property
+    def commands(self) -> np.ndarray:
+        """Axes that were told anything, (axis,)."""
+        return np.any(self.U != 0, axis=(0, 1, 2))
 
     def left(self, axis: int, change) -> Complex[np.ndarray, "pos exp line"]:
         """Of an axis' torque command, what the law with these gains does not make, N m."""

@@ -69,6 +69,18 @@ def test_gains_that_are_off(corner):
     assert shown.restored(shown.robot) is shown.robot
 
 
+def test_gains_of_which_nothing_is_known():
+    true = scaled(small_robot(), {name: [2.0, 0.4] for name in NAMES})
+    unknown = Tolerances((("controller_gain", Tolerance(np.inf)),))
+    shown = found(dataclasses.replace(small_robot(), tolerances=unknown), logged(true))
+    assert np.all(shown.left < 2e-3)
+    (kp, kv, ti), (kp_true, kv_true, ti_true) = gains(shown.robot), gains(true)
+    np.testing.assert_allclose(kv, kv_true, rtol=0.02)
+    np.testing.assert_allclose(
+        kp / ti, kp_true / ti_true, rtol=0.05
+    )  # they may have changed places: (s + kp)(s + 1/ti)
+
+
 def test_noise_that_the_log_does_not_hold():
     """The controller reads it, the log does not: the gains stay within three of their deviations."""
     true = scaled(small_robot(), OFF)
@@ -92,6 +104,9 @@ def test_what_stays_as_written():
     free = dataclasses.replace(small_robot(), controller=None)
     assert found(free, data).robot is free
     assert not np.any(found(exact, data).contradicted)
+    idle = np.asarray(data.u) * [1.0, 0.0]  # a motor without power
+    shown = found(small_robot(), dataclasses.replace(data, u=idle))
+    assert np.all(shown.change[:, 0]) and not np.any(shown.change[:, 1]) and not np.any(shown.contradicted)
     most = np.max(np.abs(data.u), axis=(0, 1, 2))
     limits = dataclasses.replace(small_robot().drives, torque_limit=jnp.asarray([most[0], 2.0 * most[1]]))
     shown = found(dataclasses.replace(small_robot(), drives=limits), data)
