@@ -468,4 +468,4 @@ class TestHiddenCases:
         found, (hidden,) = self.diagnosed("report", 33, "small", tmp_path)
         (named,) = found.effects
         assert (named.name, named.is_number, hidden["name"]) == ("payload", True, "payload"), found.says
-        assert 0.5 < named.parameters["mass"].value / hidden["true"] < 1.5  # the benchmark counts intervals, and this one
+        assert 0.5 < named.parameters["mass"].value / hidden["true"] < 1.5  # intervals: the benchmark
