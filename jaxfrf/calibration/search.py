@@ -10,7 +10,7 @@ from .._errors import InputError
 from .._threads import lapack_threads, shared
 from ..robot import Robot
 from ..simulation import finest_smoothing
-from ..trajectory.evidence import Column, Evidence, Weighed, placed, precise, refloored, weigh
+from ..trajectory.evidence import Column, Evidence, Weighed, has_few_runs, refloored, scattered, weigh
 from ..trajectory.joined import places
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import remainder, usual_size
@@ -24,7 +24,6 @@ _LONGEST = 0.5  # of a logarithm, in one step: columns hold no further
 _HALVINGS = 3
 _WORSE = 1.02  # of the misfit: a step that leaves more is halved
 _REWEIGHED = 2  # times in a round
-_FEW, _BANDS = 4, 8  # runs whose scatter says too little: bands of lines stand for runs then
 _FINE_BANDS = 24  # of lines, beside positions
 _GAIN = 0.97  # of the misfit: a step that leaves more is of no use
 _CONVERGED = 0.3  # of its standard deviation that every number moves less
@@ -112,10 +111,9 @@ class Search:
             weighed = refloored(weighed, evidence.floor, floor)
             evidence.floor = floor
             posterior = solve(weighed.gram, self.numbers, x)
-        runs = len(weighed.gram.A)
-        weighed = precise(weighed, _BANDS) if runs < _FEW else placed(precise(weighed), places(self.record.data))
+        weighed = scattered(weighed.parts, places(self.record.data))
         posterior = solve(weighed.gram, self.numbers, x)
-        if runs >= _FEW:
+        if not has_few_runs(weighed.parts):
             posterior = with_bands(posterior, weighed, _FINE_BANDS)
         self.floor = evidence.floor
         left = remainder(evidence, weighed, posterior.change)

@@ -21,6 +21,7 @@ _CORNERS = (1.5, 4.0)  # Hz, between the two
 _AROUND = 20  # lines
 _BANDS = np.array([0.0, 1.5, 4.0, 8.0, 14.0, 22.0, 32.0, 45.0, 60.0])  # Hz
 _WIDER = 1.4  # from each of the bands beyond to the next
+_FEW, _STAND_INS = 4, 8  # runs whose scatter says too little: so many bands of lines stand for each of them
 
 
 class Evidence:
@@ -96,14 +97,6 @@ def by_band(left, floor, frequency) -> Float[np.ndarray, "pos exp axis band"]:
     return np.swapaxes(power / count[:, None], 2, 3)
 
 
-def refloored(weighed: "Weighed", old, new) -> "Weighed":
-    """The same columns over another floor."""
-    factor = np.concatenate([(old / new).ravel()] * 2).astype(np.float32)
-    parts = tuple(part * factor for part in weighed.parts)
-    every = np.concatenate(shared(lambda X: _products(X, X), parts))
-    return Weighed(parts, _gram(every, parts))
-
-
 class Gram(eqx.Module):
     """Products of weighted columns and residual, run by run: all that least squares needs.
 
@@ -132,30 +125,55 @@ class Weighed(eqx.Module):
 
 
 def weigh(evidence: Evidence, columns: Sequence[Column], base: Weighed | None = None) -> Weighed:
-    """Weighted columns beside those of `base`, whose products are not made again."""
-
-    def one(pos):
-        scene, floor = evidence.scenes[pos], evidence.floor
-        rows = [column(scene) / floor for column in columns]
-        if base is None:
-            rows.append(evidence.residual[pos] / floor)
-        X = np.stack(rows, axis=1).reshape(len(rows[0]), len(rows), -1)
-        X = np.concatenate([X.real, X.imag], axis=-1).astype(np.float32)
-        if base is None:
-            return X, _products(X, X)
-        old = base.parts[pos]
-        return np.concatenate([old[:, :-1], X, old[:, -1:]], axis=1), (_products(old, X), _products(X, X))
-
-    found = shared(one, range(len(evidence.scenes)))
-    parts = tuple(part for part, _ in found)
+    """Weighted columns beside those of `base`, whose products run by run are not made again."""
     if base is None:
-        every = np.concatenate([products for _, products in found])
-        return Weighed(parts, _gram(every, parts))
-    across = np.concatenate([a for _, (a, _) in found])
-    own = np.concatenate([b for _, (_, b) in found])
+        parts = tuple(shared(lambda pos: _rows(evidence, pos, columns, True), range(len(evidence.scenes))))
+        return Weighed(parts, _gram(np.concatenate(shared(lambda X: _products(X, X), parts)), parts))
+    new = _new_parts(evidence, columns)
+    across, own = (
+        np.concatenate(shared(lambda two: _products(*two), list(zip(left, new, strict=True))))
+        for left in (base.parts, new)
+    )
     g = base.gram
     A = np.block([[g.A, across[:, :-1]], [across[:, :-1].swapaxes(1, 2), own]])
-    return Weighed(parts, Gram(A, np.concatenate([g.b, across[:, -1]], axis=1), g.rr, g.position, g.count))
+    gram = Gram(A, np.concatenate([g.b, across[:, -1]], axis=1), g.rr, g.position, g.count)
+    return Weighed(_between(base.parts, new), gram)
+
+
+def parts_beside(evidence: Evidence, columns: Sequence[Column], parts) -> tuple[np.ndarray, ...]:
+    """Weighted columns beside those of `parts`, without products."""
+    return _between(parts, _new_parts(evidence, columns))
+
+
+def _new_parts(evidence: Evidence, columns: Sequence[Column]) -> list[np.ndarray]:
+    return shared(lambda pos: _rows(evidence, pos, columns, False), range(len(evidence.scenes)))
+
+
+def _rows(evidence: Evidence, pos: int, columns: Sequence[Column], with_residual: bool):
+    """Columns over the floor at one position, (exp, column, number)."""
+    scene, floor = evidence.scenes[pos], evidence.floor
+    rows = [column(scene) / floor for column in columns]
+    if with_residual:
+        rows.append(evidence.residual[pos] / floor)
+    X = np.stack(rows, axis=1).reshape(len(rows[0]), len(rows), -1)
+    return np.concatenate([X.real, X.imag], axis=-1).astype(np.float32)
+
+
+def _between(parts, new) -> tuple[np.ndarray, ...]:
+    """New columns behind the old ones, before the residual."""
+    return tuple(np.concatenate([X[:, :-1], N, X[:, -1:]], axis=1) for X, N in zip(parts, new, strict=True))
+
+
+def over_floor(parts, old, new) -> tuple[np.ndarray, ...]:
+    """The same columns over another floor."""
+    factor = np.concatenate([(old / new).ravel()] * 2).astype(np.float32)
+    return tuple(part * factor for part in parts)
+
+
+def refloored(weighed: Weighed, old, new) -> Weighed:
+    """The same columns over another floor, and their products."""
+    parts = over_floor(weighed.parts, old, new)
+    return Weighed(parts, _gram(np.concatenate(shared(lambda X: _products(X, X), parts)), parts))
 
 
 def _products(X, Y):
@@ -167,11 +185,10 @@ def _gram(every, parts) -> Gram:
     return Gram(every[:, :-1, :-1], every[:, :-1, -1], every[:, -1, -1], position, parts[0].shape[-1])
 
 
-def precise(weighed: Weighed, bands: int = 1) -> Weighed:
-    """The same columns, their products in double precision: what a few directions of many columns are told by.
+def precise(parts, bands: int = 1) -> Weighed:
+    """Columns with their products in double precision: what a few directions of many columns are told by.
 
-    `bands`: of lines that every run is cut into, each of which then counts as a run at a position of its own: where
-    there are too few runs to see how errors of the model scatter."""
+    `bands`: of lines that every run is cut into, each of which then counts as a run at a position of its own."""
 
     def one(X):
         halves = X.reshape(*X.shape[:2], 2, -1)
@@ -179,14 +196,22 @@ def precise(weighed: Weighed, bands: int = 1) -> Weighed:
         wide = [halves[..., cut].reshape(*X.shape[:2], -1).astype(float) for cut in cuts]
         return np.stack([x @ x.swapaxes(1, 2) for x in wide], axis=1).reshape(-1, X.shape[1], X.shape[1])
 
-    gram = _gram(np.concatenate(shared(one, weighed.parts)), weighed.parts)
+    gram = _gram(np.concatenate(shared(one, parts)), parts)
     if bands > 1:
         position = np.arange(len(gram.A))
         gram = Gram(gram.A, gram.b, gram.rr, position, gram.count // bands)
-    return Weighed(weighed.parts, gram)
+    return Weighed(tuple(parts), gram)
 
 
-def placed(weighed: Weighed, place: np.ndarray) -> Weighed:
-    """The same columns, runs at positions of the same place taken together; `place`: of each position, (pos,)."""
-    g = weighed.gram
-    return Weighed(weighed.parts, Gram(g.A, g.b, g.rr, np.asarray(place)[g.position], g.count))
+def has_few_runs(parts) -> bool:
+    """Whether there are too few runs to see how errors of the model scatter between them."""
+    return sum(map(len, parts)) < _FEW
+
+
+def scattered(parts, place: np.ndarray) -> Weighed:
+    """Columns with their precise products as errors of the model scatter: between the runs of different places, or,
+    where there are few runs, between bands of lines. `place`: of each position, (pos,)."""
+    if has_few_runs(parts):
+        return precise(parts, _STAND_INS)
+    g = precise(parts).gram
+    return Weighed(tuple(parts), Gram(g.A, g.b, g.rr, np.asarray(place)[g.position], g.count))

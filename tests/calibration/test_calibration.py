@@ -27,7 +27,7 @@ from jaxfrf.robot import operating_point, parameters, r3x, tolerances_from
 from jaxfrf.robot.regressor import link_parameters, link_regressor
 from jaxfrf.robot.tolerances import KINDS
 from jaxfrf.simulation import fine_steps, finest_smoothing
-from jaxfrf.trajectory.evidence import Evidence, Gram, Weighed, precise
+from jaxfrf.trajectory.evidence import Evidence, Gram, Weighed, precise, scattered
 from jaxfrf.trajectory.joined import joined, places
 from jaxfrf.trajectory.measured import measured
 from jaxfrf.trajectory.ripple import Order
@@ -217,7 +217,7 @@ def test_intervals_hold_where_errors_repeat_from_position_to_position():
         error = each(0.3 * repeats * rng.standard_normal(24)) + 0.1 * rng.standard_normal((8, 1, 480))
         r = np.einsum("pekn,k->pen", J, truth) + error
         weighed = Weighed(tuple(np.concatenate([J, r[:, :, None]], axis=2)), None)
-        plainly = solve(precise(weighed).gram, plain([0.0, 0.0], 2), np.zeros(2))
+        plainly = solve(precise(weighed.parts).gram, plain([0.0, 0.0], 2), np.zeros(2))
         found, miss = with_bands(plainly, weighed, 24), np.abs(plainly.change - truth)
         if repeats:
             held += list(miss < found.half_width())
@@ -232,12 +232,16 @@ def test_bands_of_lines_stand_for_runs():
     """Products of all bands together are those of the run, whatever their number."""
     rng = np.random.default_rng(0)
     parts = tuple(rng.standard_normal((2, 5, 2 * 30 * 3)).astype(np.float32) for _ in range(2))
-    whole, cut = (precise(Weighed(parts, None), bands).gram for bands in (1, 4))
+    whole, cut = (precise(parts, bands).gram for bands in (1, 4))
     assert whole.A.shape == (4, 4, 4) and cut.A.shape == (16, 4, 4)
     for name in ("A", "b", "rr"):
         np.testing.assert_allclose(getattr(cut, name).sum(axis=0), getattr(whole, name).sum(axis=0), rtol=1e-12)
     np.testing.assert_allclose(whole.rr, [np.sum(run[-1].astype(float) ** 2) for x in parts for run in x])
     assert list(whole.position) == [0, 0, 1, 1] and len(set(cut.position)) == 16
+    same_place = np.zeros(2, int)
+    assert list(scattered(parts, same_place).gram.position) == [0, 0, 0, 0]
+    few = scattered(parts[:1], same_place[:1]).gram.position
+    assert len(set(few)) == len(few) == 16
 
 
 # --- ripple, which is simulated near the truth

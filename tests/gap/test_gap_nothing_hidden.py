@@ -14,6 +14,7 @@ from uncertain_arm import design, machine as off, model
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
+from jaxfrf.__main__ import main
 from jaxfrf.gap import diagnose
 from jaxfrf.gap.judge import over_floor
 from jaxfrf.robot import Tolerances, parameters, with_parameters
@@ -134,3 +135,18 @@ def test_wrong_numbers_are_no_missing_effect(seed):
     assert (found.verdict, found.effects) == ("sufficient", ()), found.says
     assert "elbow.coulomb_friction by +9" in found.says or "elbow.coulomb_friction by +8" in found.says
     assert found.gap.before < 1.0 and found.given is given
+
+
+@pytest.mark.slow
+def test_few_runs_at_one_position(tmp_path):
+    """The example: four runs, which the base takes apart by bands of lines; nothing is missing, whatever is asked."""
+    data, robot = str(tmp_path / "run.nc"), str(tmp_path / "robot.toml")
+    assert main(["example", "-o", data, "--robot-out", robot]) == 0
+    record = jf.io.read(data)
+    two = jf.Experiment(
+        *(x[:, :2] for x in (record.u, record.y)), record.fs, record.period, lines=record.lines, r=record.r[:, :2],
+        q=record.q, y_quantity=record.y_quantity, r_quantity=record.r_quantity,
+    )  # fmt: skip
+    for runs in (record, two):
+        found = diagnose(jf.io.read_robot(robot), runs)
+        assert found.verdict == "sufficient" and not found.effects
