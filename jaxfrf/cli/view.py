@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .._errors import input_error
+from .._files import check_readable
 from .._text import counted
 from ..io._formats import FRFS
 from .arguments import check_result, check_target, command, naming
@@ -69,9 +70,10 @@ def _write_result(page: str, path: str) -> None:
     """The page of what `identify` or `diagnose` wrote."""
     from .. import io
 
+    expected = f"an FRF ({' '.join(FRFS)}), a fit.json of `identify` or a gap.json of `diagnose`"
+    check_readable(pathlib.Path(path), expected)
     fields = _fields(path)
     if "verdict" not in fields and "parameters" not in fields:
-        expected = f"an FRF ({' '.join(FRFS)}), a fit.json of `identify` or a gap.json of `diagnose`"
         raise input_error(path, "JSON of something else", expected, "Name what it was made from.")
     from .. import report
 

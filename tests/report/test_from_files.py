@@ -78,6 +78,8 @@ def test_every_verdict_is_viewed(tmp_path, capsys):
         jf.io.write_gap(tmp_path / f"{name}.json", example(name))
         assert main(["view", str(tmp_path / f"{name}.json"), "-o", str(tmp_path / f"{name}.html")]) == 0
         assert html.escape(example(name).says) in (tmp_path / f"{name}.html").read_text()
+    assert main(["view", str(tmp_path / f"{NAMES[0]}s.json"), "-o", str(tmp_path / "page.html")]) == 2
+    assert re.search(rf"no such file.*Did you mean .*{NAMES[0]}.json", capsys.readouterr().err, re.DOTALL)
 
 
 @pytest.mark.slow
