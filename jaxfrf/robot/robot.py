@@ -35,6 +35,8 @@ class Controller(eqx.Module):
       side.
     - `feedforward`: whether the speed reference v_ref is added.
     - `speed_filter`: corner of a first-order low-pass of the measured speed v_m, Hz; `None`: there is none.
+    - `speed_sensor`: whether v_m is read from a sensor of the motor's speed at the sample, not the difference of two
+      measured positions, which lags half a sample.
     - `anti_windup`: whether the integral waits while the torque is clipped and the error would clip it further.
     """
 
@@ -44,6 +46,7 @@ class Controller(eqx.Module):
     feedforward: bool = eqx.field(static=True, default=True)
     speed_filter: Float[Array, "..."] | None = None
     anti_windup: bool = eqx.field(static=True, default=False)
+    speed_sensor: bool = eqx.field(static=True, default=False)
 
     def command(
         self,
@@ -55,11 +58,13 @@ class Controller(eqx.Module):
     ) -> Complex[np.ndarray, "... freq axis"]:
         """Torque command for references and measured motor position, lines of one period, N m.
 
-        Sampled as it runs: the speed is the filtered difference of two positions, the integral the sum of all errors.
-        Limits of the torque are left out. `frequency`: Hz, above 0. `position`, `measured`: rad. `velocity`: rad/s.
+        Sampled as it runs: the speed is the difference of two positions or what a sensor reads, filtered, the integral
+        the sum of all errors. Limits of the torque are left out. `frequency`: Hz, above 0. `position`, `measured`: rad.
+        `velocity`: rad/s.
         """
-        back = np.exp(-2j * np.pi * np.asarray(frequency) / sampling_frequency)[:, None]
-        speed = sampling_frequency * (1.0 - back)
+        s = 2j * np.pi * np.asarray(frequency)[:, None]
+        back = np.exp(-s / sampling_frequency)
+        speed = s if self.speed_sensor else sampling_frequency * (1.0 - back)
         if self.speed_filter is not None:
             kept = np.exp(-2 * np.pi * np.asarray(self.speed_filter) / sampling_frequency)
             speed = speed * (1.0 - kept) / (1.0 - kept * back)

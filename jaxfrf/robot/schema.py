@@ -44,6 +44,7 @@ _CONTROLLER_KEYS = (
     "feedforward",
     "speed_filter",
     "anti_windup",
+    "speed_sensor",
 )
 
 
@@ -129,6 +130,7 @@ def table_from_robot(robot: Robot) -> dict[str, Any]:
                 {} if robot.controller.speed_filter is None else {"speed_filter": _plain(robot.controller.speed_filter)}
             ),
             **({"anti_windup": True} if robot.controller.anti_windup else {}),
+            **({"speed_sensor": True} if robot.controller.speed_sensor else {}),
         }
     table["friction"] = {"smoothing": _plain(friction.smoothing)}
     if robot.tolerances.stated:
@@ -350,6 +352,7 @@ def _controller(top: _Table, joints: list[_Table]) -> Controller | None:
         feedforward=table.flag("feedforward", True),
         speed_filter=each("speed_filter", positive=True) if "speed_filter" in table else None,
         anti_windup=table.flag("anti_windup", False),
+        speed_sensor=table.flag("speed_sensor", False),
     )
 
 

@@ -106,7 +106,8 @@ class ClosedLoop(eqx.Module):
         if self.noise is not None:
             reading = reading + self.noise * _normal(runs.key, time, runs.rest)
         velocity, position = reference
-        torque, controller = self.cascade.torque(state.controller, reading, runs.rest + position, velocity)
+        speed = self.plant.motor(state.rate)
+        torque, controller = self.cascade.torque(state.controller, reading, speed, runs.rest + position, velocity)
         half = 0.5 / self.fs
         middle = state.z + half * state.rate
         slow = self.plant.slow(middle, state.rate + 0.5 * (state.rate - state.before))

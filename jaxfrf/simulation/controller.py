@@ -19,13 +19,13 @@ class ControllerState(eqx.Module):
 class Cascade(eqx.Module):
     """One sample of the cascade; the torque is held until the next.
 
-        v = (q[k] - q[k-1]) fs,   through a first-order low-pass where there is one
+        v = (q[k] - q[k-1]) fs, or that of a sensor,   through a first-order low-pass where there is one
         e = K_p (q_ref - q) + v_ref - v
         u = K_v (e + sum(e)/(fs T_i)),   clipped to the torque limit.
 
     The speed is the difference of measured positions, as a drive with a resolver has it: it lags half a sample
-    and carries the position noise times fs. The sum goes on while the torque is clipped; with an anti-windup it waits
-    where the error would clip it further.
+    and carries the position noise times fs; a sensor of the speed shows it at the sample, without noise. The sum
+    goes on while the torque is clipped; with an anti-windup it waits where the error would clip it further.
     """
 
     position_gain: Columns
@@ -35,6 +35,7 @@ class Cascade(eqx.Module):
     kept: Columns | None  # of the filtered speed, from sample to sample
     feedforward: bool = eqx.field(static=True)
     anti_windup: bool = eqx.field(static=True)
+    speed_sensor: bool = eqx.field(static=True)
     fs: float = eqx.field(static=True)
 
     @classmethod
@@ -51,6 +52,7 @@ class Cascade(eqx.Module):
             None if corner is None else jnp.exp(-2.0 * jnp.pi * corner / fs),
             settings.feedforward,
             settings.anti_windup,
+            settings.speed_sensor,
             fs,
         )
 
@@ -60,9 +62,11 @@ class Cascade(eqx.Module):
         integral = jnp.where(held, torque / jnp.where(held, self.velocity_gain, 1.0), 0.0)
         return ControllerState(position, integral, jnp.zeros_like(position))
 
-    def torque(self, state: ControllerState, position: Columns, position_reference, velocity_reference):
-        """Torque command from the measured position, and the next state."""
-        speed = (position - state.reading) * self.fs
+    def torque(
+        self, state: ControllerState, position: Columns, sensed: Columns, position_reference, velocity_reference
+    ):
+        """Torque command from the measured position and what a sensor of the speed shows, and the next state."""
+        speed = sensed if self.speed_sensor else (position - state.reading) * self.fs
         if self.kept is not None:
             speed = self.kept * state.speed + (1.0 - self.kept) * speed
         error = self.position_gain * (position_reference - position) - speed

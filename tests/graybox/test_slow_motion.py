@@ -93,20 +93,25 @@ class TestWhereTheArmWas:
 
 
 class TestController:
-    @pytest.mark.parametrize("corner", [slow(None), slow(40.0), [30.0, 90.0]])
-    def test_feedback_against_the_sampled_law(self, robot, corner):
+    @pytest.mark.parametrize(
+        ("corner", "sensor"), [slow(None, False), slow(None, True), slow(40.0, False), ([30.0, 90.0], False)]
+    )
+    def test_feedback_against_the_sampled_law(self, robot, corner, sensor):
         """A sine through the controller's own difference equation, until it is steady."""
         filtered = None if corner is None else np.array(corner)
-        robot = dataclasses.replace(robot, controller=dataclasses.replace(robot.controller, speed_filter=filtered))
+        robot = dataclasses.replace(
+            robot, controller=dataclasses.replace(robot.controller, speed_filter=filtered, speed_sensor=sensor)
+        )
         cascade = Cascade.of(robot)
         period, line = 250, 7
         angle = np.exp(2j * np.pi * line * np.arange(4 * period) / period)
         torques = []
-        for part in (angle.real, angle.imag):
+        speed = 2j * np.pi * line * FS / period * angle
+        for part, rate in ((angle.real, speed.real), (angle.imag, speed.imag)):
             state = ControllerState(jnp.full((2, 1), part[0]), jnp.zeros((2, 1)), jnp.zeros((2, 1)))
             zero, out = jnp.zeros((2, 1)), []
-            for x in part:
-                u, state = cascade.torque(state, jnp.full((2, 1), x), zero, zero)
+            for x, v in zip(part, rate, strict=True):
+                u, state = cascade.torque(state, jnp.full((2, 1), x), jnp.full((2, 1), v), zero, zero)
                 out.append(np.asarray(u)[:, 0])
             out = np.array(out)[-period:]
             torques.append(out - out.mean(axis=0))  # the sum keeps what the start left in it

@@ -12,12 +12,13 @@ class NumPyController:
         c = robot.controller
         self.kp, self.ti, self.kv = (np.asarray(x) for x in (c.position_gain, c.integral_time, c.velocity_gain))
         self.corner, self.anti_windup, self.speed = c.speed_filter, c.anti_windup, 0.0
+        self.speed_sensor = c.speed_sensor
         self.feedforward, self.limit = c.feedforward, np.asarray(robot.drives.torque_limit)
         self.fs, self.last = robot.sampling_frequency, np.array(rest)
         self.integral = np.zeros_like(rest) if np.any(np.isinf(self.ti)) else np.asarray(torque) / self.kv * self.ti
 
-    def __call__(self, reading, position, velocity):
-        speed = (reading - self.last) * self.fs
+    def __call__(self, reading, position, velocity, sensed=None):
+        speed = sensed if self.speed_sensor else (reading - self.last) * self.fs
         if self.corner is not None:
             part = 1.0 - np.exp(-2 * np.pi * np.asarray(self.corner) / self.fs)
             speed = self.speed + part * (speed - self.speed)

@@ -163,6 +163,7 @@ class TestParts:
             {"feedforward": False, "integral_time": np.inf},
             {"position_gain": [5.0, 4.0, 6.0, 8.0, 3.0, 5.0], "integral_time": [0.05, 0.1, 0.2, 0.05, 0.04, 0.3]},
             {"speed_filter": 150.0},
+            {"speed_sensor": True, "speed_filter": 90.0},
             {"speed_filter": [50.0, 150.0, 300.0, 80.0, 100.0, 200.0], "anti_windup": True},
         ],
         ids=lambda settings: ", ".join(settings) or "plain",
@@ -174,17 +175,17 @@ class TestParts:
             for joint in (j for j in table["joint"] if j["type"] == "driven"):
                 joint["torque_limit"] /= 50.0
         robot = jf.robot.robot_from_table(table)
-        assert jf.robot.robot_from_table(jf.robot.table_from_robot(robot)).controller.anti_windup == (
-            "anti_windup" in settings
-        )
+        again = jf.robot.robot_from_table(jf.robot.table_from_robot(robot)).controller
+        assert again.anti_windup == ("anti_windup" in settings) and again.speed_sensor == ("speed_sensor" in settings)
         rng = np.random.default_rng(0)
         rest, torque = rng.normal(size=6), 0.1 * rng.normal(size=6)
         ours, theirs = Cascade.of(robot), NumPyController(robot, rest, torque)
         state = ours.at_rest(rest[:, None], torque[:, None])
         for _ in range(20):
             reading, position, velocity = rest + 1e-3 * rng.normal(size=6), rest, rng.normal(size=6)
-            u, state = ours.torque(state, reading[:, None], position[:, None], velocity[:, None])
-            np.testing.assert_allclose(u[:, 0], theirs(reading, position, velocity), rtol=1e-9, atol=1e-12)
+            sensed = rng.normal(size=6)
+            u, state = ours.torque(state, *(x[:, None] for x in (reading, sensed, position, velocity)))
+            np.testing.assert_allclose(u[:, 0], theirs(reading, position, velocity, sensed), rtol=1e-9, atol=1e-12)
 
     def test_steps(self):
         """Three for R3X; more for friction that is stiff at rest or a fast mode; an end to it."""

@@ -9,6 +9,7 @@ from loop_reference import NumPyController
 from small_arm import FS, Q, small_robot
 
 import jaxfrf as jf
+from jaxfrf.examples import example_robot
 from jaxfrf.robot.tolerances import Tolerance, Tolerances
 from jaxfrf.trajectory.controller import shown_controller
 from jaxfrf.trajectory.measured import measured
@@ -111,3 +112,14 @@ def test_what_stays_as_written():
     limits = dataclasses.replace(small_robot().drives, torque_limit=jnp.asarray([most[0], 2.0 * most[1]]))
     shown = found(dataclasses.replace(small_robot(), drives=limits), data)
     assert not np.any(shown.change[:, 0]) and np.all(shown.change[:, 1])
+
+
+def test_the_example_follows_its_file(tmp_path):
+    """Its machine reads a speed, with noise that the log holds as well; differences of positions do not do."""
+    (tmp_path / "robot.toml").write_text(example_robot())
+    written = jf.io.read_robot(tmp_path / "robot.toml")
+    shown = found(written, jf.example())
+    np.testing.assert_allclose(gains(shown.robot), gains(written), rtol=2e-3)
+    assert not shown.says() and np.all(shown.left < 2e-3)
+    other = dataclasses.replace(written, controller=dataclasses.replace(written.controller, speed_sensor=False))
+    assert np.any(found(other, jf.example()).contradicted)
