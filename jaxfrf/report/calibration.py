@@ -89,8 +89,9 @@ def _numbers(held: Mapping[str, Any]) -> str:
         interval = f"{number(finite(low))} to {number(finite(high))}"
         rows.append([name, p["value"], interval, p["unit"], p["start"], p["determined_by"], ", ".join(p["with"])])
     note = (
-        "Intervals come from the scatter between positions, and from what was known before so far as a number leans on "
-        "it. An error of the model that is the same at every position is not in them."
+        "Intervals come from the scatter between positions (of few records: between runs, or bands of lines), and from "
+        "what was known before so far as a number leans on it. An error of the model that is the same everywhere is "
+        "not in them."
     )
     return section("Numbers", drawn, table(headers, rows), paragraph(note))
 

@@ -19,6 +19,7 @@ from .chain import (
     mass_matrix as mass_matrix,
     potential_energy as potential_energy,
 )
+from .controller import Controller as Controller
 from .drive import (
     AbstractFrictionLaw as AbstractFrictionLaw,
     AbstractSpring as AbstractSpring,
@@ -55,7 +56,6 @@ from .response import (
     hold_remainder as hold_remainder,
 )
 from .robot import (
-    Controller as Controller,
     Robot as Robot,
     arm_inertia as arm_inertia,
     arm_inertia_and_bias as arm_inertia_and_bias,

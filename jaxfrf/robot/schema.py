@@ -17,8 +17,9 @@ from .._errors import InputError, input_error
 from ..effects import AbstractEffect, Backlash, effect_from_table, effect_to_table
 from ..effects._place import axis_of
 from .chain import Chain
+from .controller import Controller
 from .drive import Drives, Friction, Spring
-from .robot import Controller, Robot
+from .robot import Robot
 from .tolerances import Tolerances, table_of, tolerances_from
 
 _KNEE = 2.9e-4  # rad, one minute of arc: the knee of a linear spring, where it has no effect
