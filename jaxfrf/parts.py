@@ -73,11 +73,17 @@ class Parts:
         if not self._files:
             return
         finished = len(self.finished)
-        if error is None or not finished:
-            self.discard()
-        else:
+        if error is not None and finished:
             kept = f"{_count(finished)} kept in {self.folder}"
             error.add_note(f"{kept}: the same command with --resume goes on from there.")
+            return
+        try:
+            self.discard()
+        except KeyboardInterrupt as stopped:
+            self.discard()
+            if error is None:
+                stopped.add_note("The result stands already.")
+            raise
 
     def begin(self, about: Mapping[str, Any], files: Sequence[str], beside: Sequence[str] = ()) -> None:
         """Make the folder, or take over what an interrupted run left; once, before the work.

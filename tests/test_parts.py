@@ -173,6 +173,21 @@ class TestWhenPartsGo:
         assert interrupted(tmp_path / "out")[1] == []
         assert list(tmp_path.iterdir()) == []
 
+    def test_told_to_end_while_they_go(self, tmp_path, monkeypatch):
+        """The result stands: parts go all the same, and nothing is said of going on."""
+        real, told = pathlib.Path.unlink, []
+
+        def unlink(path, **more):
+            real(path, **more)
+            if path.name == "part-0.txt" and not told:
+                told.append(path)
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt) as stopped, begun(tmp_path / "out") as made:
+            finish(made, 0, 1)
+            monkeypatch.setattr(pathlib.Path, "unlink", unlink)
+        assert told and list(tmp_path.iterdir()) == [] and stopped.value.__notes__ == ["The result stands already."]
+
     def test_goes_on(self, tmp_path):
         folder, _ = interrupted(tmp_path / "out", 0, 1)
         said = []
