@@ -43,10 +43,11 @@ from _hidden_robots import PLANTS
 from jaxfrf.effects import AbstractEffect
 from jaxfrf.effects.catalogue import effect_from_table
 from jaxfrf.gap.assemble import gap_between
-from jaxfrf.gap.diagnose import diagnose, split
+from jaxfrf.gap.diagnose import diagnose
 from jaxfrf.gap.fitted import fitted, fitted_from
 from jaxfrf.gap.hypothesis import hypothesis
 from jaxfrf.gap.judge import written
+from jaxfrf.gap.records import split
 from jaxfrf.gap.settings import EXPERIMENTS, JUDGING
 from jaxfrf.io._json import write_json
 from jaxfrf.io.gaps import gap_contents

@@ -14,8 +14,9 @@ from .conclude import Conclusion, concluded, next_experiment
 from .fitted import Fitted
 from .judge import Written, each_written, over_floor, relative_torque
 from .maps import largest_cells, maps_of
+from .records import Records
 from .result import Diagnosis, EstimatedValue, Gap, Maps, Ranked
-from .selection import Records, Selection
+from .selection import Selection
 from .settings import FLOOR, LEAST_SIZE, SHOWN
 
 _AT_MOST = 0.9  # of the gap is floor: a steady torque alone hardly lifts the rms of all lines

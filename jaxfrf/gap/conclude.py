@@ -16,10 +16,21 @@ from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order, ripple_effects
 from .fitted import Fitted, further, is_loud
 from .hypothesis import one_class
-from .judge import Comparison, Written, compared, each_written, over_floor, relative_torque, simulated, written
+from .judge import (
+    Comparison,
+    Written,
+    compared,
+    each_written,
+    over_floor,
+    relative_torque,
+    shows_nothing,
+    simulated,
+    written,
+)
 from .quantised import resolution
+from .records import Records
 from .result import EstimatedValue, Named
-from .selection import Records, Selection, Step, said, shows_nothing
+from .selection import Selection, Step, said
 from .settings import (
     DATA_SHARE,
     EXPLAINED,

@@ -4,8 +4,6 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
 from .._arguments import expect
 from .._errors import input_error
 from .._types import require_x64
@@ -15,16 +13,17 @@ from ..frf import FRF
 from ..parts import Parts
 from ..robot import Robot
 from ..trajectory.controller import shown_controller
-from ..trajectory.joined import joined, places
-from ..trajectory.measured import Measured, fewer, measured
+from ..trajectory.joined import joined
+from ..trajectory.measured import fewer, measured
 from ..trajectory.rigid_motion import check_rigid
 from .assemble import assembled
 from .channels import AbstractChannel, channel_of
 from .channels.conclude import concluded
 from .fitted import Say
+from .records import split
 from .result import Diagnosis
-from .selection import Records, select_effects
-from .settings import EXPERIMENTS, FEW, JUDGING, SELECT
+from .selection import select_effects
+from .settings import EXPERIMENTS, JUDGING
 
 
 def diagnose(
@@ -120,36 +119,3 @@ def _by_channel(
     channel = kind.opened(robot, fitted)
     sources = tuple(source for x in fitted for source in x.sources)
     return concluded(channel, channel.of(judge) if judge else None, (*library().values(), *own), sources)
-
-
-def split(record: Measured, every: Measured, heldout_count: int | None) -> Records:
-    """Positions that are fitted, that decide and that are held out; few are fitted and decide. `every`: the same
-    positions, with the experiments that judge."""
-    opened = opened_positions(record.data, heldout_count)
-    place = places(record.data)
-    left = list(dict.fromkeys(place[opened].tolist()))
-    count = len(left) // SELECT if len(left) >= FEW else 0
-    chosen = {left[int(i)] for i in np.round((np.arange(count) + 0.5) * len(left) / max(count, 1))}
-    select = opened & np.array([p in chosen for p in place])
-    fit = opened & ~select
-    numbers = [np.flatnonzero(x) for x in (fit, select if count else fit, ~opened)]
-    return Records(record, every, *numbers)
-
-
-def opened_positions(record: Experiment, heldout_count: int | None) -> np.ndarray:
-    """Which positions are fitted, (pos,): the held-out ones stand between them. Records of one place stay together."""
-    place = places(record)
-    count = place.max() + 1
-    if heldout_count is None:
-        heldout_count = count // 3 if count >= 3 else 0
-    if not 0 <= heldout_count < count:
-        raise input_error(
-            "held-out positions",
-            f"{heldout_count}",
-            f"0 to {count - 1} of {count} positions",
-            "Leave some for the fit.",
-        )
-    order = dict.fromkeys(place.tolist())
-    names = list(order)
-    chosen = {names[int(i)] for i in np.round((np.arange(heldout_count) + 1) * count / max(heldout_count, 1)) - 1}
-    return np.array([p not in chosen for p in place])

@@ -13,7 +13,7 @@ from ..robot import Robot
 from ..trajectory.alike import alike_as_written
 from ..trajectory.evidence import Evidence, band_edges
 from ..trajectory.measured import Measured
-from .settings import BLOCKS, FLOOR, TOOTH
+from .settings import BLOCKS, FLOOR, LEAST_GAIN, NEAR, SIGNIFICANT, TOOTH
 
 _FLIPS = 4096  # of signs; all of them, where there are fewer
 _LEVEL = 0.95  # one-sided, of an interval
@@ -97,6 +97,24 @@ def beyond(left, floor, frequency) -> Float[np.ndarray, "block"]:
         more = [np.maximum(x.sum(axis=1) - FLOOR * x.shape[1], 0.0).sum(axis=1) for x in cells]
         blocks.append(np.sum(more, axis=0) / (np.sum(comb == c) * n_axis))
     return np.concatenate(blocks)
+
+
+def shows_nothing(result: Comparison, least: float = LEAST_GAIN, own: float = 0.0) -> str:
+    """Why a comparison does not speak for an effect that must take away so much, of all or of its `own` axis' part, in
+    words; empty where it does."""
+    if not result.before:
+        return "on positions that chose nothing the misfit is nowhere beyond its floor without it"
+    if result.p_value <= max(SIGNIFICANT, result.finest) and max(result.gain, own) >= least and result.least > 0.0:
+        return ""
+    return (
+        f"on positions that chose nothing it takes away {result.gain:.0%} of what is beyond the floor, p = "
+        f"{result.p_value:.2g}"
+    )
+
+
+def is_near(result: Comparison, before: float) -> bool:
+    """Whether a rival leaves hardly more than the best candidate, where the positions that decide are asked."""
+    return result.p_value > SIGNIFICANT or result.before - result.after < NEAR * before
 
 
 def _p_value(drop) -> float:

@@ -21,27 +21,32 @@ from ..trajectory.evidence import by_band
 from ..trajectory.measured import Measured
 from .fitted import Fitted, RobotFit, Say, as_given, at, fitted, further
 from .hypothesis import Hypothesis, hypothesis, one_class
-from .judge import COMPARED, Comparison, Written, compared, each_written, over_floor, written
+from .judge import (
+    COMPARED,
+    Comparison,
+    Written,
+    compared,
+    each_written,
+    is_near,
+    over_floor,
+    shows_nothing,
+    written,
+)
 from .rank import Scored, ranked
+from .records import Records
 from .rounds import KeptRound, keep_round, read_round
 from .settings import (
-    CANDIDATES,
     DOUBTFUL,
     EXPLAINED,
     FINAL_ROUNDS,
     FIRST_ROUNDS,
     FLOOR,
     KEPT_WITHIN,
-    LEAST_GAIN,
-    LEAST_PART,
-    LEAST_SIZE,
     MORE_ROUNDS,
     MOST,
     MUCH,
-    NEAR,
-    SHARE,
-    SIGNIFICANT,
 )
+from .shortlist import Had, chosen, imitated
 
 
 class Rival(eqx.Module):
@@ -85,35 +90,6 @@ class Selection(eqx.Module):
     refused: str = eqx.field(static=True)
 
 
-class Records(eqx.Module):
-    """A record, and its positions that are fitted, that decide which effect is taken, and that are held out.
-
-    `whole`: with the experiments that are fitted; `every`: with those that judge."""
-
-    whole: Measured
-    every: Measured
-    fit: np.ndarray
-    select: np.ndarray
-    heldout: np.ndarray
-
-    @property
-    def fitted(self) -> Measured:
-        return self.whole.at(self.fit)
-
-    @property
-    def opened(self) -> np.ndarray:
-        return np.union1d(self.fit, self.select)
-
-    @property
-    def deciding(self) -> Measured:
-        return self.every.at(self.select)
-
-    @property
-    def judged(self) -> np.ndarray:
-        """Where the result is told: the held-out ones, or those that were fitted where none are held out."""
-        return self.heldout if len(self.heldout) else self.opened
-
-
 def select_effects(
     robot: Robot,
     records: Records,
@@ -148,7 +124,7 @@ def select_effects(
             also_given = not steps and now.iterate.left > FLOOR
             views = [now, given or as_given(robot, fit, say)] if also_given else [now]
             round = _Round(now, records, own, misses, say)
-            step, refused = round.best(views, steps)
+            step, refused = round.best(views, [(step.hypothesis.effect, step.key) for step in steps])
             first = first or round.scored
             if not keep_round(parts, len(steps) + 1, _kept_round(step, refused)):
                 parts = None  # rounds behind one that is found again would be those of another robot
@@ -257,7 +233,7 @@ class _Round:
         self.record, self.deciding = records.fitted, records.deciding
         self.scored: tuple[Scored, ...] = ()  # from the first view
 
-    def best(self, views: Sequence[Fitted], had: Sequence[Step]) -> tuple[Step | None, str]:
+    def best(self, views: Sequence[Fitted], had: Had) -> tuple[Step | None, str]:
         candidates = self._screened(views, had)
         if not candidates:
             return None, "no candidate explains more than chance"
@@ -288,7 +264,7 @@ class _Round:
         against = _against(best, results, self._gain_on_its_axis(best, before, its)) or self._uncertain(best)
         if against:
             return None, f"{name} was not taken: {against}"
-        near = lambda w: _near(versus(w, its), results[-1].before)
+        near = lambda w: is_near(versus(w, its), results[-1].before)
         rivals = tuple(Rival(r.hypothesis.key, c, near(w)) for r, c, w in simulated[1:])
         return Step(best.hypothesis, best.scored, best.found, others[-1], results[-1], cost, rivals), ""
 
@@ -319,7 +295,7 @@ class _Round:
         best = min(alike, key=lambda i: left[i])
         return [simulated[best], *(x for i, x in enumerate(simulated) if i != best)]
 
-    def _screened(self, views: Sequence[Fitted], had) -> list[_Candidate]:
+    def _screened(self, views: Sequence[Fitted], had: Had) -> list[_Candidate]:
         """Candidates of one view after the other, and those that numbers imitate, until one takes much away."""
         found: list[_Candidate] = []
         seen = []
@@ -327,19 +303,19 @@ class _Round:
             scored = ranked(view, self.record, self.own, self.misses)
             self.scored = self.scored or tuple(scored)
             seen.append((view, scored))
-            if self._run(view, _chosen(scored, had), found):
+            if self._run(view, chosen(scored, had), found):
                 return found
         most = max((s.part for _, scored in seen for s in scored[:1]), default=0.0)
         doubtful = most < DOUBTFUL and np.max(self.now.of_axes) > FLOOR
         joints = {self.now.robot.axis_names[int(np.argmax(self.now.of_axes))]} if doubtful else set()
         for view, scored in seen:
-            self._run(view, _imitated(scored, joints, _out_of_tolerance(self.now), had), found)
+            self._run(view, imitated(scored, joints, _out_of_tolerance(self.now), had), found)
         return found
 
-    def _run(self, view: Fitted, chosen: Sequence[Scored], found: list[_Candidate]) -> bool:
+    def _run(self, view: Fitted, some: Sequence[Scored], found: list[_Candidate]) -> bool:
         """Fit candidates for some rounds; whether one of all takes much away."""
         starts: dict[tuple[str, str], tuple[Scored, Hypothesis]] = {}
-        for this in chosen:
+        for this in some:
             start = hypothesis(view, this.effect, this.joint)
             if start is not None and start.key not in {r.hypothesis.key for r in found}:
                 starts.setdefault(start.key, (this, start))
@@ -388,35 +364,6 @@ def said(key) -> str:
     return key[0].replace("_", " ") + (f" of {key[1]}" if key[1] else "")
 
 
-def _chosen(scored: Sequence[Scored], had) -> list[Scored]:
-    """The candidates of a ranking that are fitted; a number whose tolerance cannot be true stands out from all
-    others, however little of the cost it is."""
-    found: dict[tuple[str, str], Scored] = {}
-    for this in scored:
-        if this.size >= LEAST_SIZE and not _stands(this, had):
-            found.setdefault(this.key, this)
-    best = list(found.values())
-    promising = [s for s in best[:CANDIDATES] if s.part >= max(SHARE * best[0].part, LEAST_PART)]
-    others = best[len(promising) :]
-    return [*promising, *[s for s in others if s.disbelieved][:CANDIDATES]]
-
-
-def _stands(this: Scored, had: Sequence[Step]) -> bool:
-    """Whether an effect was taken before, or one that looks like it."""
-    return any(one_class(step.hypothesis.effect, step.key, this.key) for step in had)
-
-
-def _imitated(scored: Sequence[Scored], joints: Collection[str], disbelieved: Collection[str], had) -> list[Scored]:
-    """Effects that a joint's numbers imitate to first order: of these joints, and of those with such a number that is
-    off by more than is known."""
-    best: dict[tuple[str, str], Scored] = {}
-    for this in scored:
-        by = [f"{this.joint}.{kind}" for kind in this.effect.imitated_by]
-        if by and (this.joint in joints or any(name in disbelieved for name in by)) and not _stands(this, had):
-            best.setdefault(this.key, this)
-    return list(best.values())
-
-
 def _costs(robots: Sequence[Fitted], like: Fitted) -> list[float]:
     """Squares of what is left over the floor of one of them, so many counting as one, and those of the tolerances.
 
@@ -444,21 +391,3 @@ def _against(best: _Candidate, results: Sequence[Comparison], on_its_axis: float
     number = best.hypothesis.is_number
     each = (shows_nothing(r, EXPLAINED) if number else shows_nothing(r, own=on_its_axis) for r in results)
     return next((text for text in each if text), "")
-
-
-def shows_nothing(result: Comparison, least: float = LEAST_GAIN, own: float = 0.0) -> str:
-    """Why a comparison does not speak for an effect that must take away so much, of all or of its `own` axis' part, in
-    words; empty where it does."""
-    if not result.before:
-        return "on positions that chose nothing the misfit is nowhere beyond its floor without it"
-    if result.p_value <= max(SIGNIFICANT, result.finest) and max(result.gain, own) >= least and result.least > 0.0:
-        return ""
-    return (
-        f"on positions that chose nothing it takes away {result.gain:.0%} of what is beyond the floor, p = "
-        f"{result.p_value:.2g}"
-    )
-
-
-def _near(result: Comparison, before: float) -> bool:
-    """Whether a rival leaves hardly more than the best candidate, where the positions that decide are asked."""
-    return result.p_value > SIGNIFICANT or result.before - result.after < NEAR * before

@@ -17,8 +17,8 @@ from small_arm import FS, PERIOD, STEPS, Q, made_up, record, small_robot
 import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
-from jaxfrf.gap.diagnose import opened_positions
 from jaxfrf.gap.quantised import resolution
+from jaxfrf.gap.records import opened_positions
 from jaxfrf.gap.rounds import PART_FILES
 from jaxfrf.parts import Parts
 from jaxfrf.robot import linearise, motor_directions, operating_point, parameters, with_parameters

@@ -16,13 +16,13 @@ from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
 from jaxfrf.effects._harmonics import polar_deviation
 from jaxfrf.gap.conclude import against_it, close_rivals, counting
-from jaxfrf.gap.diagnose import split
 from jaxfrf.gap.fitted import Fitted
 from jaxfrf.gap.hypothesis import hypothesis
 from jaxfrf.gap.judge import beyond, compared, over_floor
 from jaxfrf.gap.maps import shown_samples
 from jaxfrf.gap.rank import Scored, is_had
-from jaxfrf.gap.selection import _chosen
+from jaxfrf.gap.records import split
+from jaxfrf.gap.shortlist import chosen
 from jaxfrf.robot import Tolerances
 from jaxfrf.trajectory.alike import alike, alike_as_written
 from jaxfrf.trajectory.evidence import band_edges, by_band
@@ -323,10 +323,10 @@ def test_candidates_that_are_fitted():
     )
     unseen, best, near, far = made("a", 0.9, 0.1), made("b", 0.2), made("c", 0.1), made("d", 0.05)
     number = made("e", 0.001, disbelieved=True)
-    assert _chosen([unseen, best, near, far, number], ()) == [best, near, number]
-    assert _chosen([best, made("b", 0.1)], ()) == [best]
-    assert _chosen([unseen, number], ()) == [number]
-    assert _chosen([unseen, made("c", 0.001)], ()) == []
+    assert chosen([unseen, best, near, far, number], ()) == [best, near, number]
+    assert chosen([best, made("b", 0.1)], ()) == [best]
+    assert chosen([unseen, number], ()) == [number]
+    assert chosen([unseen, made("c", 0.001)], ()) == []
 
 
 def test_rivals_that_are_named_too():

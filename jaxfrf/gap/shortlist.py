@@ -1,0 +1,39 @@
+"""Which candidates of a ranking are fitted."""
+
+from collections.abc import Collection, Sequence
+
+from ..effects import AbstractEffect
+from .hypothesis import one_class
+from .rank import Scored
+from .settings import CANDIDATES, LEAST_PART, LEAST_SIZE, SHARE
+
+Had = Sequence[tuple[AbstractEffect, tuple[str, str]]]  # effects that were taken before, with their keys
+
+
+def chosen(scored: Sequence[Scored], had: Had) -> list[Scored]:
+    """The candidates of a ranking that are fitted; a number whose tolerance cannot be true stands out from all
+    others, however little of the cost it is."""
+    found: dict[tuple[str, str], Scored] = {}
+    for this in scored:
+        if this.size >= LEAST_SIZE and not _stands(this, had):
+            found.setdefault(this.key, this)
+    best = list(found.values())
+    promising = [s for s in best[:CANDIDATES] if s.part >= max(SHARE * best[0].part, LEAST_PART)]
+    others = best[len(promising) :]
+    return [*promising, *[s for s in others if s.disbelieved][:CANDIDATES]]
+
+
+def _stands(this: Scored, had: Had) -> bool:
+    """Whether an effect was taken before, or one that looks like it."""
+    return any(one_class(effect, key, this.key) for effect, key in had)
+
+
+def imitated(scored: Sequence[Scored], joints: Collection[str], disbelieved: Collection[str], had: Had) -> list[Scored]:
+    """Effects that a joint's numbers imitate to first order: of these joints, and of those with such a number that is
+    off by more than is known."""
+    best: dict[tuple[str, str], Scored] = {}
+    for this in scored:
+        by = [f"{this.joint}.{kind}" for kind in this.effect.imitated_by]
+        if by and (this.joint in joints or any(name in disbelieved for name in by)) and not _stands(this, had):
+            best.setdefault(this.key, this)
+    return list(best.values())
