@@ -185,7 +185,7 @@ def _verdict(
         on = "the held-out positions" if heldout else "the fitted positions, none being held out"
         return _named_verdict(steps, effects, base, extended, on)
     met = relative_torque(judged, extended.residual)
-    why = "no effect explains more of the rest on positions that chose nothing"
+    why = "no effect explains more of the rest on the positions that decide"
     if not looked_for:
         why = "what is left is nowhere beyond its floor, so that no effect was looked for"
     if np.all(met < TOLERANCE) and np.all(np.abs(last.x) < HOPELESS):

@@ -103,11 +103,11 @@ def shows_nothing(result: Comparison, least: float = LEAST_GAIN, own: float = 0.
     """Why a comparison does not speak for an effect that must take away so much, of all or of its `own` axis' part, in
     words; empty where it does."""
     if not result.before:
-        return "on positions that chose nothing the misfit is nowhere beyond its floor without it"
+        return "on the positions that decide the misfit is nowhere beyond its floor without it"
     if result.p_value <= max(SIGNIFICANT, result.finest) and max(result.gain, own) >= least and result.least > 0.0:
         return ""
     return (
-        f"on positions that chose nothing it takes away {result.gain:.0%} of what is beyond the floor, p = "
+        f"on the positions that decide it takes away {result.gain:.0%} of what is beyond the floor, p = "
         f"{result.p_value:.2g}"
     )
 

@@ -60,15 +60,17 @@ def _binned(x, courses):
 def largest_cells(names: Sequence[str], maps: Maps) -> tuple[Cell, ...]:
     """The largest cells, those that hold at all positions as one."""
     overall = np.median(maps.before, axis=0)
+    everywhere = ", at all positions" if len(maps.before) > 1 else ""
     cells = []
     for axis, band in np.argwhere(overall > _EVERYWHERE):
-        cells.append(_cell(names[axis], maps.bands[band : band + 2], float(overall[axis, band]), None))
+        edges, z = maps.bands[band : band + 2], float(overall[axis, band])
+        cells.append(_cell(names[axis], edges, z, None, everywhere))
     for pos, axis, band in np.argwhere((maps.before > _SOMEWHERE) & (maps.before > 2.0 * overall)):
-        cells.append(_cell(names[axis], maps.bands[band : band + 2], float(maps.before[pos, axis, band]), int(pos)))
+        edges, z = maps.bands[band : band + 2], float(maps.before[pos, axis, band])
+        cells.append(_cell(names[axis], edges, z, int(pos), f", at position {pos}"))
     return tuple(sorted(cells, key=lambda c: -c.z)[:_CELLS])
 
 
-def _cell(name: str, band, z: float, position: int | None) -> Cell:
+def _cell(name: str, band, z: float, position: int | None, where: str) -> Cell:
     lo, hi = (float(x) for x in band)
-    where = "at all positions" if position is None else f"at position {position}"
-    return Cell(position, name, (lo, hi), z, f"torque of {name}, {lo:g}-{hi:g} Hz, {where}: {z:.3g} times the floor")
+    return Cell(position, name, (lo, hi), z, f"torque of {name}, {lo:g}-{hi:g} Hz{where}: {z:.3g} times the floor")

@@ -111,7 +111,8 @@ def torque_courses(
     """
     signals = [s for s in (*_SIGNALS, *courses) if s in courses]
     signals = list(dict.fromkeys(signals))
-    left, right, top, bottom, across, down = 1.0, 0.18, 0.42, 0.42, 0.16, 0.3
+    left = 0.6 + 0.08 * max((len(name) for name in shown), default=0)  # room for the name and for small numbers
+    right, top, bottom, across, down = 0.18, 0.42, 0.42, 0.16, 0.3
     width = (9.9 - left - right - across * (len(signals) - 1)) / len(signals)
     figure = _style.new_figure(9.9, top + bottom + len(shown) * (row + down) - down)
     axes = np.empty((len(shown), len(signals)), object)

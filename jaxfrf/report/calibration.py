@@ -10,7 +10,7 @@ from .._text import percent
 from ..calibration import Calibration, Number
 from ..io.fits import plain_data
 from ..plot.calibration import draw_numbers
-from .page import facts, figure, number, page, paragraph, section, table, verdict, write_page
+from .page import facts, figure, number, page, paragraph, section, table, verdict, wrapped, write_page
 from .recorded import finite, reading
 
 
@@ -93,7 +93,7 @@ def _numbers(held: Mapping[str, Any]) -> str:
         "what was known before so far as a number leans on it. An error of the model that is the same everywhere is "
         "not in them."
     )
-    return section("Numbers", drawn, table(headers, rows), paragraph(note))
+    return section("Numbers", drawn, wrapped(table(headers, rows)), paragraph(note))
 
 
 def _coordinates(name: str, held: Mapping[str, Any]) -> tuple[Number, float, float]:

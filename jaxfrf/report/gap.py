@@ -26,7 +26,7 @@ from .gap_words import (
     ripple_written,
     what,
 )
-from .page import beside, choice, facts, figure, number, page, paragraph, section, table, write_page
+from .page import beside, choice, facts, figure, number, page, paragraph, section, table, wrapped, write_page
 from .recorded import reading
 
 _DRAWN = 2  # axes whose FRFs the page holds
@@ -53,7 +53,6 @@ _STYLE = """<style>
   font-size: 14px; margin: 14px 0 10px; font-variant-numeric: tabular-nums; }
 .bars i { display: block; height: 13px; background: var(--c); min-width: 2px; }
 .bars .before { --c: #d55e00; } .bars .after { --c: #009e73; } .bars .floor { --c: #b9c0c7; }
-.wrapped td:last-child { white-space: normal; min-width: 260px; }
 .step { border-left: 5px solid #0a5c96; background: var(--wash); padding: 10px 16px; font-size: 16px; max-width: 88ch; }
 details > summary { cursor: pointer; color: #0a5c96; margin: 4px 0 8px; font-size: 14.5px; }
 @media (max-width: 560px) { .bars { grid-template-columns: max-content 1fr max-content; } .effect dl {
@@ -152,7 +151,7 @@ def _where(d) -> str:
         for c in d.where
     ]
     if rows:
-        told = _wrapped(table(["position", "where", "band, Hz", "rms / floor", "in words"], rows))
+        told = wrapped(table(["position", "where", "band, Hz", "rms / floor", "in words"], rows))
     else:
         told = paragraph("No cell stands out of the floor.")
     after = d.maps.after if _changed(d) else None
@@ -259,7 +258,7 @@ def _rivals(d) -> str:
         "Candidates by the part of the misfit that each would explain alone, before any refit"
         + (f" (● named{', ○ looks the same' if alike else ''})." if named else ".")
     )
-    return note + _wrapped(table(headers, rows))
+    return note + wrapped(table(headers, rows))
 
 
 def _expected(ranked) -> str:
@@ -390,11 +389,6 @@ def _plain(value) -> object:
 
 
 # --- blocks
-
-
-def _wrapped(block: str) -> str:
-    """A table whose last column holds sentences."""
-    return f'<div class="wrapped">{block}</div>'
 
 
 def _folded(summary: str, block: str) -> str:

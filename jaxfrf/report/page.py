@@ -38,6 +38,7 @@ th, td { padding: 4px 14px 4px 0; vertical-align: baseline; white-space: nowrap;
 td { border-bottom: 1px solid var(--line); }
 th.number, td.number { text-align: right; }
 td.flag { color: var(--bad); white-space: normal; }
+.wrapped td:last-child { white-space: normal; min-width: 260px; }
 figure { margin: 8px 0 18px; }
 figure img { max-width: 100%; height: auto; display: block; }
 figcaption { color: var(--soft); font-size: 13.5px; max-width: 92ch; margin-top: 4px; }
@@ -143,6 +144,11 @@ def table(headers: Sequence[str], rows: Sequence[Sequence[object]], flags: Seque
         for row in rows
     )
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>'
+
+
+def wrapped(block: str) -> str:
+    """A table whose last column holds sentences."""
+    return f'<div class="wrapped">{block}</div>'
 
 
 _NUMBER = re.compile(r"[-+±]?\s?\d[\d.\s]*(e[-+]?\d+)?( %)?( (to|±) .*| \[.*\])?")
