@@ -4,12 +4,13 @@ A page runs in a folder of its own, with the files that it takes for granted (`b
 
 - blocks of `python`, one after the other in one namespace;
 - blocks without a language, and of `sh`: commands;
-- a block of `toml` whose first line is `# file: NAME` is written to that file;
+- a block of `toml` or `python` whose first line is `# file: NAME` is written to that file;
 - `<!-- not run: why -->` above a block leaves it out, `<!-- data: FOLDER -->` needs that folder of `$JAXFRF_DATA`.
 
 Blocks of other languages, and indented ones (what a command prints), are only read.
 """
 
+import copy
 import importlib
 import importlib.util
 import os
@@ -22,6 +23,7 @@ import sys
 from typing import NamedTuple
 
 import jax
+import numpy as np
 import pytest
 
 import jaxfrf as jf
@@ -77,6 +79,9 @@ def test_everything_on_the_page_runs(page, tmp_path, monkeypatch, capsys, double
     for block in blocks(page):
         if block.remark.startswith("not run: "):
             continue
+        if block.text.startswith("# file: "):
+            (tmp_path / block.text.split("\n")[0].removeprefix("# file: ")).write_text(block.text)
+            continue
         if block.remark.startswith("data: ") and not _linked(block.remark.removeprefix("data: "), tmp_path):
             left.append(block.remark)
         elif block.language == "python":
@@ -86,10 +91,43 @@ def test_everything_on_the_page_runs(page, tmp_path, monkeypatch, capsys, double
         elif block.language in ("", "sh"):
             for line in commands(block.text):
                 _run(line, capsys)
-        elif block.language == "toml" and block.text.startswith("# file: "):
-            (tmp_path / block.text.split("\n")[0].removeprefix("# file: ")).write_text(block.text)
     if left:
         pytest.skip(f"JAXFRF_DATA is not set: left out {', '.join(left)}; all else ran.")
+
+
+NOTEBOOKS = sorted(BOOK.glob("*.ipynb"))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_run_and_print_what_they_hold(path, tmp_path, monkeypatch):
+    """The same words and pictures, the same numbers within a tenth: other machines round otherwise.
+
+    `jupyter execute --inplace notebooks/NAME.ipynb` makes what they hold."""
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    pytest.importorskip("ipykernel")
+    kept = nbformat.read(path, 4)
+    if "JAXFRF_DATA" in str(kept.cells) and "JAXFRF_DATA" not in os.environ:
+        pytest.skip("JAXFRF_DATA is not set: tests/data.md says where its data are to be had.")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    made, where = copy.deepcopy(kept), {"metadata": {"path": str(tmp_path)}}
+    nbclient.NotebookClient(made, timeout=1500, kernel_name="python3", resources=where).execute()
+    for number, (then, now) in enumerate(zip(kept.cells, made.cells, strict=True)):
+        (words, numbers, pictures), found = _held(then), _held(now)
+        assert (words, pictures) == (found[0], found[2]), f"{path.stem}, cell {number}"
+        np.testing.assert_allclose(found[1], numbers, rtol=0.1, atol=0.1, err_msg=f"{path.stem}, cell {number}")
+
+
+_NUMBER = r"[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?|[-+]?\.\d+(?:e[-+]?\d+)?"
+
+
+def _held(cell) -> tuple[list[str], list[float], int]:
+    """Words, numbers and how many pictures a cell shows."""
+    outputs = cell.get("outputs", [])
+    text = "".join(o.text for o in outputs if o.output_type == "stream")
+    words = re.sub(_NUMBER, " ", re.sub(r"[\[\]().,]", " ", text)).split()
+    return words, [float(x) for x in re.findall(_NUMBER, text)], sum("image/png" in o.get("data", {}) for o in outputs)
 
 
 def _linked(folder: str, here: pathlib.Path) -> bool:
