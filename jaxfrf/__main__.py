@@ -8,7 +8,8 @@ import os
 import signal
 import sys
 import threading
-from typing import NoReturn
+from collections.abc import Mapping
+from typing import Any, NoReturn
 
 from . import __version__, _environment
 from ._errors import InputError
@@ -66,8 +67,14 @@ def _run(given) -> int:
         check_inputs(given)
         summary = given.run(given)
     code = summary.pop("code", 0)
-    _print(json.dumps(summary.pop("json", summary), indent=1) if given.json else "\n".join(summary["text"]))
+    _print(_as_json(summary.pop("json", summary)) if given.json else "\n".join(summary["text"]))
     return code
+
+
+def _as_json(summary: Mapping[str, Any]) -> str:
+    from .io._json import plain_data
+
+    return json.dumps(plain_data(summary), indent=1, allow_nan=False)
 
 
 class _ToldToEnd(KeyboardInterrupt):

@@ -12,6 +12,7 @@ import numpy as np
 import plants
 import pytest
 import scipy.io
+from book_tables import keys, row_names, told
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
@@ -249,6 +250,21 @@ def test_json_of_other_commands(tmp_path, capsys, command, design):
     arguments = {"example": ["--blocks", "1"], "excite": [design]}[command]
     assert main([command, *arguments, "-o", str(tmp_path / "a.nc"), "--json"]) == 0
     assert str(tmp_path / "a.nc") in json.loads(capsys.readouterr().out)["output"]
+
+
+def test_what_json_prints_is_told(tmp_path, capsys, design):
+    """Every key of these stands on the page of files, in the row of the command or the section of its file."""
+    run, frf = write(tmp_path / "run.npz", record()[0]), str(tmp_path / "frf.nc")
+    words = {
+        "estimate": [run, "-o", frf, "--method", "lrm-jio"],
+        "modal": [frf, "-o", tmp_path / "modes.json"],
+        "distortion": [run],
+        "excite": [design, "-o", tmp_path / "r.nc", "--plot", tmp_path / "r.svg"],
+    }
+    for command, arguments in words.items():
+        assert main([command, *map(str, arguments), "--json"]) == 0, capsys.readouterr().err
+        known = told("files.md", "modes.json") if command == "modal" else row_names("files.md", f"| `{command}` |")
+        assert keys(json.loads(capsys.readouterr().out)) - {"output"} <= known, command
 
 
 def test_help_and_usage(capsys):

@@ -19,6 +19,12 @@ def told(page: str, section: str, after: str = "") -> set[str]:
     return {name for code in re.findall(r"`([^`]+)`", text) for name in re.findall(r"\w+", code)}
 
 
+def row_names(page: str, begins: str) -> set[str]:
+    """The names in code marks of the only line of a page that begins so."""
+    (line,) = (x for x in (_BOOK / page).read_text(encoding="utf-8").splitlines() if x.startswith(begins))
+    return {name for code in re.findall(r"`([^`]+)`", line) for name in re.findall(r"\w+", code)}
+
+
 def keys(found, but: tuple[str, ...] = ()) -> set[str]:
     """All keys of plain data, in depth but for what stands under keys that are data themselves (names of joints)."""
     if isinstance(found, list):
