@@ -62,7 +62,8 @@ MAIN = {
     "encoder_quantisation": "resolution",
     "dress_pack": "stiffness",
 }
-"""Every effect of the library, and the parameter that says how strong it is."""
+"""Effects of the library that the benchmark hides, and the parameter that says how strong each is. One that does not stand
+here is tried by every diagnosis, and never hidden: figures of the benchmark say nothing about it."""
 
 NUMBERS = {
     "coulomb_friction": "coulomb_friction",

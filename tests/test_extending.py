@@ -1,17 +1,19 @@
 """One new file and one line: an estimator, an effect, a diagnosis channel and a record format, up to the command line.
 
-The file is what a person would write into the package; the line is the entry of the table that lists its kind.
+A copy of the package gets the files that a person would write and a line for each, and is imported in the place of the
+package.
 """
 
-import importlib.util
+import importlib
+import pathlib
+import shutil
 import sys
 
 import numpy as np
 import pytest
 from two_axes import ROBOT
 
-import jaxfrf as jf
-from jaxfrf.__main__ import main
+import jaxfrf
 
 ESTIMATOR = '''
 """H1 with a ridge."""
@@ -56,7 +58,15 @@ from .effect import AbstractFriction, Joint
 
 
 class Drag(AbstractFriction):
-    """Drag that grows with the square of the speed, tau = coefficient v |v|."""
+    """Drag that grows with the square of the speed, tau = coefficient v |v|.
+
+    **Arguments:** `joint`: a driven joint, name or number. `coefficient`: N m s^2/rad^2, motor side; 2e-5 is visible.
+
+    In data: a torque residual against the motion that is a parabola of the speed. Confusable with viscous friction,
+    until the slow motion has another amplitude.
+
+    **Source:** the drag of a body in a turbulent flow, e.g. White, Fluid Mechanics, 2011.
+    """
 
     name: ClassVar = "drag"
     units: ClassVar = {"coefficient": "N m s^2/rad^2"}
@@ -165,28 +175,60 @@ class HoldingChannel(AbstractChannel):
 '''
 
 
+NEW = {
+    "frf/ridge.py": ESTIMATOR,
+    "effects/drag.py": EFFECT,
+    "io/_log.py": FORMAT,
+    "gap/channels/holding.py": CHANNEL,
+}
+LINES = {
+    "frf/catalogue.py": ('    "ridge": ("H1 with a ridge", _in("ridge").RidgeH1()),', '    "arithmetic": ('),
+    "effects/__init__.py": ("from .drag import Drag as Drag", "from .effect import ("),
+    "io/_formats.py": ('    ".log": "_log",', '    ".csv": '),
+    "gap/channels/__init__.py": ('    _in("holding").HoldingChannel,', '    _in("torque")'),
+}
+"""The line in each file, and what the one below it begins with."""
+
+
+def ours(name):
+    """The package, and a reference that is made with it."""
+    return name.partition(".")[0] in ("jaxfrf", "small_arm")
+
+
+@pytest.fixture(scope="module")
+def jf(tmp_path_factory):
+    """The package with the new files and lines."""
+    root = tmp_path_factory.mktemp("extended")
+    shutil.copytree(pathlib.Path(jaxfrf.__file__).parent, root / "jaxfrf", ignore=shutil.ignore_patterns("*.pyc"))
+    for name, text in NEW.items():
+        (root / "jaxfrf" / name).write_text(text)
+    for name, (line, below) in LINES.items():
+        path = root / "jaxfrf" / name
+        text = path.read_text()
+        assert text.count(f"\n{below}") == 1
+        path.write_text(text.replace(f"\n{below}", f"\n{line}\n{below}"))
+    before = {name: sys.modules.pop(name) for name in list(sys.modules) if ours(name)}
+    sys.path.insert(0, str(root))
+    try:
+        package = importlib.import_module("jaxfrf")
+        assert pathlib.Path(package.__file__).is_relative_to(root)
+        yield package
+    finally:
+        sys.path.remove(str(root))
+        for name in [name for name in sys.modules if ours(name)]:
+            del sys.modules[name]
+        sys.modules.update(before)
+
+
 @pytest.fixture
-def new_file(tmp_path, monkeypatch):
-    """Stands for a file of the package: gives its module."""
-
-    def made(name, text):
-        path = tmp_path / f"{name.rpartition('.')[2]}.py"
-        path.write_text(text)
-        spec = importlib.util.spec_from_file_location(name, path)
-        module = importlib.util.module_from_spec(spec)
-        monkeypatch.setitem(sys.modules, name, module)
-        spec.loader.exec_module(module)
-        return module
-
-    return made
+def main(jf):
+    return importlib.import_module("jaxfrf.__main__").main
 
 
-def test_an_estimator(new_file, tmp_path, monkeypatch, capsys):
+def test_an_estimator(jf, main, tmp_path, capsys):
     """Its name, its option and its place in means are known to the command line."""
-    from jaxfrf.frf.catalogue import METHODS, method
+    from jaxfrf.frf.catalogue import method
 
-    module = new_file("jaxfrf.frf.ridge", ESTIMATOR)
-    monkeypatch.setitem(METHODS, "ridge", ("H1 with a ridge", module.RidgeH1()))  # the line
     run, frf = str(tmp_path / "run.npz"), str(tmp_path / "frf.npz")
     data = jf.example(blocks=2)
     jf.io.write(run, data)
@@ -199,19 +241,11 @@ def test_an_estimator(new_file, tmp_path, monkeypatch, capsys):
     np.testing.assert_allclose(mean.G, jf.estimate(data, jf.ArithmeticMean()).G, rtol=1e-3)
 
 
-@pytest.fixture
-def drag(new_file, monkeypatch):
-    """An effect that the library holds."""
-    kind = new_file("jaxfrf.effects.drag", EFFECT).Drag
-    monkeypatch.setattr(jf.effects, "Drag", kind, raising=False)  # the line: from .drag import Drag as Drag
-    return kind
-
-
-def test_an_effect(drag, tmp_path):
+def test_an_effect(jf, tmp_path):
     """It is in the library, in files of robots, and a candidate of both comparisons on every joint that can have it."""
-
     from jaxfrf.gap.candidates import candidates
 
+    drag = jf.effects.Drag
     path = tmp_path / "robot.toml"
     path.write_text(ROBOT + '[[effect]]\nname = "drag"\njoint = "elbow"\ncoefficient = 1e-4\n')
     robot = jf.io.read_robot(path)
@@ -226,45 +260,44 @@ def test_an_effect(drag, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_effect_that_is_hidden(drag):
+def test_an_effect_that_is_hidden(jf):
     """The diagnosis tries it, names it and tells its size, on a machine whose own numbers are off."""
     from small_arm import record, small_robot
 
     off = {"stiffness": 1.02, "damping": 0.95, "mass": 1.006, "viscous_friction": 1.02}
     built = {n: f * x for kind, f in off.items() for n, x in jf.robot.parameters(small_robot(), [kind]).items()}
-    machine = jf.robot.with_parameters(small_robot(), built).with_effects(drag("elbow", 1e-4))
+    machine = jf.robot.with_parameters(small_robot(), built).with_effects(jf.effects.Drag("elbow", 1e-4))
     found = jf.gap.diagnose(small_robot(), record(machine))
     assert found.verdict == "named", found.says
     assert (found.effects[0].name, found.effects[0].joint) == ("drag", "elbow")
     assert found.effects[0].parameters["coefficient"].value == pytest.approx(1e-4, rel=0.1)
 
 
-def test_a_record_format(new_file, tmp_path, monkeypatch, capsys):
-    """Names, units, other files beside it and messages come with it."""
-    from jaxfrf.io._formats import RECORDS
-
-    new_file("jaxfrf.io._log", FORMAT)
-    monkeypatch.setitem(RECORDS, ".log", "_log")  # the line
-    t = np.arange(1000) / 500.0
-    table = np.column_stack([np.sin(40 * t), np.cos(40 * t), 3 * t])
+def test_a_record_format(jf, main, tmp_path, capsys):
+    """Names, units, other files beside it and messages come with it, and the FRF is that of the numbers in it."""
+    rng = np.random.default_rng(0)
+    u = np.tile(rng.standard_normal(200), 5)
+    y = 3.0 * np.roll(u, 1) + 2.0 * np.roll(u, 2)  # mNm and deg/s
+    table = np.column_stack([u, y, np.arange(1000.0)])
     rows = "\n".join(" ".join(map(repr, row.tolist())) for row in table)
-    path = tmp_path / "motor.log"
+    path, frf = tmp_path / "motor.log", tmp_path / "frf.npz"
     path.write_text("#torque;mNm\n#speed;deg/s\n#odd;\n" + rows)
     data = jf.io.read(path, names={"u": "torque", "y": "speed"}, values={"fs": 500})
-    np.testing.assert_allclose(np.asarray(data.u)[0, 0, :, 0], 1e-3 * table[:, 0], rtol=1e-12)
-    np.testing.assert_allclose(np.asarray(data.y)[0, 0, :, 0], np.radians(table[:, 1]), rtol=1e-12)
+    np.testing.assert_allclose(np.asarray(data.u)[0, 0, :, 0], 1e-3 * u, rtol=1e-12)
+    np.testing.assert_allclose(np.asarray(data.y)[0, 0, :, 0], np.radians(y), rtol=1e-12)
     assert data.y_quantity == "velocity" and data.sources[0].name == "motor.log"
-    arguments = ["estimate", str(path), "-o", str(tmp_path / "frf.npz"), "--map", "u=torqe,y=speed", "--set", "fs=500"]
-    assert main(arguments) == 2
+    arguments = ["estimate", str(path), "-o", str(frf), "--method", "h1", "--set", "fs=500,period=200"]
+    assert main([*arguments, "--map", "u=torque,y=speed"]) == 0
+    found = jf.io.read_frf(frf)
+    z = np.exp(-2j * np.pi * found.frequency / 500.0)
+    expected = np.pi / 180.0 / 1e-3 * (3.0 * z + 2.0 * z**2)
+    np.testing.assert_allclose(found.G[0, :, 0, 0], expected, rtol=1e-9)
+    assert main([*arguments, "--map", "u=torqe,y=speed"]) == 2
     assert "The file has torque (1000,), speed (1000,)" in capsys.readouterr().err
 
 
-def test_a_channel(new_file, tmp_path, monkeypatch, capsys):
+def test_a_channel(jf, main, tmp_path, capsys):
     """The diagnosis compares what only it sees, searches and reports it as all others, by the command, too."""
-    from jaxfrf.gap.channels import CHANNELS
-
-    kind = new_file("jaxfrf.gap.channels.holding", CHANNEL).HoldingChannel
-    monkeypatch.setattr(sys.modules["jaxfrf.gap.channels"], "CHANNELS", [kind, *CHANNELS])  # the line
     path = tmp_path / "robot.toml"
     path.write_text(ROBOT)
     robot, rng = jf.io.read_robot(path), np.random.default_rng(0)
@@ -279,7 +312,7 @@ def test_a_channel(new_file, tmp_path, monkeypatch, capsys):
     found = jf.gap.diagnose(robot, record)
     assert found.verdict == "named" and [x.name for x in found.effects] == ["payload"], found.says
     assert found.effects[0].parameters["mass"].value == pytest.approx(0.8, rel=0.01)
-    assert found.compared == kind.compared and "holding torque residual" in found.says
+    assert found.compared == "torque that holds the arm" and "holding torque residual" in found.says
     run, gap = str(tmp_path / "run.npz"), str(tmp_path / "gap.json")
     jf.io.write(run, record)
     assert main(["diagnose", run, "--robot", str(path), "-o", gap, "--anyway"]) == 0

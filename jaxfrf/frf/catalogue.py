@@ -1,8 +1,10 @@
 """Methods by the names that the command line knows."""
 
 import dataclasses
+import importlib
 import inspect
 from collections.abc import Mapping
+from typing import Any
 
 from .._errors import input_error
 from .average import ArithmeticMean, LogMean, RobustMean
@@ -11,11 +13,15 @@ from .common import CommonDenominatorLRM
 from .joint import JointInputOutput
 from .local import LPM, LRM, MisoLRM
 from .method import AbstractMethod
-from .select import Auto
-from .welch import Welch
+
+
+def _in(module: str) -> Any:
+    """A module of this room: the line of a method in a file of its own says where it is, and needs no import above."""
+    return importlib.import_module(f".{module}", __package__)
+
 
 METHODS: dict[str, tuple[str, AbstractMethod]] = {
-    "auto": ("stacked LRM through the reference, window chosen from the data", Auto()),
+    "auto": ("stacked LRM through the reference, window chosen from the data", _in("select").Auto()),
     "h1": ("least squares over experiments, noise in y", H1()),
     "h2": ("least squares over experiments, noise in u", H2()),
     "hv": ("total least squares over experiments", Hv()),
@@ -43,7 +49,7 @@ METHODS: dict[str, tuple[str, AbstractMethod]] = {
     ),
     "welch": (
         "cross spectra averaged over segments of a record, as SciPy's csd/welch and MATLAB's tfestimate; also: spa",
-        Welch(),
+        _in("welch").Welch(),
     ),
 }
 """Name: what it is, and the method with its default options. The paper's are h1 to lrm-jio."""
