@@ -5,6 +5,7 @@ from _hidden_effects import MAIN
 from _hidden_plan import CLASSES
 from _outside_effects import OUTSIDE
 
+from jaxfrf.effects import library
 from jaxfrf.plot._style import COLOURS, NORMAL, SMALL, add_axes, new_figure, save
 
 _SILENT = ("sufficient", "inconclusive", "unexplained", "failed")
@@ -20,7 +21,9 @@ def draw(confusion: dict[str, dict[str, int]], path) -> None:
     Joints are not looked at here. Rows without cases are left out.
     """
     rows = [name for name in (*MAIN, "none", *OUTSIDE) if confusion.get(name)]
-    columns = [*MAIN, *(v for v in _SILENT if v != "failed" or any("failed" in row for row in confusion.values()))]
+    ends = {end for row in confusion.values() for end in row}
+    named = [*MAIN, *(name for name in library() if name in ends and name not in MAIN)]  # what is never hidden, too
+    columns = [*named, *(v for v in _SILENT if v != "failed" or v in ends)]
     width, height = _CELL * len(columns), _CELL * max(len(rows), 1)
     figure = new_figure(_LEFT + width + _RIGHT, _TOP + height + _BOTTOM)
     axes = add_axes(figure, _LEFT, _BOTTOM, width, height)
@@ -67,7 +70,7 @@ def _grid(axes, rows, columns) -> None:
         for name in right:
             place = (columns.index(name) - 0.46, y - 0.46)
             axes.add_patch(Rectangle(place, 0.92, 0.92, fill=False, edgecolor="#9FB8C9", linewidth=0.7, zorder=0.5))
-    axes.axvline(len(MAIN) - 0.5, color="#555555", linewidth=0.9)
+    axes.axvline(sum(name not in _SILENT for name in columns) - 0.5, color="#555555", linewidth=0.9)
     known = sum(name in MAIN for name in rows)
     if 0 < known < len(rows):
         axes.axhline(known - 0.5, color="#555555", linewidth=0.9)

@@ -1,5 +1,6 @@
 """What effects look like in data: a card for each, with what it asks of a motor along one motion."""
 
+import itertools
 import textwrap
 from collections.abc import Sequence
 from typing import Protocol
@@ -9,21 +10,16 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Complex, Float
 
-from ..effects import AbstractEffect
+from ..effects import AbstractEffect, library
 from ..effects._place import axis_of
 from ..io._optional import require
 from ..io.gaps import equation
 from ..robot import Robot
 from . import _style
 
-_FAMILIES = {
-    "friction": _style.COLOURS[1],
-    "actuator": _style.COLOURS[0],
-    "sensor": _style.COLOURS[3],
-    "structure": _style.COLOURS[2],
-    "transmission": "#B07D00",
-}
-_OTHER = "#444444"
+# In the library's order of families: dark enough for words, neighbours apart.
+_COLOURS = (*(_style.COLOURS[i] for i in (0, 1, 3)), "#6A51A3", _style.COLOURS[2], "#B07D00", "#8C2D04", "#3E7C8F")
+_OTHER = "#444444"  # of effects of one's own
 _BASE, _SOFT = "#C9CED4", "#5C6670"
 _SAMPLES = 2048  # of the courses
 _BINS = 24
@@ -124,11 +120,12 @@ def fingerprints(prints: Sequence[Fingerprint], names: Sequence[str], *, columns
     rows = -(-len(prints) // columns)
     wide = _TEXT + 3 * _PANEL + 2 * _BETWEEN + _GUTTER
     figure = _style.new_figure(columns * wide + 0.1, rows * _CARD + _HEAD)
-    _families(figure)
+    colours = families()
+    _key(figure, colours)
     axes = np.empty((len(prints), 3), object)
     for k, this in enumerate(prints):
         left, top = 0.1 + (k // rows) * wide, figure.get_figheight() - _HEAD - (k % rows) * _CARD
-        colour = _FAMILIES.get(type(this.effect).__module__.rpartition(".")[2], _OTHER)
+        colour = colours.get(family(type(this.effect)), _OTHER)
         _text(figure, this, names, left, top, colour)
         for n in range(3):
             at = left + _TEXT + n * (_PANEL + _BETWEEN)
@@ -140,11 +137,23 @@ def fingerprints(prints: Sequence[Fingerprint], names: Sequence[str], *, columns
     return figure, axes
 
 
-def _families(figure) -> None:
+def family(kind: type[AbstractEffect]) -> str:
+    """What an effect belongs to: the module that it stands in, e.g. friction."""
+    return kind.__module__.rpartition(".")[2]
+
+
+def families() -> dict[str, str]:
+    """The families of the library in its order, and the colour of each; where there are more of them than colours, these
+    come again."""
+    names = dict.fromkeys(family(kind) for kind in library().values())
+    return dict(zip(names, itertools.cycle(_COLOURS), strict=False))
+
+
+def _key(figure, colours: dict[str, str]) -> None:
     """Names of the families in their colours, and what the grey is."""
     across, up = figure.get_size_inches()
     left = 0.1
-    for name, colour in (*_FAMILIES.items(), ("the motor's whole torque", "#8A929B")):
+    for name, colour in (*colours.items(), ("the motor's whole torque", "#8A929B")):
         text = f"\u25a0 {name}"
         figure.text(left / across, 1 - 0.08 / up, text, color=colour, fontsize=_style.NORMAL, va="top")
         left += 0.085 * len(text) + 0.15

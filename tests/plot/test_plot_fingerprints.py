@@ -7,7 +7,7 @@ import pytest
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
-from jaxfrf.plot.fingerprints import fingerprint, fingerprints
+from jaxfrf.plot.fingerprints import families, family, fingerprint, fingerprints
 
 FS, PERIOD, LINES = 500.0, 4000, 640
 TIME = np.arange(PERIOD) / FS
@@ -75,6 +75,13 @@ def test_an_effect_without_joint_is_shown_where_it_is_largest(scene):
     assert fingerprint(fx.Payload(1.0), lines(np.sin(2 * np.pi * TIME)), scene).axis == 2
 
 
+def test_families_are_those_of_the_library():
+    """Every effect of the library has one, play and hardening too, and each its own colour."""
+    colours = families()
+    assert {family(kind) for kind in fx.library().values()} == set(colours)
+    assert family(fx.Backlash) == "springs" and len(set(colours.values())) == len(colours)
+
+
 def test_cards(robot, scene, tmp_path):
     """Three pictures and the words of every effect; the drawn spectrum is the rms of the lines within 1 Hz."""
     wave = 0.3 * np.sin(2 * np.pi * 12.5 * TIME)
@@ -87,7 +94,9 @@ def test_cards(robot, scene, tmp_path):
         assert f"{effect.name.replace('_', ' ')}, joint3" in words
         assert effect.signature in words
         assert any(all(x.replace("_", " ") in text for x in effect.confusable) for text in words)
+    assert all(f"\u25a0 {name}" in words for name in families())
     (drawn,) = axes[0, 0].lines
+    assert drawn.get_color() == families()["springs"]
     assert np.max(drawn.get_ydata()) == pytest.approx(0.15 / np.sqrt(8))  # one line of eight within 1 Hz
     assert axes[1, 1].get_title("right") == "constant"
     assert axes[2, 1].get_title("right") == "100 %"
