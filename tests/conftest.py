@@ -44,7 +44,7 @@ def measured() -> pathlib.Path:
     if folder is None:
         if os.environ.get("CI"):
             pytest.fail("JAXFRF_DATA is not set: the real-data tests must run in CI.")
-        pytest.skip("JAXFRF_DATA is not set: no real measurements here.")
+        pytest.skip("JAXFRF_DATA is not set: `python tests/data.py` says where the real measurements are to be had.")
     return pathlib.Path(folder).resolve()
 
 
