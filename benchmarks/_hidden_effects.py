@@ -62,8 +62,9 @@ MAIN = {
     "encoder_quantisation": "resolution",
     "dress_pack": "stiffness",
 }
-"""Effects of the library that the benchmark hides, and the parameter that says how strong each is. One that does not stand
-here is tried by every diagnosis, and never hidden: figures of the benchmark say nothing about it."""
+"""Effects of the library that the benchmark hides, and the parameter that says how strong each is.
+
+One that does not stand here is tried by every diagnosis and never hidden: the benchmark's figures say nothing of it."""
 
 NUMBERS = {
     "coulomb_friction": "coulomb_friction",

@@ -25,15 +25,17 @@ jaxfrf COMMAND --help shows the options of a command and examples.
 
 exit codes:
   0    done
-  1    with --each: some files failed, the others are done
+  1    with --each: some files failed, the others are done; otherwise an
+       error of the program itself, with its traceback
   2    bad input or usage: one message on standard error, no result
-  130  interrupted; finished parts are kept where the message says so
+  130  interrupted (Ctrl-C); finished parts are kept where the message says so
+  143  told to end (SIGTERM); finished parts are kept as after Ctrl-C
 """
 
 
 def main(arguments=None) -> int:
-    """Run a command; returns 0, 1 where some files of many failed, or 2 after bad input, with one message on standard
-    error."""
+    """Run a command; returns 0, 1 where some files of many failed, or, with one message on standard error, 2 after bad
+    input, 130 where it was interrupted and 143 where it was told to end. Errors of the program itself are raised."""
     parser = _parser()
     if "_ARGCOMPLETE" in os.environ:  # the shell asks for completions
         import argcomplete

@@ -79,4 +79,7 @@ def _write(given, found) -> list[str]:
 
 
 def _next(given) -> list[str]:
-    return [f"next: jaxfrf view {given.output}"] if given.output else []
+    if given.output:
+        return [f"next: jaxfrf view {given.output}"]
+    look = f"look at {given.plot}" if given.plot else "--plot levels.png shows the levels"
+    return [f"next: {look}; -o frf.nc keeps the FRF with its total level"]

@@ -43,7 +43,13 @@ def run_each(given) -> dict:
 
     with Progress(f"{given.command} --each", given.json) as progress:
         batch = each(given, **sharing(given), say=say, progress=progress)
-    return {"text": batch.lines(), "json": batch.as_dict(), "code": 1 if batch.failed else 0}
+    text = [*batch.lines(), f"next: {_next(batch)}"]
+    return {"text": text, "json": batch.as_dict(), "code": 1 if batch.failed else 0}
+
+
+def _next(batch) -> str:
+    look = f"look at {batch.folder / 'index.html'}"
+    return f"{look}; where files failed, mend them and run the same again: what is done stays" if batch.failed else look
 
 
 def sharing(given) -> dict:

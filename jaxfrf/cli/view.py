@@ -44,8 +44,8 @@ def run(given) -> dict:
     )
     _write(page, given.frf, labels)
     opened = not given.output and webbrowser.open(pathlib.Path(page).resolve().as_uri())
-    text = f"opened {page}" if opened else f"wrote {page}" + ("" if given.output else ": open it in a browser")
-    return {"text": [text], "json": {"output": [page], "opened": bool(opened)}}
+    text = [f"opened {page}", *_next(given.frf)] if opened else [f"wrote {page}", f"next: open {page} in a browser"]
+    return {"text": text, "json": {"output": [page], "opened": bool(opened)}}
 
 
 def _write(page: str, paths: Sequence[str], labels: Sequence[str]) -> None:
@@ -84,6 +84,14 @@ def _write_result(page: str, path: str) -> None:
             report.write_calibration(page, io.read_fit(path))
         else:
             report.write_identification(page, io.read_fit(path))
+
+
+def _next(paths: Sequence[str]) -> list[str]:
+    """What to do with what is on the page; a page of a diagnosis says it itself."""
+    fields = _fields(paths[0]) if pathlib.Path(paths[0]).suffix.lower() == ".json" else None
+    if fields is None:
+        return [f"next: jaxfrf modal {paths[0]} -o modes.json"]
+    return [] if "verdict" in fields else ["next: what is missing? jaxfrf diagnose DATA --robot ROBOT -o gap.json"]
 
 
 def _fields(path: str) -> dict[str, Any]:

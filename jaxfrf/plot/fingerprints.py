@@ -143,8 +143,7 @@ def family(kind: type[AbstractEffect]) -> str:
 
 
 def families() -> dict[str, str]:
-    """The families of the library in its order, and the colour of each; where there are more of them than colours, these
-    come again."""
+    """The families of the library in its order, and the colour of each; colours come again where there are too few."""
     names = dict.fromkeys(family(kind) for kind in library().values())
     return dict(zip(names, itertools.cycle(_COLOURS), strict=False))
 

@@ -7,6 +7,7 @@ import pathlib
 import re
 import subprocess
 import sys
+import webbrowser
 
 import numpy as np
 import plants
@@ -328,10 +329,36 @@ def test_one_table_of_formats(capsys):
 def test_help_tells_exit_codes_and_results_what_is_next(tmp_path, capsys):
     assert main_exit(["--help"]) == 0
     out = capsys.readouterr().out
-    assert all(re.search(rf"^  {code} ", out, re.MULTILINE) for code in (0, 1, 2, 130))
+    assert all(re.search(rf"^  {code} ", out, re.MULTILINE) for code in (0, 1, 2, 130, 143))
+    page = (pathlib.Path(__file__).parents[2] / "notebooks" / "command_line.md").read_text()
+    assert all(f"\n| {code} | " in page for code in (0, 1, 2, 130, 143))
     assert main(["example", "--blocks", "1", "-o", str(tmp_path / "run.npz")]) == 0
     *_, last = capsys.readouterr().out.splitlines()
     assert last == f"next: jaxfrf estimate {tmp_path / 'run.npz'} -o frf.npz --report frf.html"
+
+
+@pytest.mark.parametrize(
+    ("command", "last"),
+    [
+        (
+            "distortion run.npz --method h1",
+            "--plot levels.png shows the levels; -o frf.nc keeps the FRF with its total level",
+        ),
+        ("distortion run.npz --method h1 -o frf.npz", "jaxfrf view frf.npz"),
+        ("estimate run.npz --method h1 --each --plot .png -o all", "look at all/index.html"),
+        ("estimate run.npz bad.npz --method h1 --each -o all", "look at all/index.html; where files failed, mend"),
+        ("estimate run.npz --method h1 -o frf.npz", "jaxfrf view frf.npz"),
+        ("view frf.npz", "jaxfrf modal frf.npz -o modes.json"),
+        ("view frf.npz -o page.html", "open page.html in a browser"),
+    ],
+)
+def test_what_is_next(command, last, data, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(webbrowser, "open", lambda address: True)
+    pathlib.Path("bad.npz").write_text("nothing")
+    jf.io.write_frf("frf.npz", jf.estimate(jf.example(blocks=1), jf.H1()))
+    assert main(command.split()) == ("bad.npz" in command)
+    assert capsys.readouterr().out.splitlines()[-1].startswith(f"next: {last}")
 
 
 def test_example_writes_the_robot_that_it_simulates(tmp_path, capsys):

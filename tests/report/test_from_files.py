@@ -10,6 +10,7 @@ from gap_examples import NAMES, example
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
+from jaxfrf.cli.view import _next
 from jaxfrf.report import calibration_page, gap_page, identification_page
 
 NUMBER = {
@@ -92,6 +93,7 @@ def test_a_fit_is_viewed_as_it_was_reported(more, tmp_path, capsys):
     robot = ["--robot", str(tmp_path / "robot.toml")]
     assert main(["identify", str(tmp_path / "run1.nc"), *robot, *more, "-o", fit, "--report", report]) == 0
     assert main(["view", fit, "-o", page]) == 0, capsys.readouterr().err
+    assert _next([fit]) == ["next: what is missing? jaxfrf diagnose DATA --robot ROBOT -o gap.json"]
     bode = re.compile(r"<section>\n<h2>Measured and modelled</h2>.*?</section>", re.DOTALL)
     made, viewed = (words((tmp_path / name).read_text()) for name in ("report.html", "page.html"))
     assert bode.sub("", made) == bode.sub("", viewed)
