@@ -18,13 +18,12 @@ import dataclasses
 import json
 import os
 import pathlib
-import platform
 import statistics
-import subprocess
 import sys
 import time
 
-ROOT = pathlib.Path(__file__).resolve().parents[1]
+from _pinned import ROOT, available_cores, load_text, machine, machine_text, run_pinned
+
 SEED_POSITIONS, SEED_NOISE, SEED_STARTS = 0, 1, 2
 CANDIDATES, CHOSEN, NOISE = 49, 7, 0.05
 TIME_LIMIT = 3000  # s, of a measuring process
@@ -47,8 +46,8 @@ def main() -> None:
         print(json.dumps(_WORKERS[request.pop("measure")](**request)))
         return
     seeds = {"positions": SEED_POSITIONS, "noise": SEED_NOISE, "starts": SEED_STARTS}
-    result = {"machine": _machine(), "seeds": seeds, "costs": [], "fits": []}
-    print(_describe(result["machine"]), flush=True)
+    result = {"machine": machine(), "seeds": seeds, "costs": [], "fits": []}
+    print(machine_text(result["machine"]), flush=True)
     for cores in arguments.cores:
         result["costs"].append(_run(cores, measure="costs", rounds=3 if arguments.quick else 7))
         print(_cost_table(result["costs"][-1]), flush=True)
@@ -59,7 +58,7 @@ def main() -> None:
         result["fits"].append(_run(cores, measure="fits", starts=arguments.starts, every=not arguments.quick))
         print(_fit_table(result["fits"][-1], result["starts"]), flush=True)
     result["machine"]["load_after"] = os.getloadavg()
-    print(f"\nload average at the end: {_load(result['machine']['load_after'])}")
+    print(f"\nload average at the end: {load_text(result['machine']['load_after'])}")
     if arguments.json:
         temporary = arguments.json.with_name(arguments.json.name + ".part")
         temporary.write_text(json.dumps(result, indent=1))
@@ -76,7 +75,7 @@ def _arguments():
     parser.add_argument("--json", type=pathlib.Path, help="also write the results to this file")
     parser.add_argument("--worker", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    available = len(_available())
+    available = len(available_cores())
     arguments.starts_baseline = arguments.starts_baseline or (1 if arguments.quick else 2)
     arguments.limit = arguments.limit or (60.0 if arguments.quick else 120.0)
     arguments.cores = arguments.cores or [n for n in ((1,) if arguments.quick else (1, 2)) if n <= available]
@@ -88,26 +87,9 @@ def _arguments():
 # Measuring processes -------------------------------------------------------------------------------------------------
 
 
-def _available() -> list[int]:
-    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
-
-
-def _run(cores: int, **request):
+def _run(cores: int, **request) -> dict:
     """What a fresh process on `cores` cores measures."""
-    chosen = _available()[-cores:]
-
-    def pin():
-        if hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(0, chosen)
-
-    threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-    environment = os.environ | dict.fromkeys(threads, str(cores))
-    environment |= {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "0", "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, __file__, "--worker", json.dumps(request)]
-    done = subprocess.run(
-        command, env=environment, preexec_fn=pin, stdout=subprocess.PIPE, text=True, timeout=TIME_LIMIT, check=True
-    )
-    return {"cores": cores, **json.loads(done.stdout)}
+    return run_pinned(__file__, available_cores()[-cores:], cores, TIME_LIMIT, request)
 
 
 def _time(f, least: float = 0.0) -> tuple[float, float]:
@@ -438,38 +420,6 @@ class _Limited:
 
 
 # Printing ------------------------------------------------------------------------------------------------------------
-
-
-def _machine() -> dict:
-    from importlib.metadata import version
-
-    return {
-        "processor": _processor(),
-        "cores": len(_available()),
-        "python": platform.python_version(),
-        "versions": {name: version(name) for name in ("numpy", "scipy", "jax")},
-        "load_before": os.getloadavg(),
-    }
-
-
-def _processor() -> str:
-    info = pathlib.Path("/proc/cpuinfo")
-    if not info.exists():
-        return platform.processor()
-    names = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
-    return names[0] if names else platform.processor()
-
-
-def _describe(machine: dict) -> str:
-    versions = ", ".join(f"{name} {text}" for name, text in machine["versions"].items())
-    return (
-        f"{machine['processor']}, {machine['cores']} cores; Python {machine['python']}, {versions}\n"
-        f"load average: {_load(machine['load_before'])}"
-    )
-
-
-def _load(load) -> str:
-    return " ".join(f"{x:.1f}" for x in load)
 
 
 def _cores(found: dict) -> str:

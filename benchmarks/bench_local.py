@@ -17,14 +17,14 @@ import dataclasses
 import json
 import os
 import pathlib
-import platform
 import resource
 import statistics
 import subprocess
 import sys
 import time
 
-ROOT = pathlib.Path(__file__).resolve().parents[1]
+from _pinned import ROOT, available_cores, load_text, machine, machine_text, run_pinned
+
 SEED = 1
 DISTURBANCE = 0.02
 ORDER, WIDTH, N_EXP = 2, 34, 12
@@ -59,8 +59,8 @@ def main() -> None:
         request = json.loads(arguments.worker)
         print(json.dumps(_WORKERS[request.pop("measure")](**request)))
         return
-    result = {"machine": _machine(), "commit": _commit(), "seed": SEED, "speed": [], "memory": [], "growth": {}}
-    print(_describe(result["machine"]), f"commit {result['commit']}", sep="\n")
+    result = {"machine": machine(), "commit": _commit(), "seed": SEED, "speed": [], "memory": [], "growth": {}}
+    print(machine_text(result["machine"]), f"commit {result['commit']}", sep="\n")
     rounds = 3 if arguments.quick else 5
     for case in arguments.cases:
         for cores in arguments.cores:
@@ -82,7 +82,7 @@ def main() -> None:
         result["growth"][name] = _run(max(arguments.cores), measure="growth", sizes=sizes)
         print(_growth_table(name, result["growth"][name]), flush=True)
     result["machine"]["load_after"] = os.getloadavg()
-    print(f"load average at the end: {_load(result['machine']['load_after'])}")
+    print(f"load average at the end: {load_text(result['machine']['load_after'])}")
     if arguments.json:
         temporary = arguments.json.with_name(arguments.json.name + ".part")
         temporary.write_text(json.dumps(result, indent=1))
@@ -100,7 +100,7 @@ def _arguments():
     )
     parser.add_argument("--worker", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    available = len(_available())
+    available = len(available_cores())
     arguments.cases = arguments.cases or (["lrm"] if arguments.quick else list(CASES))
     arguments.cores = arguments.cores or [n for n in (1, 2) if n <= available]
     if max(arguments.cores) > available or min(arguments.cores) < 1:
@@ -111,26 +111,10 @@ def _arguments():
 # Measuring processes -------------------------------------------------------------------------------------------------
 
 
-def _available() -> list[int]:
-    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
-
-
-def _run(cores: int, **request):
+def _run(cores: int, **request) -> dict:
     """What a fresh process on `cores` cores measures."""
-    chosen = _available()[:cores]
-
-    def pin():
-        if hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(0, chosen)
-
-    threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-    environment = os.environ | dict.fromkeys(threads, "1")  # what small matrices gain by more is less than they cost
-    environment |= {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "0", "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, __file__, "--worker", json.dumps(request)]
-    done = subprocess.run(
-        command, env=environment, preexec_fn=pin, stdout=subprocess.PIPE, text=True, timeout=TIME_LIMIT, check=True
-    )
-    return {"cores": cores, **json.loads(done.stdout)}
+    # One thread of BLAS: what small matrices gain by more is less than they cost.
+    return run_pinned(__file__, available_cores()[:cores], 1, TIME_LIMIT, request)
 
 
 def _measure_speed(case: str, rounds: int) -> dict:
@@ -387,40 +371,10 @@ def _growth_sizes(quick: bool) -> dict:
 # Printing ------------------------------------------------------------------------------------------------------------
 
 
-def _machine() -> dict:
-    from importlib.metadata import version
-
-    return {
-        "processor": _processor(),
-        "cores": len(_available()),
-        "python": platform.python_version(),
-        "versions": {name: version(name) for name in ("numpy", "scipy", "jax")},
-        "load_before": os.getloadavg(),
-    }
-
-
 def _commit() -> str:
     command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
     found = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, check=False)
     return found.stdout.strip() or "unknown"
-
-
-def _processor() -> str:
-    info = pathlib.Path("/proc/cpuinfo")
-    names = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
-    return names[0] if names else platform.processor()
-
-
-def _describe(machine: dict) -> str:
-    versions = ", ".join(f"{name} {text}" for name, text in machine["versions"].items())
-    return (
-        f"{machine['processor']}, {machine['cores']} cores; Python {machine['python']}, {versions}\n"
-        f"load average: {_load(machine['load_before'])}"
-    )
-
-
-def _load(load) -> str:
-    return " ".join(f"{x:.1f}" for x in load)
 
 
 def _speed_table(found: dict) -> str:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from ._errors import InputError, input_error
+from ._text import shortened
 
 _LARGEST = 2**53  # whole numbers that a float holds
-_SAID = 60  # letters of a value in a message
 
 _MADE = {
     ("Experiment", "path"): "Read it first: jaxfrf.io.read({value}).",
@@ -102,8 +102,7 @@ def _said(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape}"
     if value is None or isinstance(value, str | int | float):
-        text = repr(value)
-        return text if len(text) <= _SAID else f"{text[: _SAID - 3]}..."
+        return shortened(value)
     if isinstance(value, type):
         return f"the class {value.__name__}"
     return f"{_article(type(value).__name__)} {type(value).__name__}"

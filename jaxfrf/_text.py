@@ -4,6 +4,7 @@ import math
 from typing import SupportsFloat
 
 _WHOLE = 7  # digits before the point that are written out
+_LONG = 60  # characters
 _SMALL = -4  # the power of ten below which there is an exponent
 
 
@@ -39,6 +40,12 @@ def plus_minus(value: SupportsFloat, half: SupportsFloat, sign: str = "+-") -> s
         return f"{number(value, 4)} {sign} {number(half, 2)}"
     places = max(1 - size, 0)
     return f"{value:.{places}f} {sign} {half:.{places}f}"
+
+
+def shortened(value: object) -> str:
+    """What was given, in messages: as Python writes it, the end of what is long left out."""
+    text = repr(value)
+    return text if len(text) <= _LONG else f"{text[: _LONG - 3]}..."
 
 
 def counted(n: int, noun: str) -> str:

@@ -141,20 +141,20 @@ def _names(files: Sequence[pathlib.Path]) -> list[str]:
     ]
 
 
-class _Job(eqx.Module):
+class _FileJob(eqx.Module):
     """A command on one file: all that a worker needs."""
 
     given: argparse.Namespace
     made_from: dict[str, str]
 
 
-def _job(given: argparse.Namespace, folder: pathlib.Path, name: str, file: pathlib.Path) -> _Job:
+def _job(given: argparse.Namespace, folder: pathlib.Path, name: str, file: pathlib.Path) -> _FileJob:
     output = str(folder / f"{name}{given.result}")
     own = vars(given) | {"data": [str(file)], "output": output, "json": True, "each": False}
     own |= {"workers": 1, "cluster": None}  # these share the files, not what is in one
     for option, suffix in given.beside.items():
         own[option] = str(folder / f"{name}{suffix}")
-    return _Job(argparse.Namespace(**own), _made_from(given, file))
+    return _FileJob(argparse.Namespace(**own), _made_from(given, file))
 
 
 def _made_from(given: argparse.Namespace, file: pathlib.Path) -> dict[str, str]:
@@ -172,7 +172,7 @@ def _text(value) -> str:
     return json.dumps(value, sort_keys=True, default=str)
 
 
-def _work(job: _Job) -> dict:
+def _work(job: _FileJob) -> dict:
     """The command on one file, in whatever process: what came out, or why nothing did."""
     from .. import _environment
 

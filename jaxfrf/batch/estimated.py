@@ -69,7 +69,7 @@ class Estimated(eqx.Module):
     spectra: Spectra
 
 
-class _Job(eqx.Module):
+class _EstimateJob(eqx.Module):
     """All that a worker needs to know."""
 
     data: DataSet
@@ -120,7 +120,7 @@ def estimate_to(
         head = dataclasses.replace(head, sources=data.sources)
         parts.begin(_about(data, head, method, about), PART_FILES, BESIDE_PARTS)
         _check_room(path, data, head)
-        job = _Job(data, chosen, lines, parts.folder)
+        job = _EstimateJob(data, chosen, lines, parts.folder)
         told = {piece.start: found for piece in pieces if (found := _finished(parts, piece)) is not None}
         waiting = [piece for piece in pieces if piece.start not in told]
         done = data.n_pos - sum(map(len, waiting))
@@ -223,7 +223,7 @@ def _finished(parts: Parts, piece: range) -> Told | None:
     return parts.read(_name(piece.start, ".json"), _read_told) if all(whole) else None
 
 
-def _work(job: _Job, piece: range, read: list[Block | None] | None = None, advanced=None) -> Told | InputError:
+def _work(job: _EstimateJob, piece: range, read: list[Block | None] | None = None, advanced=None) -> Told | InputError:
     """Estimate some positions, in whatever process; what was told of their record, or what is wrong with it. `read`:
     the first block, if it was read already."""
     try:

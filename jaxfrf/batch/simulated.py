@@ -46,7 +46,7 @@ class Simulated(eqx.Module):
     warnings: tuple[str, ...]
 
 
-class _Job(eqx.Module):
+class _SimulationJob(eqx.Module):
     """All that a worker needs to know: its study is made there, whose references are large. `robot`: pickled, with
     names and files of the modules that define effects of the user's own. `about`: one text for one job."""
 
@@ -161,10 +161,14 @@ def _simulated(study: Study, folder: pathlib.Path, advanced: Progress, block: ra
     return None
 
 
-def _job(robot: Robot, design: Multisine, positions, key: PRNGKeyArray, run_in, noise: float, parts: Parts) -> _Job:
+def _job(
+    robot: Robot, design: Multisine, positions, key: PRNGKeyArray, run_in, noise: float, parts: Parts
+) -> _SimulationJob:
     pickled, seed = pickle.dumps(robot), np.asarray(jr.key_data(key))
     about = numbers_text(np.frombuffer(pickled, np.uint8), positions, seed, *jax.tree.leaves(design))
-    return _Job(pickled, _own_modules(robot), design, positions, seed, run_in, noise, parts.folder.absolute(), about)
+    return _SimulationJob(
+        pickled, _own_modules(robot), design, positions, seed, run_in, noise, parts.folder.absolute(), about
+    )
 
 
 def _own_modules(robot: Robot) -> tuple[tuple[str, str], ...]:
@@ -173,7 +177,7 @@ def _own_modules(robot: Robot) -> tuple[tuple[str, str], ...]:
     return tuple((name, str(pathlib.Path(file).absolute())) for name, file in sorted(files.items()) if file)
 
 
-def _robot_of(job: _Job) -> Robot:
+def _robot_of(job: _SimulationJob) -> Robot:
     for name, file in job.modules:
         if name not in sys.modules:
             spec = importlib.util.spec_from_file_location(name, file)
@@ -187,7 +191,7 @@ def _robot_of(job: _Job) -> Robot:
 _studies: dict[str, Study] = {}  # of this process, the last one
 
 
-def _work(job: _Job, block: range) -> InputError | None:
+def _work(job: _SimulationJob, block: range) -> InputError | None:
     if job.about not in _studies:
         robot, key = _robot_of(job), jr.wrap_key_data(jnp.asarray(job.key))
         _studies.clear()

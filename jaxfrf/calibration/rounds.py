@@ -52,10 +52,10 @@ class Rounds:
             return
         said = {
             "x": round.x.tolist(),
-            "orders": [[o.kind, o.axis, o.order] for o in round.orders],
+            "orders": [o.listed() for o in round.orders],
             "floor": None if round.floor is None else round.floor.tolist(),
             "round": [round.round.misfit, round.round.left, round.round.design_effect],
-            "inside": [[[o.kind, o.axis, o.order], wave] for o, wave in round.inside],
+            "inside": [[o.listed(), wave] for o, wave in round.inside],
             "near": round.near,
             "missed": round.missed.tolist(),
         }
@@ -69,15 +69,11 @@ def _name(number: int) -> str:
 
 def _read(path: pathlib.Path) -> Kept:
     said = json.loads(path.read_text(encoding="utf-8"))
-    orders = tuple(_order(*order) for order in said["orders"])
-    inside = tuple((_order(*order), (float(sine), float(cosine))) for order, (sine, cosine) in said["inside"])
+    orders = tuple(Order.of(*order) for order in said["orders"])
+    inside = tuple((Order.of(*order), (float(sine), float(cosine))) for order, (sine, cosine) in said["inside"])
     x, missed = (np.array(said[name], float) for name in ("x", "missed"))
     floor = None if said["floor"] is None else np.array(said["floor"], float)
     return Kept(x, orders, floor, Round(*said["round"]), bool(said["near"]), inside, missed)
-
-
-def _order(kind: str, axis: float, order: float) -> Order:
-    return Order(kind, int(axis), float(order))
 
 
 def _about(robot: Robot, numbers: Sequence[Number], record: Measured, heldout) -> dict:

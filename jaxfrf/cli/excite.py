@@ -21,7 +21,7 @@ def add(commands) -> None:
 def run(given) -> dict:
     from .. import plot
     from .._files import check_writable
-    from ..excitation import levels, reference
+    from ..excitation import reference, reference_levels
     from ..io import read_design, write_reference
     from ..io.references import reference_files
 
@@ -34,7 +34,7 @@ def run(given) -> dict:
     made = reference(design)
     written = write_reference(given.output, made)
     plot.save(plot.multisine(made)[0].figure, picture)
-    about = levels(made)
+    about = reference_levels(made)
     frequency = made.lines * made.fs / made.period
     text = [
         f"{made.n_exp} experiments of {counted(made.n_in, 'input')}, {made.n_time / made.fs:g} s each; "

@@ -3,8 +3,8 @@
 from .level import (
     ExcitationLevels as ExcitationLevels,
     crest_factor as crest_factor,
-    levels as levels,
     line_power as line_power,
+    reference_levels as reference_levels,
     rms as rms,
 )
 from .lines import (

@@ -46,7 +46,7 @@ def line_power(R: Complex[Array, "*batch freq channel"]) -> Float[np.ndarray, "*
     return 2 * np.abs(R) ** 2
 
 
-def levels(reference: Reference) -> ExcitationLevels:
+def reference_levels(reference: Reference) -> ExcitationLevels:
     """The levels of every experiment and channel of a reference.
 
     **Arguments:** `reference`: of `jaxfrf.reference`.

@@ -9,6 +9,7 @@ from jaxtyping import Complex, Float, Int, PRNGKeyArray
 
 from .._errors import input_error
 from .._memory import check_memory
+from .._text import shortened
 from .._types import Array
 from .phases import AbstractPhases, RandomPhases, fourier_phases
 
@@ -330,7 +331,7 @@ def _numbers(name: str, value, least: float = -np.inf) -> np.ndarray:
         x = np.array("")
     if x.dtype.kind not in "iuf" or x.size == 0 or not np.isfinite(x).all() or np.any(x < least):
         bound = "" if least == -np.inf else f" of at least {least:g}"
-        raise input_error(name, _said(value), f"finite numbers{bound}", "Correct it.")
+        raise input_error(name, shortened(value), f"finite numbers{bound}", "Correct it.")
     return x.astype(np.float64)
 
 
@@ -351,12 +352,7 @@ def _whole_numbers(name: str, value) -> np.ndarray:
 def _whole_number(name: str, value, least: int, most: float = 2**53) -> int:
     x = _numbers(name, value)
     if x.size != 1 or x != np.round(x) or x < least:
-        raise input_error(name, _said(value), f"a whole number, {least} or more", "Correct it.")
+        raise input_error(name, shortened(value), f"a whole number, {least} or more", "Correct it.")
     if x > most:
-        raise input_error(name, _said(value), f"at most {most:g}", "Correct it.")
+        raise input_error(name, shortened(value), f"at most {most:g}", "Correct it.")
     return int(x.item())
-
-
-def _said(value) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -60,15 +60,11 @@ def _name(number: int) -> str:
 def _read(path: pathlib.Path) -> KeptRound:
     said = json.loads(path.read_text(encoding="utf-8"))
     effect = effect_from_table(said["effect"]) if said["effect"] else None
-    orders = tuple(_order(*order) for order in said["orders"])
-    inside = tuple((_order(*order), (float(sine), float(cosine))) for order, (sine, cosine) in said["inside"])
+    orders = tuple(Order.of(*order) for order in said["orders"])
+    inside = tuple((Order.of(*order), (float(sine), float(cosine))) for order, (sine, cosine) in said["inside"])
     floor = None if said["floor"] is None else np.array(said["floor"], float)
     where = said["joint"], said["values"], orders, floor, bool(said["near"]), inside
     return KeptRound(effect, *where, said["details"], said["refused"])
-
-
-def _order(kind: str, axis: float, order: float) -> Order:
-    return Order(kind, int(axis), float(order))
 
 
 def keep_round(parts: Parts | None, number: int, found: KeptRound) -> bool:
@@ -80,10 +76,10 @@ def keep_round(parts: Parts | None, number: int, found: KeptRound) -> bool:
         "effect": None if found.effect is None else effect_to_table(found.effect, found.joint),
         "joint": found.joint,
         "values": found.values,
-        "orders": [[o.kind, o.axis, o.order] for o in found.orders],
+        "orders": [o.listed() for o in found.orders],
         "floor": None if found.floor is None else np.asarray(found.floor).tolist(),
         "near": found.near,
-        "inside": [[[o.kind, o.axis, o.order], wave] for o, wave in found.inside],
+        "inside": [[o.listed(), wave] for o, wave in found.inside],
         "details": found.details,
         "refused": found.refused,
     }

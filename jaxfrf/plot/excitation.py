@@ -6,7 +6,7 @@ import numpy as np
 
 from .._errors import input_error
 from .._text import number
-from ..excitation import Reference, detection_lines, levels
+from ..excitation import Reference, detection_lines, reference_levels
 from . import _style
 
 
@@ -92,7 +92,7 @@ def _draw_spectrum(ax, reference: Reference, experiment: int, channels) -> None:
 
 
 def _labels(reference: Reference, experiment: int) -> list[str]:
-    level = levels(reference)
+    level = reference_levels(reference)
     per_channel = zip(level.rms[experiment], level.velocity[experiment], level.crest[experiment], strict=True)
     return [
         f"input {i}: rms {number(rms)}, peak {number(peak)} rad/s, crest {crest:.2f}"

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError, input_error
+from .._text import shortened
 from ..effects import AbstractEffect, Backlash, effect_from_table, effect_to_table
 from ..effects._place import axis_of
 from .chain import Chain
@@ -146,7 +147,7 @@ class _Table:
 
     def __init__(self, table: Mapping[str, Any], where: str, known: Iterable[str] | None):
         if not isinstance(table, Mapping):
-            raise input_error(where, _said(table), "a table", "Write it as a TOML table.")
+            raise input_error(where, shortened(table), "a table", "Write it as a TOML table.")
         self._table, self.where = table, where
         for key in table:
             if known is not None and key not in known:
@@ -159,7 +160,7 @@ class _Table:
         return self._table[key]
 
     def error(self, key: str, expected: str, do: str) -> InputError:
-        found = _said(self._table[key]) if key in self._table else "nothing"
+        found = shortened(self._table[key]) if key in self._table else "nothing"
         return input_error(f"{self.where}: {key}", found, expected, do)
 
     def _value(self, key: str, default: Any, expected: str) -> Any:
@@ -427,11 +428,6 @@ def _spring_table(springs: Spring, i: int) -> dict[str, Any]:
 
 def _plain(value: Any) -> float | list[float]:
     return np.asarray(value, float).tolist()
-
-
-def _said(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:

@@ -1,6 +1,5 @@
 """Ripple over the motor's angle: which orders a residual holds, of torque, of the resolver, of the gear."""
 
-import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 
@@ -29,6 +28,15 @@ class Order(eqx.Module):
     kind: str = eqx.field(static=True)
     axis: int = eqx.field(static=True)
     order: float = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, kind: str, axis: float, order: float) -> "Order":
+        """From what a file holds of it, see `listed`."""
+        return cls(kind, int(axis), float(order))
+
+    def listed(self) -> list:
+        """For a file."""
+        return [self.kind, self.axis, self.order]
 
     def columns(self, scene: Scene) -> tuple[Signature, Signature]:
         """Of sin(order theta) and cos(order theta), N m or rad."""
@@ -182,17 +190,3 @@ def with_ripple(robot: Robot, waves: Sequence[Wave]) -> Robot:
     if not waves:
         return robot
     return robot.with_effects(*ripple_effects(robot.axis_names, [o for o, _ in waves], np.array([w for _, w in waves])))
-
-
-def without_silent_orders(robot: Robot) -> Robot:
-    """The same robot, without orders of ripple whose amplitude is nothing."""
-    kept = []
-    for effect in robot.effects:
-        if not isinstance(effect, TorqueRipple | ResolverRipple):
-            kept.append(effect)
-            continue
-        heard = np.flatnonzero(np.asarray(effect.amplitude))
-        amplitude, phase = (np.asarray(x)[heard] for x in (effect.amplitude, effect.phase))
-        if len(heard):
-            kept.append(type(effect)(effect.joint, amplitude, [effect.order[i] for i in heard], phase))
-    return dataclasses.replace(robot, effects=tuple(kept))

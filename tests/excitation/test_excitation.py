@@ -105,7 +105,7 @@ def test_schroeder_rule_on_consecutive_lines():
 
 def crest(lines, phases, **options):
     design = ex.Multisine(1000.0, 4000, lines, phases=phases, **options)
-    return ex.levels(ex.reference(design)).crest
+    return ex.reference_levels(ex.reference(design)).crest
 
 
 @pytest.mark.parametrize("n", [64, 100, 250])
@@ -255,7 +255,7 @@ def test_shaped_amplitude_is_straight_on_logarithmic_axes():
 def test_levels_of_a_known_signal():
     """One sine a = 2 rad/s at 5 Hz on a slow one of 10 rad/s at 1 Hz."""
     design = ex.Multisine(2000.0, 2000, [5], amplitude=[2.0], slow=ex.SlowSine([1], [10.0]))
-    level = ex.levels(ex.reference(design))
+    level = ex.reference_levels(ex.reference(design))
     assert level.rms.item() == pytest.approx(np.sqrt(2))
     assert level.crest.item() == pytest.approx(np.sqrt(2), rel=1e-4)
     assert 10 < level.velocity.item() <= 12

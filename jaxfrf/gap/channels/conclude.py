@@ -10,7 +10,7 @@ from ...effects import AbstractEffect, Candidate
 from ...robot import parameter_unit, parameters
 from ..result import Cell, Diagnosis, EstimatedValue, Gap, Maps, Named, Ranked
 from .channel import AbstractChannel, Outcome, State
-from .select import FittedState, Selection, TriedCandidate, search, spread
+from .select import ChannelSelection, FittedState, TriedCandidate, search, spread
 from .settings import BANDS, DRAWS, EXPLAINED, LEAST_SHARE, LEVEL, SYSTEMATIC
 from .significance import family_wise, mean_squares, projector, summed
 
@@ -60,11 +60,13 @@ def concluded(
     return channel.joined(diagnosis)
 
 
-def _nothing(found: Selection) -> Selection:
-    return Selection(found.base, found.base, (), found.trials, found.refused, found.last_p, found.floor, found.left_out)
+def _nothing(found: ChannelSelection) -> ChannelSelection:
+    return ChannelSelection(
+        found.base, found.base, (), found.trials, found.refused, found.last_p, found.floor, found.left_out
+    )
 
 
-def _verdict(channel: AbstractChannel, found: Selection, heldout: Gap | None) -> str:
+def _verdict(channel: AbstractChannel, found: ChannelSelection, heldout: Gap | None) -> str:
     before, after = np.mean(found.base.left**2), np.mean(found.fitted.left**2)
     floor = float(np.mean(found.floor**2))
     if found.found:
@@ -87,7 +89,7 @@ def _upper(channel: AbstractChannel, fit: FittedState) -> float:
     return float(np.sqrt(squares.mean() + scipy.stats.t.ppf(0.95, n - 1) * squares.std(ddof=1) / np.sqrt(n)))
 
 
-def _judged(channel: AbstractChannel, heldout: AbstractChannel | None, found: Selection) -> Gap:
+def _judged(channel: AbstractChannel, heldout: AbstractChannel | None, found: ChannelSelection) -> Gap:
     """The gap on held-out data, or on folds that were held out in turn."""
     if heldout is None:
         where, before, after, on = channel, found.base.left, found.fitted.left, "held-out parts of the data"
@@ -103,7 +105,7 @@ def _judged(channel: AbstractChannel, heldout: AbstractChannel | None, found: Se
     return Gap(rms(sides[0]), rms(sides[1]), floor, shrink, where.unit, on, axes[0], axes[1], where.quantity)
 
 
-def _reported(channel: AbstractChannel, fit: FittedState, found: Selection):
+def _reported(channel: AbstractChannel, fit: FittedState, found: ChannelSelection):
     """Effects and own numbers with standard deviations that respect the residual's colour."""
     state, V = fit.state, spread(channel, fit)
     unit = lambda name: parameter_unit(state.given, *name.rsplit(".", 1))
@@ -163,7 +165,7 @@ def _ranked(channel: AbstractChannel, t: TriedCandidate) -> Ranked:
     return Ranked(t.candidate.name, t.candidate.joint, t.explained, t.p_value, expected, float("nan"), t.why)
 
 
-def _alone(channel: AbstractChannel, found: Selection, final: FittedState) -> dict[str, dict[str, list[float]]]:
+def _alone(channel: AbstractChannel, found: ChannelSelection, final: FittedState) -> dict[str, dict[str, list[float]]]:
     """rms left of what was measured, on every fold by a fit to the others: of the base, of the
     result, and with each candidate of the axis by itself; {axis: {name: [fold, ...]}}."""
     sides = {"base": found.base.left, "result": final.left}
@@ -195,7 +197,7 @@ def _test(channel: AbstractChannel, fit: FittedState):
     return tested
 
 
-def _maps(channel: AbstractChannel, final: FittedState, found: Selection, floor: float) -> Maps:
+def _maps(channel: AbstractChannel, final: FittedState, found: ChannelSelection, floor: float) -> Maps:
     sides = [channel.spectra(channel.plain(fit.residual)) for fit in (found.base, final)]
     f = np.concatenate([frequency for frequency, _ in sides[0]])
     top, low = float(f.max()), float(np.min(f[f > 0]))
@@ -231,7 +233,7 @@ def _numbers(channel: AbstractChannel, own) -> dict[str, float]:
     return {name: float(begun[name]) for name in own}
 
 
-def _refit_remark(channel: AbstractChannel, found: Selection, final: FittedState) -> tuple[str, ...]:
+def _refit_remark(channel: AbstractChannel, found: ChannelSelection, final: FittedState) -> tuple[str, ...]:
     rms = lambda r: float(np.sqrt(np.mean(channel.plain(r) ** 2)))
     nominal, before = rms(channel.residual(State(channel.robot, channel.own()))), rms(found.base.residual)
     said = []
@@ -243,7 +245,7 @@ def _refit_remark(channel: AbstractChannel, found: Selection, final: FittedState
     return (*said, *(f"{n} came out negative ({v:.3g})." for n, v in final.state.own.items() if v < 0))
 
 
-def _wrong_signs(found: Selection) -> tuple[str, ...]:
+def _wrong_signs(found: ChannelSelection) -> tuple[str, ...]:
     """Candidates that would explain much with a sign that they cannot have."""
     telling = [t for t in found.trials if t.p_value <= LEVEL and not t.sensible and t.share >= LEAST_SHARE]
     return tuple(

@@ -130,10 +130,6 @@ class DistortionChannel(AbstractLines):
     def floor(self, residual):
         return np.repeat(np.sqrt(self.noise[self.clear]) / self.size, 2)
 
-    def spectra(self, rows):
-        power = 0.5 * np.sum(rows.reshape(-1, 2) ** 2, axis=1, keepdims=True)
-        return [(self.frequency, power / len(power))]
-
     def where(self, outcome, cells):
         """Odd and even levels by bands."""
         f = self.lines * self.motion.fs / len(self.motion.angle)

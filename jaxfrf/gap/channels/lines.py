@@ -18,6 +18,8 @@ from .settings import FOLDS, LINE_BLOCKS
 class AbstractLines(AbstractChannel):
     """Rows are (line, part). **Fields:** `frequency`: Hz, (line,)."""
 
+    frequency: eqx.AbstractVar[Float[np.ndarray, "line"]]
+
     @property
     def n_lines(self) -> int:
         return len(self.measured) // 2
@@ -25,6 +27,10 @@ class AbstractLines(AbstractChannel):
     def blocks(self, residual):
         count = min(LINE_BLOCKS, self.n_lines)
         return np.repeat(np.arange(self.n_lines) * count // self.n_lines, 2)
+
+    def spectra(self, rows):
+        power = 0.5 * np.sum(rows.reshape(-1, 2) ** 2, axis=1, keepdims=True)
+        return [(self.frequency, power / len(power))]
 
 
 def one_drive(x) -> bool:

@@ -123,10 +123,6 @@ class ResponseChannel(AbstractLines):
     def plain(self, rows):
         return rows / np.repeat(self.weight, 2) * np.sqrt(2.0)
 
-    def spectra(self, rows):
-        power = 0.5 * np.sum(rows.reshape(-1, 2) ** 2, axis=1, keepdims=True)
-        return [(self.frequency, power / len(power))]
-
     def where(self, outcome: Outcome, cells):
         """Error of the base model by bands, worst first."""
         error = outcome.before.reshape(-1, 2) @ np.array([1.0, 1.0j])

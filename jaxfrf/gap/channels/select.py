@@ -73,7 +73,7 @@ class Found(eqx.Module):
     ambiguous: bool
 
 
-class Selection(eqx.Module):
+class ChannelSelection(eqx.Module):
     """What a search found: `base` without and `fitted` with the effects; `trials`: all candidates at the first step,
     the best of each effect and joint, best first; `refused`, `last_p`: at the last one. `floor`: of the base.
     `left_out`: name -> why."""
@@ -116,7 +116,7 @@ def refitted(channel: AbstractChannel, state: State, steps: int = 60) -> FittedS
     return FittedState(state, r, S, held_out(S, r, channel.fold))
 
 
-def search(channel: AbstractChannel, kinds: Sequence[type[AbstractEffect]]) -> Selection:
+def search(channel: AbstractChannel, kinds: Sequence[type[AbstractEffect]]) -> ChannelSelection:
     """Effect by effect, the best first; or, where that takes one on its way that is not what it is called, such ones
     for want of others only: what leaves less."""
     found, all_believed = _search(channel, kinds, False)
@@ -126,7 +126,7 @@ def search(channel: AbstractChannel, kinds: Sequence[type[AbstractEffect]]) -> S
     return min((other, found), key=lambda x: float(np.mean(x.fitted.left**2)))
 
 
-def _search(channel: AbstractChannel, kinds, believed_first: bool) -> tuple[Selection, bool]:
+def _search(channel: AbstractChannel, kinds, believed_first: bool) -> tuple[ChannelSelection, bool]:
     """Base fit, then effect by effect while one is accepted, `MOST` at most; then needless ones are taken out again.
     Also: whether all that were taken were what they are called."""
     all_believed = True
@@ -156,7 +156,9 @@ def _search(channel: AbstractChannel, kinds, believed_first: bool) -> tuple[Sele
     refused = tuple(t for t in _best(trials) if not t.accepted)
     now, kept = _backward(channel, now)
     last_p = min((t.p_value for t in trials), default=1.0)
-    return Selection(base, now, tuple(found[i] for i in kept), first, refused, last_p, floor, left_out), all_believed
+    return ChannelSelection(
+        base, now, tuple(found[i] for i in kept), first, refused, last_p, floor, left_out
+    ), all_believed
 
 
 def _effect(candidate: Candidate, values: Iterable[float]) -> AbstractEffect:
