@@ -14,7 +14,7 @@ tells. `--known torque_constant` is the user who logs torques and says so.
     small  2 axes, 1 kHz, 7 random positions, 4 s: never tuned on
     light  7 axes, 1 kHz, ratios of 100 and 160, slower loops, 8 random positions, 6 s: never tuned on
 
-Beside it, on the same records of r3x: the fit of springs and dampers through the experiment, the rest taken as exact.
+Beside it, on the same records of r3x: the indirect fit of springs and dampers, the rest taken as exact.
 Finished entries are kept in OUTPUT/found.json, so that an interrupted run goes on; tables are printed at the end.
 """
 

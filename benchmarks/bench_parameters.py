@@ -3,7 +3,7 @@
     python benchmarks/bench_parameters.py -o parameters.json [--seeds 0 1 2 3 4] [--experiments 6 1] [--simulator both]
 
 Mean relative error of all 16 stiffnesses and dampings (Zimmermann & Moberg's mean parameter bias), of the direct fit
-and of the fit through the experiment, with friction, nonlinear springs, noise and ripple on; noise and ripple are
+and of the indirect fit, with friction, nonlinear springs, noise and ripple on; noise and ripple are
 unknown to the fit. MuJoCo has its own integrator (RK4, .25 ms) and its own friction law (`_mujoco_records.py`).
 Positions, start values and settings are those of `jaxfrf study --scale paper`; medians and ranges over the seeds. An
 interrupted run is continued: every finished entry is kept in the output file. A seed takes some minutes.
@@ -26,7 +26,7 @@ from _mujoco_records import mujoco_experiment
 from jaxfrf.io._json import write_json
 from jaxfrf.robot import r3x
 from jaxfrf.study.bias import first_experiments
-from jaxfrf.study.parameters import candidates, fit_positions, records, through_row
+from jaxfrf.study.parameters import candidates, fit_positions, indirect_row, records
 from jaxfrf.study.settings import PAPER, design, truth
 
 
@@ -56,11 +56,11 @@ def main() -> None:
             print(f"{simulator}, seed {seed}: record made in {time.monotonic() - began:.0f} s", flush=True)
             for count in wanted:
                 began = time.monotonic()
-                entry = through_row(PAPER, seed, count, first_experiments(data, count))
+                entry = indirect_row(PAPER, seed, count, first_experiments(data, count))
                 found[f"{simulator} {count} {seed}"] = entry | {"seconds": time.monotonic() - began}
                 write_json(options.output, found)
                 print(
-                    f"  n_e = {count}: direct {100 * entry['direct']['mean_bias']:.2f} %, through the experiment "
+                    f"  n_e = {count}: direct {100 * entry['direct']['mean_bias']:.2f} %, indirect "
                     f"{100 * entry['mean_bias']:.2f} % ({100 * entry['stiffness_bias']:.3f} % in the stiffnesses), "
                     f"{len(entry['gap_db'])} rounds, {time.monotonic() - began:.0f} s",
                     flush=True,
@@ -74,7 +74,7 @@ def report(found: dict) -> None:
     for simulator in ("jaxfrf", "mujoco"):
         for count in (6, 1):
             rows = [v for k, v in found.items() if k.startswith(f"{simulator} {count} ")]
-            for label, these in (("direct", [r["direct"] for r in rows]), ("through the experiment", rows)):
+            for label, these in (("direct", [r["direct"] for r in rows]), ("indirect", rows)):
                 if not these:
                     continue
                 cells = [_spread([100 * r[name] for r in these]) for name in _NAMES]

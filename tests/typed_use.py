@@ -23,7 +23,7 @@ def parameters(data: jf.Experiment, frf: jf.FRF) -> None:
     robot = jf.io.read_robot("robot.toml")
     model = jf.RobotModel(robot)
     assert_type(jf.fit(model, frf), jf.Fit)
-    assert_type(jf.fit_through_experiment(model, data).fit, jf.Fit)
+    assert_type(jf.fit_indirectly(model, data).fit, jf.Fit)
     found = jf.calibrate(robot, data)
     assert_type(found, jf.Calibration)
     assert_type(found.determined_by("joint1.mass"), str)

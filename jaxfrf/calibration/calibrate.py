@@ -52,7 +52,7 @@ def calibrate(
     than measured, at every line from the steady torque to the highest excited one, is explained by its numbers and by
     ripple, to first order along the simulated motion, with the robot's tolerances as what is known before. Its
     controller has the gains that the record shows (`trajectory/controller.py`). The robot so found is simulated again,
-    until it stays: Gauss-Newton on the maximum a posteriori, lines weighed by what the model leaves around them.
+    until it converges: Gauss-Newton on the maximum a posteriori, lines weighed by what the model leaves around them.
     Without references, without a controller, where the record contradicts its law, or where it runs at another rate
     than the log, the motors are moved as measured instead (`trajectory/following.py`).
 

@@ -5,7 +5,7 @@ from .._text import percent
 from . import own_effects
 from .arguments import add_renamed_option, check_picture, check_seed, check_target, check_x64, command
 
-EXAMPLES = ("jaxfrf positions robot.toml design.toml -n 7 -o positions.csv --plot accuracy.png",)
+EXAMPLES = ("jaxfrf positions robot.toml design.toml --positions 7 -o positions.csv --plot accuracy.png",)
 
 
 def add(commands) -> None:
@@ -13,7 +13,8 @@ def add(commands) -> None:
     parser.add_argument("robot", metavar="ROBOT", help=".toml, or .urdf with its drives in a .toml beside it")
     parser.add_argument("design", metavar="DESIGN.toml")
     own_effects.add_effects_option(parser)
-    parser.add_argument("-n", "--count", type=int, default=7, help="positions to choose (default 7)")
+    parser.add_argument("-n", "--positions", type=int, default=7, metavar="N", help="how many to choose (default 7)")
+    add_renamed_option(parser, "--count", "--positions")
     parser.add_argument("--candidates", type=int, default=200, metavar="N", help="random ones to choose from (200)")
     parser.add_argument("--seed", type=int, default=0, help="of the candidates (default 0)")
     parser.add_argument(
@@ -46,10 +47,10 @@ def run(given) -> dict:
     robot, design = own_effects.robot_of(given), read_design(given.design)
     model = RobotModel(robot, slow_amplitude=None if design.slow is None else design.slow.amplitude)
     candidates = random_positions(given.candidates, jr.key(given.seed), robot.n_axes)
-    plan = plan_positions(model, design.frequency, candidates, given.count, noise=given.relative_noise)
+    plan = plan_positions(model, design.frequency, candidates, given.positions, noise=given.relative_noise)
     about = (
-        f"{robot.name}: {given.count} of {given.candidates} positions (seed {given.seed}), D-optimal for springs and "
-        f"dampers at {100 * given.relative_noise:g} % noise"
+        f"{robot.name}: {given.positions} of {given.candidates} positions (seed {given.seed}), D-optimal for springs "
+        f"and dampers at {100 * given.relative_noise:g} % noise"
     )
     write_positions(given.output, plan.points, robot.axis_names, [about])
     written = [given.output]
@@ -58,7 +59,7 @@ def run(given) -> dict:
 
         plot.save(plot.plan(plan, title=robot.name)[0], given.plot)
         written.append(given.plot)
-    at = list(plan.counts).index(given.count)
+    at = list(plan.counts).index(given.positions)
     rows = [i for i, wanted in enumerate(plan.wanted) if wanted]
     return {
         "text": [

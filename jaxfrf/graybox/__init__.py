@@ -14,7 +14,7 @@ from .guess import (
 from .in_motion import fit_in_motion as fit_in_motion
 from .indirect import (
     IndirectFit as IndirectFit,
-    fit_through_experiment as fit_through_experiment,
+    fit_indirectly as fit_indirectly,
 )
 from .model import (
     AbstractModel as AbstractModel,

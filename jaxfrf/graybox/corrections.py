@@ -1,4 +1,4 @@
-"""Corrections that are made until they stay: what was tried, what came of it, and where to try next."""
+"""Corrections that are made until they converge: what was tried, what came of it, and where to try next."""
 
 import equinox as eqx
 import numpy as np

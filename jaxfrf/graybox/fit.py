@@ -161,7 +161,7 @@ def fit(
     are the same minimum are merged, and the `keep` best are followed to the end with all lines.
 
     Biased where the FRF is: a local estimator smooths sharp resonances (damping comes out too high), friction and
-    nonlinear springs change the response with the amplitude. `fit_through_experiment` takes that out.
+    nonlinear springs change the response with the amplitude. `fit_indirectly` takes that out.
 
     **Arguments:**
 

@@ -37,10 +37,10 @@ def fit_in_motion(
     `fit`, for the motion of the experiment: nonlinear springs at their mean stiffness over it, and in place of the
     response of an arm at rest that of an arm in slow motion (`moving_response`: the sine that keeps joints sliding
     turns an arm by degrees, its modes move along, and their mean looks like damping). Both depend on the parameters:
-    they are found again at the result, and the fit goes on from there until it stays.
+    they are found again at the result, and the fit goes on from there until it converges.
 
     Biased by what no linear response has: friction that comes and goes with the slow motion counts as a constant
-    viscous one, a local estimator smooths sharp resonances. `fit_through_experiment` takes that out.
+    viscous one, a local estimator smooths sharp resonances. `fit_indirectly` takes that out.
 
     **Arguments:**
 

@@ -1,4 +1,4 @@
-"""The fit through the experiment: the model is asked for what it would have measured, measured the same way."""
+"""The indirect fit: the model is asked for what it would have measured, measured the same way."""
 
 from collections.abc import Callable, Sequence
 
@@ -29,14 +29,14 @@ Say = Callable[[str], None]
 
 
 class IndirectFit(eqx.Module):
-    """A fit through the experiment.
+    """An indirect fit: the experiment was simulated.
 
     **Fields:** `fit`: the result; its residuals are the logarithm of measured over simulated FRF. `direct`: the fit to
     the measured FRF with the linear model, where it started. `corrections`: every round. `converged`: whether the last
     correction was below a tenth of its standard deviation. `measured`, `simulated`: FRFs, the latter at
     `corrections[-1].x`.
 
-    **Source:** as of `jaxfrf.fit_through_experiment`.
+    **Source:** as of `jaxfrf.fit_indirectly`.
     """
 
     fit: Fit
@@ -48,7 +48,7 @@ class IndirectFit(eqx.Module):
 
 
 def default_method() -> AbstractMethod:
-    """The estimator of a fit through the experiment: local fractions through the reference, all experiments at once.
+    """The estimator of an indirect fit: local fractions through the reference, all experiments at once.
 
     Windows are fixed, so that measurement and simulation are smoothed alike."""
     return JointInputOutput(LRM())
@@ -59,7 +59,7 @@ def measured_frf(data: Experiment, method: AbstractMethod, quantity: str) -> FRF
     return estimate(with_output_quantity(dft(data), quantity), method)
 
 
-def fit_through_experiment(
+def fit_indirectly(
     model: RobotModel,
     data: Experiment,
     method: AbstractMethod | None = None,
@@ -77,7 +77,7 @@ def fit_through_experiment(
 
     The simulated robot, nonlinear springs, friction and controller included, plays the references of the record; its
     FRF is estimated exactly as the measured one. The measured FRF is corrected by G(theta)/G_simulated(theta), the bias
-    of the estimator and of the linearisation at theta, and fitted again, until theta stays: indirect inference
+    of the estimator and of the linearisation at theta, and fitted again, until theta converges: indirect inference
     (Gourieroux, Monfort & Renault, J. Appl. Econometrics 8, 1993) with the linear fit as its auxiliary model. What the
     simulation shares with the experiment cancels: leakage and smoothing, distortion by the same reference, the hold.
     Rounds are accelerated by Anderson's method; a round that widens the gap is taken back.

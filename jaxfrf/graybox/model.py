@@ -137,7 +137,7 @@ class RobotModel(AbstractModel):
       the robot's tolerances of stiffness, damping and Coulomb friction (of what is unknown, a factor of e).
 
     Biased where the motion is large: it is linear about rest, a nonlinear spring or friction has one mean value in it.
-    `fit_through_experiment` takes that out.
+    `fit_indirectly` takes that out.
 
     **Raises:** (in a fit) `jaxfrf.InputError` for an FRF without the arm configurations of the robot, or of another
     quantity.

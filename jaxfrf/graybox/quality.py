@@ -176,7 +176,7 @@ class Quality(eqx.Module):
 def quality(fitted: Fit, frf: FRF, weights: Weights | None = None, bands: int = 8) -> Quality:
     """Residuals of a fit on the data that it was made to.
 
-    Of a fit through the experiment they are those between measurement and simulation. What repeats in both (distortion
+    Of an indirect fit they are those between measurement and simulation. What repeats in both (distortion
     by the same references) cancels there, while the covariance holds it: chi-square below 1.
 
     Where the FRF's covariance is too small (a bias, lines that share data more than is known), chi-square is above 1

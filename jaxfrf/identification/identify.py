@@ -20,7 +20,7 @@ from ..graybox import (
     RobotModel,
     Weights,
     fit,
-    fit_through_experiment,
+    fit_indirectly,
     initial_guess,
     starting_near,
 )
@@ -62,9 +62,9 @@ def identify(
 ) -> Identification:
     """Fit the stiffnesses and dampings of a robot to records or FRFs.
 
-    Through the experiment wherever that is possible: periodic records with references, and a robot with a controller;
-    with the direct fit beside it. `why_direct` of the result says what was missing. Biased where each of the two is:
-    see `jaxfrf.fit` and `jaxfrf.fit_through_experiment`.
+    Indirectly, by simulating the experiment, wherever that is possible: periodic records with references, and a robot
+    with a controller; with the direct fit beside it. `why_direct` of the result says what was missing. Biased where
+    each of the two is: see `jaxfrf.fit` and `jaxfrf.fit_indirectly`.
 
     **Arguments:**
 
@@ -86,7 +86,7 @@ def identify(
 
     **Raises:** `jaxfrf.InputError`, before anything long begins, if robot, data and arguments do not fit together.
 
-    **Source:** as of `jaxfrf.fit_through_experiment` and `jaxfrf.fit`.
+    **Source:** as of `jaxfrf.fit_indirectly` and `jaxfrf.fit`.
     """
     expect("robot", robot, Robot)
     expect("data", data, Experiment, FRF)
@@ -128,7 +128,7 @@ def identify(
         measured = frf_of(part)
         found = _direct(model, part, measured, weights, starts, key, say)
     else:
-        indirect = fit_through_experiment(
+        indirect = fit_indirectly(
             model, part, used, weights=weights, starts=starts, key=key, rounds=rounds, done=done, keep=keep, say=say
         )
         measured, found = dataclasses.replace(indirect.measured, warnings=data.warnings), indirect.direct

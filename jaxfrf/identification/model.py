@@ -44,7 +44,7 @@ def robot_model(
 
 
 def why_direct(robot: Robot, data: Experiment | FRF, direct: bool) -> str:
-    """Why there is no fit through the experiment; empty where there is one."""
+    """Why there is no indirect fit; empty where there is one."""
     if isinstance(data, FRF):
         return "FRFs do not hold the references that a simulation would have to play"
     if direct:

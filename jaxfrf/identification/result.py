@@ -28,9 +28,9 @@ class HeldOut(eqx.Module):
 class Identification(eqx.Module):
     """The parameters of a robot with everything that is known about how they were found.
 
-    **Fields:** `model`: as it was before the fit. `direct`: the fit of the linear model to the FRF. `indirect`: the fit
-    through the experiment, or `None`; `why_direct` then says why not. `measured`: the FRF at the positions that were
-    fitted, `positions` their numbers. `quality`: residuals of `fit`; `direct_quality`: of `direct`. `heldout`: or
+    **Fields:** `model`: as it was before the fit. `direct`: the fit of the linear model to the FRF. `indirect`: the
+    indirect fit, or `None`; `why_direct` then says why not. `measured`: the FRF at the positions that were fitted,
+    `positions` their numbers. `quality`: residuals of `fit`; `direct_quality`: of `direct`. `heldout`: or
     `None`. `settings`: what was asked for, plain data.
     """
 
@@ -47,7 +47,7 @@ class Identification(eqx.Module):
 
     @property
     def fit(self) -> Fit:
-        """The result: the fit through the experiment where there is one."""
+        """The result: the indirect fit where there is one."""
         return self.direct if self.indirect is None else self.indirect.fit
 
     @property
@@ -88,7 +88,7 @@ class Identification(eqx.Module):
         fitted, own = self.fit, fit_contents(self.fit, self.model)["parameters"]
         std, direct = dict(zip(fitted.coordinates.names, fitted.uncertainty.std, strict=True)), self.direct.values
         frequency = self.measured.frequency
-        kind = f"direct fit only ({self.why_direct})" if self.indirect is None else "fit through the experiment"
+        kind = f"direct fit only ({self.why_direct})" if self.indirect is None else "indirect fit"
         text = [
             f"{self.model.robot.name}: {kind}, {counted(len(self.positions), 'position')}, {len(frequency)} lines from "
             f"{number(frequency[0], 4)} to {number(frequency[-1], 4)} Hz, {len(self.direct.starts)} starts"
@@ -122,7 +122,7 @@ class Identification(eqx.Module):
         return plain_data(
             own
             | {
-                "kind": "direct" if self.indirect is None else "through the experiment",
+                "kind": "direct" if self.indirect is None else "indirect",
                 "why_direct": self.why_direct,
                 "result": self.result,
                 "explanation": self.explain(),

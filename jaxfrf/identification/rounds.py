@@ -1,4 +1,4 @@
-"""Rounds of a fit through the experiment, kept until the result stands."""
+"""Rounds of an indirect fit, kept until the result stands."""
 
 import json
 import pathlib
@@ -52,7 +52,7 @@ def _about(model: RobotModel, data: Experiment | FRF, settings: Mapping[str, Any
     robot = model.robot
     chosen = {name: x for name, x in plain_data(settings).items() if name != "rounds"}
     return chosen | {
-        "through the experiment": settings["rounds"] is not None,
+        "indirect": settings["rounds"] is not None,
         "data": files_text(data.sources),
         "output": data.y_quantity,
         "joints": [*robot.joint_names, *(f"{e.name} of {getattr(e, 'joint', '')}" for e in robot.effects)],

@@ -23,6 +23,8 @@ from .._errors import input_error
 from ..graybox import AbstractModel, Fit
 from ._json import plain_data as plain_data, write_json
 
+_INDIRECT_BEFORE = "through the experiment"  # as the kind was called at first
+
 
 def write_fit(path: str | os.PathLike, contents: Mapping[str, Any]) -> None:
     """Write plain data (numbers, texts, arrays, lists, dictionaries) as JSON, whole or not at all.
@@ -37,7 +39,7 @@ def write_fit(path: str | os.PathLike, contents: Mapping[str, Any]) -> None:
 
 
 def read_fit(path: str | os.PathLike) -> dict[str, Any]:
-    """What `write_fit` wrote: dictionaries, lists, numbers, texts and `None`.
+    """What `write_fit` wrote: dictionaries, lists, numbers, texts and `None`; `kind` as it is called now.
 
     **Raises:** `jaxfrf.InputError` if the file is missing, no JSON, or holds no fit.
     """
@@ -51,7 +53,7 @@ def read_fit(path: str | os.PathLike) -> dict[str, Any]:
         raise input_error(str(path), f"no JSON ({error})", "a fit.json", "Write it again.") from error
     if not isinstance(found, dict) or "parameters" not in found:
         raise input_error(str(path), "JSON without parameters", "what `jaxfrf identify` writes", "Name that file.")
-    return found
+    return found | {"kind": "indirect"} if found.get("kind") == _INDIRECT_BEFORE else found
 
 
 def fit_contents(fitted: Fit, begun: AbstractModel) -> dict[str, Any]:

@@ -197,7 +197,7 @@ def draw_correlation_map(names: Sequence[str], rho):
 
 
 def round_gaps(gap_db: Sequence[float], gap_degrees: Sequence[float]):
-    """Difference of measured and simulated FRF in every round of a fit through the experiment.
+    """Difference of measured and simulated FRF in every round of an indirect fit.
 
     **Arguments:** `gap_db`, `gap_degrees`: rms of magnitude, dB, and phase, degrees, one for each round.
 

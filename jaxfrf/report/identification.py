@@ -37,7 +37,7 @@ def identification_page(found: Identification | Mapping[str, Any]) -> str:
 
 def _page(held: Mapping[str, Any], bode: str) -> str:
     names = ", ".join(s["name"] for s in held["sources"]) or "data in memory"
-    kind, frf = "fit through the experiment" if _indirect(held) else "direct fit", held["frf"]
+    kind, frf = "indirect fit" if _indirect(held) else "direct fit", held["frf"]
     subtitle = (
         f"{kind} to {names}: {len(frf['positions'])} positions, {frf['lines']} lines from "
         f"{number(frf['band_hz'][0], 4)} to {number(frf['band_hz'][1], 4)} Hz"
@@ -56,7 +56,7 @@ def _page(held: Mapping[str, Any], bode: str) -> str:
 
 
 def _indirect(held: Mapping[str, Any]) -> bool:
-    return held["kind"] == "through the experiment"
+    return held["kind"] == "indirect"
 
 
 def _result(held: Mapping[str, Any]) -> str:
@@ -103,7 +103,7 @@ def _heldout(held: Mapping[str, Any]) -> str:
         return ""
     columns = {"direct fit": held["direct"]["heldout"]}
     if _indirect(held):
-        columns["through the experiment"] = best
+        columns["indirect fit"] = best
     headers = ["position", "fit", "rms error, dB", "rms error, degrees", "cost"]
     rows = [
         [p, name, *(q[field][k] for field in ("rms_db", "rms_degrees", "cost_by_position"))]
@@ -145,7 +145,7 @@ def _residuals(held: Mapping[str, Any]) -> str:
     )
     blocks = {}
     if _indirect(held):
-        blocks["through the experiment"] = figure(_residual_maps(own, positions))
+        blocks["indirect fit"] = figure(_residual_maps(own, positions))
         text += (
             " Blue where the simulation repeats what the covariance counts as noise (distortion by the same reference)."
         )

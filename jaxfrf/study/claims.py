@@ -135,12 +135,12 @@ def _six_against_one(fits, most: int) -> Claim:
 
 
 def _poor(fits, most: int) -> Claim:
-    direct, through = fits[1, "LRM, JIO"], fits.get((1, "through the experiment"))
+    direct, indirect = fits[1, "LRM, JIO"], fits.get((1, "indirect"))
     return Claim(
         "One experiment gives only poor parameters",
         f"{_percent(PUBLISHED_PARAMETERS[1]['LRM, JIO'])}",
-        f"direct {_percent(direct)}; through the experiment {'not made' if through is None else _percent(through)}",
-        (direct if through is None else through) > 0.05,
+        f"direct {_percent(direct)}; indirect {'not made' if indirect is None else _percent(indirect)}",
+        (direct if indirect is None else indirect) > 0.05,
     )
 
 

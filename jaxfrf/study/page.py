@@ -62,12 +62,12 @@ def study_page(results: dict, curves: Mapping[str, np.ndarray], courses: Mapping
 
 def _headline(results: dict) -> str:
     said = []
-    for count in results["settings"]["through"]:
-        entry, direct = _entry(results, count, "through the experiment"), _direct(results, count)
+    for count in results["settings"]["indirect"]:
+        entry, direct = _entry(results, count, "indirect"), _direct(results, count)
         published = PUBLISHED_PARAMETERS.get(count, {}).get("LRM, JIO")
         theirs = "" if published is None else f" (published, LRM, JIO: {100 * published:.1f} %)"
         said.append(
-            f"n_e = {count}: mean parameter bias {spread(entry['mean_bias'])} % through the experiment, "
+            f"n_e = {count}: mean parameter bias {spread(entry['mean_bias'])} % indirectly, "
             f"{spread(direct['mean_bias'])} % by the direct fit to {direct['method']}{theirs}"
         )
     said += [in_a_sentence(entry) for entry in results["uncertain"]["summary"]]
@@ -86,7 +86,7 @@ def _entry(results: dict, count: int, method: str) -> dict:
 
 
 def _direct(results: dict, count: int) -> dict:
-    """The direct fit beside which that through the experiment is shown: the paper's, or what it began with."""
+    """The direct fit beside which the indirect one is shown: the paper's, or what it began with."""
     names = {e["method"] for e in results["summary"] if e["experiments"] == count}
     return _entry(results, count, "LRM, JIO" if "LRM, JIO" in names else STACKED)
 
@@ -195,7 +195,7 @@ def _table_two(results: dict) -> list[str]:
             "stiffness at high deflection of axes 1-3 (ratio to the low stiffness and knee known) and the linear "
             "stiffness of the others. Direct fits use the linearised model with springs as stiff as over the motion "
             "and its response averaged over the places to which the slow sine turns the arm, but where they say "
-            "otherwise; through the experiment means that the nonlinear robot was simulated through the same "
+            "otherwise; indirect means that the nonlinear robot was simulated through the same "
             "references (without the ripple and the noise of the record) until its FRF was the measured one."
         ),
         table(headers, rows),
@@ -207,8 +207,8 @@ def _choice(settings: dict) -> str:
 
 
 def _parameters(results: dict) -> list[str]:
-    counts = results["settings"]["through"]
-    methods = [(c, m) for c in counts for m in (_direct(results, c)["method"], "through the experiment")]
+    counts = results["settings"]["indirect"]
+    methods = [(c, m) for c in counts for m in (_direct(results, c)["method"], "indirect")]
     rows = []
     for name, true in results["true"].items():
         cells = []
@@ -361,7 +361,7 @@ _SMALLER = {
     "fit_positions": "positions of the fits",
     "blocks": "blocks of six experiments at each",
     "seeds": "realisations of phases and noise",
-    "through": "numbers of experiments fitted through the experiment",
+    "indirect": "numbers of experiments of which an indirect fit is made",
     "starts": "starts of a fit",
     "single": "methods compared from one experiment",
     "fitted": "estimators that are fitted directly, many experiments",

@@ -10,7 +10,7 @@ from ..graybox import (
     Fit,
     RobotModel,
     d_optimal,
-    fit_through_experiment,
+    fit_indirectly,
     position_information,
     robot_points,
 )
@@ -22,7 +22,7 @@ from ..simulation import random_positions
 from .bias import first_experiments, measure, still
 from .settings import OWN_METHODS, PAPER_METHODS, SLOW_AMPLITUDE, Settings, design, truth
 
-STACKED = "LRM, JIO stacked"  # what fits through the experiment begin with; with one experiment there is only one
+STACKED = "LRM, JIO stacked"  # what indirect fits begin with; with one experiment there is only one
 FRF_NOISE = 0.05  # relative, that the choice of positions assumes
 STIFFNESS_SPREAD, DAMPING_SPREAD = 0.25, 1.0
 
@@ -143,11 +143,11 @@ def _fitted_methods(settings: Settings, count: int, extra: bool) -> dict[str, Ab
     return {n: m for n, m in every.items() if n in wanted and (extra or n != "auto")}
 
 
-def through_row(settings: Settings, seed: int, count: int, data: Experiment | None = None, say=None) -> dict:
-    """The fit through the experiment at one seed."""
+def indirect_row(settings: Settings, seed: int, count: int, data: Experiment | None = None, say=None) -> dict:
+    """The indirect fit at one seed."""
     if data is None:
         data = first_experiments(records(settings, truth(), 1, seed), count)
-    found = fit_through_experiment(
+    found = fit_indirectly(
         start_model(seed),
         data,
         default_method(),
@@ -156,7 +156,7 @@ def through_row(settings: Settings, seed: int, count: int, data: Experiment | No
         rounds=settings.rounds,
         say=say,
     )
-    return row(found.fit, count, "through the experiment", seed) | {
+    return row(found.fit, count, "indirect", seed) | {
         "direct": row(found.direct, count, STACKED if count > 1 else "LRM, JIO", seed),
         "converged": found.converged,
         "gap_db": [c.gap_db for c in found.corrections],

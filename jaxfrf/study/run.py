@@ -26,13 +26,13 @@ from .figures import draw_figures, example_responses, read_curves
 from .folder import prepared
 from .hidden import hidden_record, hidden_row
 from .page import write_study_page
-from .parameters import candidates, direct_rows, fit_positions, records, through_row
+from .parameters import candidates, direct_rows, fit_positions, indirect_row, records
 from .settings import Settings, design, truth
 from .uncertain import OFF, compared, uncertain_row
 from .why import VARIANTS, variant_row
 
 PART_FILES = (
-    *(f"{kind}-*.json" for kind in ("through", "uncertain", "bias", "direct", "why", "step")),
+    *(f"{kind}-*.json" for kind in ("indirect", "uncertain", "bias", "direct", "why", "step")),
     *("example.json", "example.npz", "hidden.json", "hidden.npz"),
 )
 
@@ -134,18 +134,18 @@ def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]
     seeds = settings.seeds
     places = range(1 if settings.at_once else settings.positions)
     count = settings.positions if settings.at_once else 1
-    through_one = lambda seed, n: through_row(settings, seed, n, first_experiments(made.fitted(seed, 1), n), say)
+    indirect_one = lambda seed, n: indirect_row(settings, seed, n, first_experiments(made.fitted(seed, 1), n), say)
     bias_one = lambda i: {"positions": bias_at(robot, made.at(i), settings)}
     direct_one = lambda seed: {"rows": direct_rows(settings, seed, made.fitted(seed, settings.blocks), say)}
-    through = [
+    indirect = [
         Task(
-            parts / f"through-{n}-{seed}.json",
-            f"fit through the experiment, n_e = {n}, seed {seed}",
+            parts / f"indirect-{n}-{seed}.json",
+            f"indirect fit, n_e = {n}, seed {seed}",
             settings.fit_positions * (4 + 1.5 * n) + 30,
-            functools.partial(through_one, seed, n),
+            functools.partial(indirect_one, seed, n),
         )
         for seed in seeds
-        for n in settings.through
+        for n in settings.indirect
     ]
     uncertain = [
         Task(
@@ -187,7 +187,7 @@ def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]
         Task(parts / f"why-{name}.json", f"why: {name}", 60.0, functools.partial(variant_row, settings, name))
         for name in (VARIANTS if settings.ablations else ())
     ]
-    return [*through, *uncertain, hidden, *bias, example, *direct, *why]
+    return [*indirect, *uncertain, hidden, *bias, example, *direct, *why]
 
 
 def _example(settings: Settings, parts: pathlib.Path, made: _Records) -> dict:
@@ -299,10 +299,10 @@ def collect(settings: Settings, parts: pathlib.Path) -> dict:
     groups = 1 if settings.at_once else settings.positions
     bias = [x for i in range(groups) for x in read(f"bias-{i:03d}.json")["positions"]]
     rows = [row for seed in settings.seeds for row in read(f"direct-{seed}.json")["rows"]]
-    through = [read(f"through-{count}-{seed}.json") for seed in settings.seeds for count in settings.through]
+    indirect = [read(f"indirect-{count}-{seed}.json") for seed in settings.seeds for count in settings.indirect]
     place = lambda row: (row["experiments"], row["method"], row["seed"])
     made = {place(row) for row in rows}
-    rows += [row["direct"] for row in through if place(row["direct"]) not in made] + through
+    rows += [row["direct"] for row in indirect if place(row["direct"]) not in made] + indirect
     uncertain = [read(f"uncertain-{n}-{seed}.json") for seed in settings.machines for n in settings.uncertain]
     plan = design(settings.blocks, settings.seeds[0])
     return {

@@ -21,11 +21,11 @@ class Settings(eqx.Module):
       Table II; where there are as many, all of them.
     - `blocks`: blocks of six experiments at every position.
     - `seeds`: realisations of phases and noise; Table I uses the first, Table II all of them.
-    - `through`: numbers of experiments from which the fit through the experiment is made.
-    - `starts`: of every fit. `position_seed`: of the random configurations. `rounds`: of a fit through the experiment.
+    - `indirect`: numbers of experiments from which the indirect fit is made.
+    - `starts`: of every fit. `position_seed`: of the random configurations. `rounds`: of an indirect fit.
     - `ablations`: whether disturbances are taken away one at a time.
     - `single`: methods that are compared from a single experiment. `fitted`, `fitted_single`: estimators whose FRFs
-      are fitted directly, of many experiments and of one, beside those that the fits through the experiment begin with.
+      are fitted directly, of many experiments and of one, beside those that the indirect fits begin with.
       `at_rest`: whether that is repeated as if the arm were at rest.
     - `uncertain`: numbers of experiments from which machines are calibrated of which nothing is known exactly, drawn
       around `uncertain_robot`, "R3X" or "two axes", one for each of the seeds `machines`. `springs_alone`: whether
@@ -39,7 +39,7 @@ class Settings(eqx.Module):
     fit_positions: int = eqx.field(static=True)
     blocks: int = eqx.field(static=True)
     seeds: tuple[int, ...] = eqx.field(static=True)
-    through: tuple[int, ...] = eqx.field(static=True)
+    indirect: tuple[int, ...] = eqx.field(static=True)
     starts: int = eqx.field(static=True, default=10)
     position_seed: int = eqx.field(static=True, default=0)
     rounds: int = eqx.field(static=True, default=8)
@@ -64,11 +64,11 @@ class Settings(eqx.Module):
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
 
-PAPER = Settings("paper", positions=49, fit_positions=7, blocks=4, seeds=(0, 1, 2, 3, 4), through=(6, 1))
+PAPER = Settings("paper", positions=49, fit_positions=7, blocks=4, seeds=(0, 1, 2, 3, 4), indirect=(6, 1))
 """The paper's study: 49 positions, 24 experiments of 28 s at each, 336 lines; parameters from 7 positions."""
 
 MEDIUM = Settings(
-    "medium", positions=6, fit_positions=3, blocks=2, seeds=(0,), through=(6, 1), machines=(0,), ablations=False
+    "medium", positions=6, fit_positions=3, blocks=2, seeds=(0,), indirect=(6, 1), machines=(0,), ablations=False
 )
 """The same steps with fewer positions and experiments."""
 
@@ -78,7 +78,7 @@ DEMO = Settings(
     fit_positions=2,
     blocks=1,
     seeds=(0,),
-    through=(6,),
+    indirect=(6,),
     starts=5,
     ablations=False,
     single=("LRM, JIO", "auto"),

@@ -16,7 +16,7 @@ from ..calibration import Calibration, Number, calibrate, numbers
 from ..effects import AbstractEffect
 from ..excitation import Multisine, SlowSine
 from ..experiment import Experiment
-from ..graybox import Fit, RobotModel, fit_through_experiment
+from ..graybox import Fit, RobotModel, fit_indirectly
 from ..robot import Robot, Tolerances, parameters, r3x, r3x_ripple, with_parameters
 from ..simulation import random_positions, simulate
 from . import hidden
@@ -96,7 +96,7 @@ def uncertain_record(given: Trial, machine: Robot, seed: int) -> Experiment:
 
 def uncertain_row(settings: Settings, seed: int, count: int, say=None) -> dict:
     """One machine, from so many experiments at every position: all of its numbers by `jaxfrf.calibrate`, and, unless
-    the study leaves it out, springs and dampers by `jaxfrf.fit_through_experiment`, which takes all else as exact."""
+    the study leaves it out, springs and dampers by `jaxfrf.fit_indirectly`, which takes all else as exact."""
     given = trial(settings, seed)
     machine = drawn(given.robot, seed)
     data = first_experiments(uncertain_record(given, machine, seed), count)
@@ -118,9 +118,7 @@ def uncertain_row(settings: Settings, seed: int, count: int, say=None) -> dict:
 def _springs(settings: Settings, seed: int, given: Trial, data: Experiment, say) -> Fit:
     slow = given.plan.slow
     model = RobotModel(given.robot, slow_amplitude=None if slow is None else np.asarray(slow.amplitude))
-    return fit_through_experiment(
-        model, data, starts=settings.starts, key=jr.key(seed), rounds=settings.rounds, say=say
-    ).fit
+    return fit_indirectly(model, data, starts=settings.starts, key=jr.key(seed), rounds=settings.rounds, say=say).fit
 
 
 def _number(number: Number, true: float, whole: Calibration, alone: Fit | None) -> dict:

@@ -402,6 +402,7 @@ def test_results_in_the_place_of_a_record_or_an_frf(tmp_path, capsys):
             "positions r.toml d.toml -o p.csv --noise 0.1",
             r"--noise: found a name of before; .* --relative-noise 0\.1",
         ),
+        ("positions r.toml d.toml -o p.csv --count 7", r"--count: found a name of before; .* Write --positions 7\."),
     ],
 )
 def test_names_of_before(command, says, capsys):

@@ -261,7 +261,7 @@ class TestResolution:
 
 
 class TestRecords:
-    def test_positions_that_are_sealed(self):
+    def test_positions_that_are_held_out(self):
         data = made_up()
         assert opened_positions(data, None).tolist() == [True, True, False]
         assert opened_positions(data, 0).all()

@@ -1,4 +1,4 @@
-"""Corrections until they stay: fixed points that are known, and fits that lost a parameter on the way."""
+"""Corrections until they converge: fixed points that are known, and fits that lost a parameter on the way."""
 
 import types
 

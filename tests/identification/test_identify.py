@@ -73,10 +73,10 @@ def strict(path):
 
 
 @pytest.mark.slow
-class TestThroughTheExperiment:
+class TestIndirect:
     def test_parameters(self, whole):
         found = strict(whole / "fit.json")
-        assert found["kind"] == "through the experiment" and found["why_direct"] == ""
+        assert found["kind"] == "indirect" and found["why_direct"] == ""
         for name, value in TRUTH.items():
             p = found["parameters"][name]
             assert abs(p["value"] - value) < 2 * p["std"], name
@@ -300,6 +300,11 @@ class TestFitFiles:
         }
         write_fit(tmp_path / "fit.json", contents)
         assert strict(tmp_path / "fit.json") == {"parameters": {"a": None}, "x": [1.0, None], "n": 3, "b": True}
+
+    def test_a_kind_as_it_was_called_before(self, tmp_path):
+        for kind, now in (("through the experiment", "indirect"), ("direct", "direct"), ("whole robot", "whole robot")):
+            write_fit(tmp_path / "fit.json", {"parameters": {}, "kind": kind})
+            assert read_fit(tmp_path / "fit.json") == {"parameters": {}, "kind": now}
 
     @pytest.mark.parametrize(
         ("text", "message"),

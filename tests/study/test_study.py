@@ -181,7 +181,7 @@ def test_the_page_says_what_is_smaller_than_the_papers_study():
     said = "\n".join(_made_smaller(DEMO.as_dict()))
     assert "positions of Table I: 2 of 49" in said and "realisations of phases and noise: 1 of 5" in said
     assert _made_smaller(PAPER.as_dict()) == []
-    assert MEDIUM.positions == 6 and MEDIUM.experiments == (12, 6, 1) and MEDIUM.through == (6, 1)
+    assert MEDIUM.positions == 6 and MEDIUM.experiments == (12, 6, 1) and MEDIUM.indirect == (6, 1)
 
 
 def test_the_search_is_given_the_model_without_what_is_hidden():
@@ -414,9 +414,9 @@ def test_the_demo_finds_what_is_true(tmp_path):
     assert six["LRM, JIO"] < 0.8 * min(six["LOG"], six["LRM, MISO"], six["LRM, MIMO"])
     assert max(six["LRM, JIO stacked"], six["auto"]) < six["LRM, JIO"]
     by = {(row["experiments"], row["method"]): row for row in results["parameters"]}
-    direct, through = by[6, "LRM, JIO stacked"], by[6, "through the experiment"]
-    assert direct["mean_bias"] < 0.04 and through["mean_bias"] < 0.01
-    assert through["stiffness_bias"] < 0.002 and through["mean_bias"] < 0.5 * direct["mean_bias"]
+    direct, indirect = by[6, "LRM, JIO stacked"], by[6, "indirect"]
+    assert direct["mean_bias"] < 0.04 and indirect["mean_bias"] < 0.01
+    assert indirect["stiffness_bias"] < 0.002 and indirect["mean_bias"] < 0.5 * direct["mean_bias"]
     (entry,) = results["uncertain"]["summary"]
     for kind in ("stiffness", "damping"):
         errors = {what: x["median"] for what, x in entry["errors"][kind].items() if x is not None}
