@@ -208,16 +208,14 @@ def jf(tmp_path_factory):
         assert text.count(f"\n{below}") == 1
         path.write_text(text.replace(f"\n{below}", f"\n{line}\n{below}"))
     before = {name: sys.modules.pop(name) for name in list(sys.modules) if ours(name)}
-    sys.path.insert(0, str(root))
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(root)
         package = importlib.import_module("jaxfrf")
         assert pathlib.Path(package.__file__).is_relative_to(root)
         yield package
-    finally:
-        sys.path.remove(str(root))
-        for name in [name for name in sys.modules if ours(name)]:
-            del sys.modules[name]
-        sys.modules.update(before)
+    for name in [name for name in sys.modules if ours(name)]:
+        del sys.modules[name]
+    sys.modules.update(before)
 
 
 @pytest.fixture
