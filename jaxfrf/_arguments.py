@@ -79,6 +79,13 @@ def expect_real(name: str, value: Any) -> None:
         raise input_error(name, _said(value), "finite real numbers", "Check it.")
 
 
+def expect_index(name: str, value: Any, count: int) -> None:
+    """Refuse what is no place in a row of this length, counted from 0 (or from the end: -1 is the last)."""
+    expect_whole(name, value, None)
+    if not -count <= value < count:
+        raise input_error(name, f"{value}", f"0 to {count - 1}, one of {count}", "Count from 0.")
+
+
 def wrong_kind(name: str, value: Any, expected: str, *kinds: type) -> InputError:
     """The error of `expect`, where the check is another."""
     found = _kind(value)

@@ -1,5 +1,7 @@
 """Wrong arguments of public functions are one sentence: what was found, what was expected, what to do."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,23 @@ import jaxfrf as jf
 NAN = float("nan")
 U = np.tile(np.random.default_rng(0).standard_normal((50, 1)), (3, 1))
 DATA = jf.Experiment(U, np.roll(U, 1, axis=0), 1000.0, 50)
+FRF = jf.io.frf_from_arrays(np.full((1, 3, 2, 2), 1.0 + 1j), np.array([1.0, 2.0, 3.0]), q=np.zeros((1, 2)))
+FEWER = jf.io.frf_from_arrays(np.full((1, 2, 2, 2), 1.0 + 1j), np.array([1.0, 2.0]))
+OTHER = jf.io.frf_from_arrays(np.full((1, 3, 2, 1), 1.0 + 1j), np.array([1.0, 2.0, 3.0]))
+MOVED = jf.io.frf_from_arrays(np.full((1, 3, 2, 2), 1.0 + 1j), np.array([1.0, 2.0, 4.0]))
+BENT = jf.io.frf_from_arrays(np.full((1, 3, 2, 2), 1.0 + 1j), np.array([1.0, 2.0, 3.0]), q=np.zeros((1, 3)))
+ARM = jf.robot.r3x()
+ONE_AXIS = dataclasses.replace(DATA, q=np.zeros((1, 1)))
+NO_CHANNELS = dataclasses.replace(DATA, q=np.zeros((1, 6)))
+
+
+def in_motion(data):
+    model = jf.RobotModel(ARM)
+    return jf.graybox.response_in_motion(
+        model, {n: p.start for n, p in model.parameters.items()}, np.array([5.0]), data
+    )
+
+
 LONG = jf.Experiment(U, np.roll(U, 1, axis=0), 1000.0)
 
 WRONG = {
@@ -62,6 +81,27 @@ WRONG = {
     "concatenate of arrays": lambda: jf.concatenate([U]),
     "concatenate_positions([])": lambda: jf.concatenate_positions([]),
     "concatenate_positions of data": lambda: jf.concatenate_positions([DATA]),
+    "concatenate_positions of other lines": lambda: jf.concatenate_positions([FRF, FEWER]),
+    "concatenate_positions of moved lines": lambda: jf.concatenate_positions([FRF, MOVED]),
+    "concatenate_positions of other inputs": lambda: jf.concatenate_positions([FRF, OTHER]),
+    "concatenate_positions of other robots": lambda: jf.concatenate_positions([FRF, BENT]),
+    "features of output 9": lambda: jf.features(FRF, out=9),
+    "features of input 9": lambda: jf.features(FRF, into=9),
+    "features of position 9": lambda: jf.features(FRF, position=9),
+    "features of position 0.5": lambda: jf.features(FRF, position=0.5),
+    "focus_band of axis 9": lambda: jf.graybox.focus_band(FRF, 9, 0),
+    "focus_band of position 9": lambda: jf.graybox.focus_band(FRF, 0, 9),
+    "fit_bode of position 9": lambda: jf.plot.fit_bode(FRF, {}, position=9),
+    "fit_bode of element (9, 9)": lambda: jf.plot.fit_bode(FRF, {}, elements=[(9, 9)]),
+    "fit_bode of other lines": lambda: jf.plot.fit_bode(FRF, {"model": FEWER.G}),
+    "slow_motion without angles": lambda: jf.graybox.slow_motion(ARM, DATA, 1.0),
+    "slow_motion of one axis": lambda: jf.graybox.slow_motion(ARM, ONE_AXIS, 1.0),
+    "slow_motion of one channel": lambda: jf.graybox.slow_motion(ARM, NO_CHANNELS, 1.0),
+    "response_in_motion of one axis": lambda: in_motion(ONE_AXIS),
+    "robot_points of one channel": lambda: jf.graybox.robot_points(ARM, NO_CHANNELS),
+    "with_numbers of a short x": lambda: jf.calibration.with_numbers(ARM, jf.calibration.numbers(ARM), [0.0]),
+    "starting_near an unknown name": lambda: jf.graybox.starting_near(jf.RobotModel(ARM), {"joint9.stiffness": 1.0}),
+    "starting_at an unknown name": lambda: jf.graybox.starting_at(jf.RobotModel(ARM), {"joint9.stiffness": 1.0}),
     "random_positions(nan)": lambda: jf.random_positions(NAN, None),
     "random_positions(-3)": lambda: jf.random_positions(-3, None),
     "example_response([])": lambda: jf.example_response(np.zeros(0)),

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._errors import input_error
 from ..effects import AbstractEffect, EncoderQuantisation, FrictionAsymmetry, TorqueConstant, TorqueDelay, library
 from ..effects._place import axis_of, stated
 from ..robot import PARAMETER_UNITS, Robot, parameter_unit, parameters
@@ -193,7 +194,11 @@ def with_numbers(robot: Robot, numbers: Sequence[Number], x: Float[np.ndarray, "
     as given.
 
     **Returns:** a robot whose arrays hold the new values, in their SI units.
+
+    **Raises:** `jaxfrf.InputError` where there is not one coordinate for each number.
     """
+    if np.shape(x) != (len(numbers),):
+        raise input_error("x", f"shape {np.shape(x)}", f"({len(numbers)},), one for each number", "Give them all.")
     fields = {kind: parameter_field(robot, kind) for kind in {n.kind for n in numbers} & set(PARAMETER_UNITS)}
     arrays: dict[str, np.ndarray] = {}
     drives: list[tuple[str, str, float]] = []

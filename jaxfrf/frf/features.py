@@ -5,7 +5,7 @@ import itertools
 import equinox as eqx
 import numpy as np
 
-from .._arguments import expect
+from .._arguments import expect, expect_index
 from .poles import PoleFit, fit_poles
 from .response import FRF
 
@@ -50,12 +50,14 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
 
     **Returns:** `Feature`s, with frequencies in Hz; none where nothing stands out.
 
-    **Raises:** `jaxfrf.InputError` if `frf` is none.
+    **Raises:** `jaxfrf.InputError` if `frf` is none, or has no such position, output or input.
 
     **Source:** closed form of one pole, fitted by variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973)
     413-432); prominence as `scipy.signal.find_peaks` has it. What counts as significant is this project's own.
     """
     expect("frf", frf, FRF)
+    for name, chosen, count in (("position", position, frf.n_pos), ("out", out, frf.n_out), ("into", into, frf.n_in)):
+        expect_index(name, chosen, count)
     G = np.asarray(frf.G)[position, :, out, into]
     std = np.asarray(frf.std)[position, :, out, into]
     shared = np.maximum(np.asarray(frf.window, float)[position], 1.0)

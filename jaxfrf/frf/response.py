@@ -9,8 +9,10 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from .._arguments import expect_each
+from .._errors import input_error
 from .._types import Array
 from ..experiment import Source
+from ..units import response_unit
 from .covariance import AbstractFactors, variances
 
 
@@ -93,9 +95,14 @@ def concatenate_positions(frfs: Sequence[FRF]) -> FRF:
     **Arguments:** `frfs`: each (pos, freq, out, in), at the same frequencies (Hz).
 
     **Returns:** an FRF of all positions, in this order; what one of them lacks (`None`) none has.
+
+    **Raises:** `jaxfrf.InputError` for what is no list of FRFs, and where lines, inputs, outputs, units or numbers of
+    arm angles differ.
     """
     expect_each("frfs", frfs, FRF)
     first = frfs[0]
+    for number, other in enumerate(frfs[1:], start=1):
+        _check_alike(first, other, number)
 
     def join(name):
         parts = [getattr(x, name) for x in frfs]
@@ -104,6 +111,31 @@ def concatenate_positions(frfs: Sequence[FRF]) -> FRF:
     names = ("G", "cov", "dof", "status", "window", "cov_noise", "cov_total", "bias", "q")
     warnings = tuple(dict.fromkeys(w for x in frfs for w in x.warnings))
     return dataclasses.replace(first, **{name: join(name) for name in names}, warnings=warnings)
+
+
+def _check_alike(first: FRF, other: FRF, number: int) -> None:
+    """Refuse an FRF that cannot stand behind the first one."""
+    angles = lambda x: "none" if x.q is None else f"{np.shape(x.q)[-1]}"
+    told = {
+        "lines": lambda x: f"{len(x.frequency)} from {x.frequency[0]:g} to {x.frequency[-1]:g} Hz",
+        "outputs and inputs": lambda x: f"{x.n_out} and {x.n_in}",
+        "unit": response_unit,
+        "arm angles": angles,
+    }
+    same_lines = np.shape(first.frequency) == np.shape(other.frequency) and np.allclose(
+        first.frequency, other.frequency, rtol=1e-9, atol=0.0
+    )
+    for what, say in told.items():
+        alike = same_lines if what == "lines" else say(first) == say(other)
+        if what == "arm angles" and "none" in (say(first), say(other)):
+            continue  # then no position has angles
+        if not alike:
+            raise input_error(
+                f"{what} of frfs[{number}]",
+                say(other),
+                f"{say(first)}, those of frfs[0]",
+                "Estimate them alike, or keep them apart.",
+            )
 
 
 def _joined(parts):

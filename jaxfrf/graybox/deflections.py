@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._arguments import expect
 from .._errors import input_error
 from ..experiment import Experiment
 from ..robot import Robot, operating_point
@@ -23,7 +24,11 @@ def robot_points(robot: Robot, data: Experiment) -> RobotPoint:
     its part about the mean is added to gravity's torque and put through the inverse spring law of `robot`. Springs
     across the transmission get none (they are taken as linear).
 
-    **Arguments:** `data`: periodic records with arm configurations q.
+    **Arguments:** `robot`: with its springs' law. `data`: periodic records with arm configurations q.
+
+    **Returns:** the points, one for each position: arm angles, and samples of the springs' deflections, rad.
+
+    **Raises:** `jaxfrf.InputError` for a record without a period, without q, or of another number of axes.
     """
     return points_under(robot, np.asarray(data.q), varying_gear_torque(robot, data))
 
@@ -40,6 +45,18 @@ def varying_gear_torque(robot: Robot, data: Experiment) -> Float[np.ndarray, "po
 
     From the part of one mean period up to 1.5 times the highest line, where the excitation and its slow sine are:
     beyond, ripple and noise differentiated twice would rule."""
+    check_axes(robot, data)
+    found = []
+    for pos in range(data.n_pos):
+        every = gear_torque(robot, motion(data, pos)).reshape(-1, len(robot.flexible_axes))
+        found.append(every[np.linspace(0, len(every) - 1, _SAMPLES).astype(int)])
+    return np.stack(found)
+
+
+def check_axes(robot: Robot, data: Experiment) -> None:
+    """Refuse records that are not of all motors of the robot, at known arm angles."""
+    expect("robot", robot, Robot)
+    expect("data", data, Experiment)
     if data.q is None or data.q.shape[-1] != robot.n_axes:
         raise input_error(
             "q of the records",
@@ -47,11 +64,14 @@ def varying_gear_torque(robot: Robot, data: Experiment) -> Float[np.ndarray, "po
             f"the {robot.n_axes} arm angles of {robot.name} at every position",
             "Store q with the records.",
         )
-    found = []
-    for pos in range(data.n_pos):
-        every = gear_torque(robot, motion(data, pos)).reshape(-1, len(robot.flexible_axes))
-        found.append(every[np.linspace(0, len(every) - 1, _SAMPLES).astype(int)])
-    return np.stack(found)
+    channels = data.u.shape[-1], data.y.shape[-1]
+    if channels != (robot.n_axes, robot.n_axes):
+        raise input_error(
+            "record",
+            f"{channels[0]} inputs and {channels[1]} outputs",
+            f"{robot.n_axes} of both, the motors of {robot.name}",
+            "Read the channels of all its axes, in the robot's order.",
+        )
 
 
 class MeanMotion(eqx.Module):

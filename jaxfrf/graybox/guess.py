@@ -15,7 +15,7 @@ from ..robot import Robot, arm_inertia
 from .cost import Cost, check_shape
 from .fit import _coarse, _without_blind
 from .model import RobotModel, starting_at
-from .parameter import Coordinates, Parameter
+from .parameter import Coordinates, Parameter, matching
 from .solver import LevenbergMarquardt, descend
 from .target import Target, Weights, target
 
@@ -193,11 +193,16 @@ def _springs(robot: Robot, stiffness, inertia) -> dict[str, float]:
 def starting_near(model: RobotModel, values: Mapping[str, float]) -> RobotModel:
     """The model starting there, fixed parameters left alone, all others within their bounds.
 
-    **Arguments:** `values`: {name: value}, names as `joint1.stiffness`, in their units.
+    **Arguments:** `model`: of a robot. `values`: {name: value}, names as `joint1.stiffness`, in their units; others
+    keep their start.
 
-    **Raises:** `KeyError` for a name that the model does not have.
+    **Returns:** the model, its parameters in their units.
+
+    **Raises:** `jaxfrf.InputError` for a name that the model does not have.
     """
     own = model.parameters
+    for name in values:
+        matching(own, [name])
     return starting_at(model, {n: _inside(own[n], v) for n, v in values.items() if own[n].free})
 
 

@@ -6,11 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from .._arguments import expect
+from .._errors import input_error
 from .._types import Array
 from ..experiment import Experiment
 from ..robot import Robot, operating_point
 from ..robot.quantity import derivatives
-from .deflections import deflections, gear_torque, motion, robot_points
+from .deflections import check_axes, deflections, gear_torque, motion, robot_points
 from .model import AbstractModel, RobotModel, RobotPoint
 
 _PLACES = 89  # of the slow motion: a number of Fibonacci's, with which the golden section is even
@@ -34,9 +36,17 @@ class SlowMotion(eqx.Module):
 def slow_motion(robot: Robot, data: Experiment, below: float) -> SlowMotion | None:
     """The slow motion in periodic records; `None` where the arm stays within a milliradian.
 
-    **Arguments:** `below`: the highest frequency that counts as slow, Hz. Robots whose axes turn each other through
-    their gears are taken as if they did not: the motion is small.
+    From the mean period, every line of which up to `below` counts. Robots whose axes turn each other through their gears
+    are taken as if they did not: the motion is small.
+
+    **Arguments:** `robot`: whose motors moved. `data`: periodic records of them, with arm angles `q`, rad. `below`: the
+    highest frequency that counts as slow, Hz.
+
+    **Returns:** a `SlowMotion`: arm angles in rad, torques in the gears in N m.
+
+    **Raises:** `jaxfrf.InputError` for records without a period, without q, or of another number of axes.
     """
+    check_axes(robot, data)
     gear = np.asarray(robot.drives.gear_ratio)
     q, torque, fast = [], [], []
     for pos in range(data.n_pos):
@@ -80,8 +90,19 @@ def moving_response(
 
     Biased where the motion is not slow against the width of resonances: it counts the places, not the way between them.
 
-    **Arguments:** `values`: of all parameters. `frequency`: Hz. `q`: arm angles at rest, (pos, axis), rad.
+    **Arguments:** `model`: of the robot. `values`: {name: value} of all its parameters, in their units. `frequency`:
+    (freq,), Hz. `q`: arm angles at rest, (pos, axis), rad. `slow`: where the arm was, of `slow_motion`.
+
+    **Returns:** (pos, freq, out, in), in the quantity of the model.
+
+    **Raises:** `jaxfrf.InputError` where q or the motion have another number of axes than the robot.
     """
+    expect("model", model, RobotModel)
+    for name, angles in (("q", q), ("q of the slow motion", slow.q)):
+        if np.shape(angles)[-1:] != (model.robot.n_axes,):
+            raise input_error(
+                name, f"shape {np.shape(angles)}", f"{model.robot.n_axes} arm angles in the last axis", "Check q."
+            )
     robot = model.at(values)
     at_rest = operating_point(robot, np.asarray(q)).deflection
     held = np.asarray(robot.springs.torque(at_rest, jnp.zeros_like(at_rest)))
@@ -103,7 +124,10 @@ def response_in_motion(
     (freq,), Hz. `data`: periodic records with `q` (rad).
 
     **Returns:** (pos, freq, out, in), in the quantity of the model.
+
+    **Raises:** `jaxfrf.InputError` for records without a period, without q, or of another number of axes.
     """
+    expect("model", model, RobotModel)
     slow = slow_motion(model.robot, data, slow_limit(frequency))
     if slow is not None:
         return moving_response(model, values, frequency, np.asarray(data.q), slow)

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Complex, Float, PyTree
 
+from .._arguments import expect, expect_index
 from .._errors import input_error
 from .._types import Array
 from ..frf import FRF, features
@@ -216,7 +217,12 @@ def focus_band(frf: FRF, axis: int, position: int) -> tuple[float, float]:
 
     **Returns:** lowest and highest frequency, Hz; infinite where there is no antiresonance. Without a resonance behind
     it, the highest is twice the antiresonance.
+
+    **Raises:** `jaxfrf.InputError` if `frf` is none, or has no such axis or position.
     """
+    expect("frf", frf, FRF)
+    expect_index("axis", axis, min(frf.n_out, frf.n_in))
+    expect_index("position", position, frf.n_pos)
     found = features(frf, axis, axis, position=position)
     low = min((x.frequency for x in found if x.kind == "antiresonance"), default=np.inf)
     high = min((x.frequency for x in found if x.kind == "resonance" and x.frequency > low), default=1.6 * low)

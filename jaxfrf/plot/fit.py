@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Complex
 
+from .._arguments import expect
+from .._errors import input_error
 from .._text import number
 from .._types import Array
 from ..frf import FRF
@@ -13,7 +15,7 @@ from ..graybox.quality import Quality
 from ..io._optional import require
 from ..units import response_unit
 from . import _style
-from .bode import _cells, _legend, _new, bode
+from .bode import _cells, _check, _legend, _new, bode
 
 _JUMP = 180.0  # degrees between neighbours at which a drawn phase goes round
 _MARGIN = (0.6, 1.0, 0.15, 0.5)  # inches: left, right, top, bottom of a map
@@ -38,7 +40,20 @@ def fit_bode(
     - `position`, `confidence`, `size`, `title`: as in `bode`.
 
     **Returns:** the figure, and its axes (row, column, 2).
+
+    **Raises:** `jaxfrf.InputError` if an element or operating point does not exist, or a model is not of the same lines
+    and elements.
     """
+    expect("measured", measured, FRF)
+    _check([measured], ["measured"], elements, position)
+    for name, G in models.items():
+        if np.shape(G) != np.shape(measured.G):
+            raise input_error(
+                f"models[{name!r}]",
+                f"shape {np.shape(G)}",
+                f"{np.shape(measured.G)}, that of the measured FRF",
+                "Evaluate it at the same positions and lines.",
+            )
     elements = [(i, i) for i in range(min(measured.n_out, measured.n_in))] if elements is None else list(elements)
     cells = _cells(measured, elements)
     handles = _legend([measured], ["measured"], [np.asarray(measured.std)], confidence or 0, position)
