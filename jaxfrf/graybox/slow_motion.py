@@ -36,8 +36,8 @@ class SlowMotion(eqx.Module):
 def slow_motion(robot: Robot, data: Experiment, below: float) -> SlowMotion | None:
     """The slow motion in periodic records; `None` where the arm stays within a milliradian.
 
-    From the mean period, every line of which up to `below` counts. Robots whose axes turn each other through their gears
-    are taken as if they did not: the motion is small.
+    From the mean period, every line of which up to `below` counts. Robots whose axes turn each other through their
+    gears are taken as if they did not: the motion is small.
 
     **Arguments:** `robot`: whose motors moved. `data`: periodic records of them, with arm angles `q`, rad. `below`: the
     highest frequency that counts as slow, Hz.

@@ -101,9 +101,13 @@ def forward_kinematics(chain: Chain, q: Angles) -> Frames:
     R_i = R_{i-1} exp(q_i [axis_i]x), p_i = p_{i-1} + R_{i-1} offset_i of a joint that turns,
     R_i = R_{i-1}, p_i = p_{i-1} + R_{i-1} (offset_i + q_i axis_i) of one that slides.
 
-    **Arguments:** `q`: joint angles, (*batch, joint), rad.
+    **Arguments:** `chain`: links and joints. `q`: joint angles, (*batch, joint), rad.
 
     **Returns:** `Frames` in the base frame: rotations, (*batch, joint, 3, 3), and positions, (*batch, joint, 3), m.
+
+    **Raises:** `ValueError` for another number of angles than joints.
+
+    **Source:** the equations above; the turns by Rodrigues' formula.
     """
     (angles,), batch = _columns(chain, q)
     rotation, position = _frames(chain, angles)
@@ -117,9 +121,11 @@ def forward_kinematics(chain: Chain, q: Angles) -> Frames:
 def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
     """Joint-space inertia by composite bodies (CRBA), M_ij = s_i . I_c(max(i, j)) s_j; kg m^2.
 
-    **Arguments:** `q`: joint angles, (*batch, joint), rad.
+    **Arguments:** `chain`: links and joints. `q`: joint angles, (*batch, joint), rad.
 
     **Returns:** M(q), (*batch, joint, joint), kg m^2.
+
+    **Raises:** `ValueError` for another number of angles than joints.
 
     **Source:** Featherstone, Rigid Body Dynamics Algorithms, 2008, section 6.2, here in world axes.
     """
@@ -132,10 +138,12 @@ def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
 def inverse_dynamics(chain: Chain, q: Angles, rate: Angles, acceleration: Angles) -> Angles:
     """Joint torque of a motion, tau = M(q) q'' + c(q, q') + g(q), by recursive Newton-Euler (RNEA); N m.
 
-    **Arguments:** `q`: joint angles, (*batch, joint), rad. `rate`, `acceleration`: of the joints, of that shape, rad/s
-    and rad/s^2.
+    **Arguments:** `chain`: links and joints. `q`: joint angles, (*batch, joint), rad. `rate`, `acceleration`: of the
+    joints, of that shape, rad/s and rad/s^2.
 
     **Returns:** (*batch, joint), N m.
+
+    **Raises:** `ValueError` for another number of angles, rates or accelerations than joints.
 
     **Source:** Featherstone, Rigid Body Dynamics Algorithms, 2008, section 5.3, here in world axes.
     """
@@ -147,7 +155,11 @@ def inverse_dynamics(chain: Chain, q: Angles, rate: Angles, acceleration: Angles
 def bias_forces(chain: Chain, q: Angles, rate: Angles) -> Angles:
     """Torque at zero acceleration, c(q, q') + g(q); (*batch, joint), N m.
 
-    **Arguments:** `q`: joint angles, (*batch, joint), rad. `rate`: of that shape, rad/s.
+    **Arguments:** `chain`: links and joints. `q`: joint angles, (*batch, joint), rad. `rate`: of that shape, rad/s.
+
+    **Returns:** (*batch, joint), N m.
+
+    **Raises:** `ValueError` for another number of angles or rates than joints.
 
     **Source:** as of `inverse_dynamics`.
     """
@@ -159,7 +171,13 @@ def bias_forces(chain: Chain, q: Angles, rate: Angles) -> Angles:
 def gravity_forces(chain: Chain, q: Angles) -> Angles:
     """Torque that holds the chain at rest, g(q) = d potential_energy / dq; (*batch, joint), N m.
 
-    **Arguments:** `q`: joint angles, (*batch, joint), rad.
+    **Arguments:** `chain`: links and joints. `q`: joint angles, (*batch, joint), rad.
+
+    **Returns:** (*batch, joint), N m.
+
+    **Raises:** `ValueError` for another number of angles than joints.
+
+    **Source:** as of `inverse_dynamics`, at rest.
     """
     (angles,), batch = _columns(chain, q)
     return _rows(_gravity(chain, _bodies(chain, angles)), batch)
@@ -169,9 +187,11 @@ def gravity_forces(chain: Chain, q: Angles) -> Angles:
 def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "*batch joint joint"], Angles]:
     """Both `mass_matrix`, kg m^2, and `bias_forces`, N m, from one pass over the kinematics: what a time step needs.
 
-    **Arguments:** `q`: joint angles, (*batch, joint), rad. `rate`: of that shape, rad/s.
+    **Arguments:** `chain`: links and joints. `q`: joint angles, (*batch, joint), rad. `rate`: of that shape, rad/s.
 
     **Returns:** (*batch, joint, joint), kg m^2, and (*batch, joint), N m.
+
+    **Raises:** `ValueError` for another number of angles or rates than joints.
 
     **Source:** as of `mass_matrix` and `inverse_dynamics`.
     """
@@ -186,9 +206,11 @@ def mass_and_bias_columns(
 ) -> tuple[Float[Array, "joint joint run"], Float[Array, "joint run"]]:
     """As `mass_and_bias`, of many runs with the runs last.
 
-    **Arguments:** `q`: (joint, run), rad. `rate`: (joint, run), rad/s.
+    **Arguments:** `chain`: links and joints. `q`: (joint, run), rad. `rate`: (joint, run), rad/s.
 
     **Returns:** (joint, joint, run), kg m^2, and (joint, run), N m.
+
+    **Source:** as of `mass_and_bias`.
     """
     bodies = _bodies(chain, q)
     return _mass_matrix(bodies), _newton_euler(chain, bodies, rate, jnp.zeros_like(q))
@@ -198,7 +220,13 @@ def mass_and_bias_columns(
 def potential_energy(chain: Chain, q: Angles) -> Float[Array, "*batch"]:
     """Energy of the links in gravity, -sum_i m_i gravity . c_i(q); (*batch,), J.
 
-    **Arguments:** `q`: joint angles, (*batch, joint), rad.
+    **Arguments:** `chain`: links and joints. `q`: joint angles, (*batch, joint), rad.
+
+    **Returns:** (*batch,), J; 0 with every centre of mass at the height of the base frame's origin.
+
+    **Raises:** `ValueError` for another number of angles than joints.
+
+    **Source:** the equation above.
     """
     frames = forward_kinematics(chain, q)
     centres = frames.position + jnp.einsum("...nij,nj->...ni", frames.rotation, chain.com)

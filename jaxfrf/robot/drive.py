@@ -51,6 +51,8 @@ class Spring(AbstractSpring):
     - `backlash`: b, rad, or `None` where no gear has play. x is then what is left of the deflection beyond
       +-b/2, with corners rounded over b/20; a thousandth of the deflection inside the gap keeps the point of rest
       of an unloaded joint defined. The damper acts as the spring does.
+
+    **Source:** the equation above, this project's own: a smooth law between two stiffnesses.
     """
 
     stiffness: Float[Array, "spring"]
@@ -130,7 +132,10 @@ class Friction(AbstractFrictionLaw):
 
 
 class ViscousFrictionLaw(AbstractFrictionLaw):
-    """Viscous friction alone, tau = f v; `viscous`: (axis,), N m s/rad."""
+    """Viscous friction alone, tau = f v; `viscous`: (axis,), N m s/rad.
+
+    **Source:** the equation above.
+    """
 
     viscous: Float[Array, "axis"]
 
@@ -144,7 +149,8 @@ def effective_friction(friction: AbstractFrictionLaw, amplitude: Float[Array, "a
     The mean slope of c sgn(v) over v = A sin(phi) is 2 c/(pi A). It fails where the speed does not reverse
     cleanly (A not large against the smoothing, or the excitation not small against A).
 
-    **Arguments:** `amplitude`: A, motor side, (axis,) or a number, rad/s.
+    **Arguments:** `friction`: of the motors; another law than `Friction` gives its viscous part. `amplitude`: A, motor
+    side, (axis,) or a number, rad/s.
 
     **Returns:** (axis,), N m s/rad.
 

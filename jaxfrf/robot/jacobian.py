@@ -45,7 +45,22 @@ def frf_and_jacobian(
     gravity and the other springs' local stiffness; that part is included. Stiffness means k at high
     deflection where a spring is nonlinear. Where effects make stiffness complex, k scales that as well.
 
-    **Arguments:** `arm_angles`: (*batch, axis), rad. Others as in `frf` and `linearise`.
+    **Arguments:**
+
+    - `robot`: with its springs, friction and effects.
+    - `arm_angles`: at rest, (*batch, axis), rad. `frequency`: (freq,), Hz, above 0.
+    - `quantity`: `position`, `velocity` or `acceleration` of the motors. `hold`, `delay` (s): of the torque, as of
+      `frf`.
+    - `friction`: f_eff of every axis, motor side, (axis,), N m s/rad, and `deflections`, (sample, spring), rad: as of
+      `linearise`.
+
+    **Returns:** a `ParametricResponse`: G, (*batch, freq, axis, axis), and its derivative by each of
+    `parameter_names`, in the unit of G over that of the parameter.
+
+    **Raises:** `jaxfrf.InputError` for another quantity; `ValueError` for another number of angles than driven joints.
+
+    **Source:** the equation above, the derivative of an inverse; the equilibrium's part by the implicit function
+    theorem.
     """
     friction = robot.drives.friction.viscous if friction is None else friction
     at, frequency, delay, friction = (jnp.asarray(x) for x in (arm_angles, frequency, delay, friction))
@@ -86,7 +101,12 @@ def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quan
 
 
 def parameter_names(robot: Robot) -> tuple[str, ...]:
-    """Names of the parameters of `frf_and_jacobian`: stiffnesses, then dampings, then effective frictions."""
+    """Names of the parameters of `frf_and_jacobian`: stiffnesses, then dampings, then effective frictions.
+
+    **Arguments:** `robot`: whose springs and axes they are of.
+
+    **Returns:** names as `joint1.stiffness`, in the order of `ParametricResponse.jacobian`.
+    """
     return (
         *(f"{joint}.stiffness" for joint in robot.spring_names),
         *(f"{joint}.damping" for joint in robot.spring_names),

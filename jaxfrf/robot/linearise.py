@@ -97,9 +97,16 @@ def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> Op
     through the iterations. Check `converged`: it is false where Newton's method did not come to an end (a
     spring far too soft for its load) and at angles that are NaN.
 
-    **Arguments:** `arm_angles`: q_a, (*batch, axis), rad.
+    **Arguments:** `robot`: with its springs' law; friction and controller do not matter. `arm_angles`: q_a, (*batch,
+    axis), rad.
 
-    **Raises:** `ValueError` for another number of angles than driven joints.
+    **Returns:** an `OperatingPoint`: coordinates and deflections in rad, torques of the motors in N m.
+
+    **Raises:** `ValueError` for another number of angles than driven joints; `jaxfrf.InputError` where effects couple
+    gears that have no spring.
+
+    **Source:** the equations of motion at rest (Moberg, Wernholt, Hanssen & Brogardh, J. Dyn. Sys. Meas. Control 136,
+    2014); Newton's method.
     """
     _check_coupling(robot)
     arm_angles = jnp.asarray(arm_angles)
@@ -254,13 +261,22 @@ def linearise(
     and Coriolis forces are of second order at rest. Friction enters as a viscous coefficient: its slope at
     rest would describe speeds below the smoothing only.
 
+    Biased where motions are not small: what depends on the amplitude (play, Coulomb friction, springs that stiffen) is
+    one number here, that of `friction` and `deflections`.
+
     **Arguments:**
 
+    - `robot`: with its effects, those that act in small motion. `point`: of `operating_point`.
     - `friction`: f_eff of every axis, motor side, (axis,), N m s/rad, as `effective_friction` gives it; the
       robot's viscous friction where it is `None`.
     - `deflections`: about the point of rest over which the local stiffness is averaged, (sample,
       spring), rad: an experiment that moves far over a nonlinear spring sees its mean stiffness. `None`: the
       stiffness at rest.
+
+    **Returns:** a `LinearRobot`: mass in kg m^2, damping in N m s/rad, stiffness in N m/rad, per operating point.
+
+    **Source:** first-order Taylor series of the equations of motion (Moberg, Wernholt, Hanssen & Brogardh, J. Dyn. Sys.
+    Meas. Control 136, 2014).
     """
     friction = robot.drives.friction.viscous if friction is None else friction
     robot, friction = _at_rest(robot), jnp.asarray(friction)
@@ -319,8 +335,12 @@ def describing_friction(
     Own friction as in `effective_friction`, effects by the mean slope of their law over the sine: what `linearise`
     and `frf_and_jacobian` take as `friction`. It fails where the small motion is not small against the slow one.
 
-    **Arguments:** `amplitude`: of the slow sine, motor side, (axis,) or a number, rad/s. `load`: torque in the gears
-    on the motor side, as `OperatingPoint.torque`, (axis,) or a number, N m. **Returns:** (axis,), N m s/rad.
+    **Arguments:** `robot`: with its friction and effects. `amplitude`: of the slow sine, motor side, (axis,) or a
+    number, rad/s. `load`: torque in the gears on the motor side, as `OperatingPoint.torque`, (axis,) or a number, N m.
+
+    **Returns:** (axis,), N m s/rad.
+
+    **Source:** Gelb & Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design, 1968.
     """
     amplitude, load = (jnp.broadcast_to(jnp.asarray(x, float), (robot.n_axes,)) for x in (amplitude, load))
     total = effective_friction(robot.drives.friction, amplitude)
@@ -332,9 +352,11 @@ def describing_friction(
 def gravity_stiffness(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:
     """Change of the gravity torque with the arm's angles, dg_ae/d arm.
 
-    **Arguments:** `arm`: [q_a, q_e], (*batch, arm), rad, arm side.
+    **Arguments:** `robot`: with its chain. `arm`: [q_a, q_e], (*batch, arm), rad, arm side.
 
     **Returns:** (*batch, arm, arm), N m/rad.
+
+    **Source:** the derivative of `gravity_forces`, by automatic differentiation.
     """
     return _jacobian(lambda x: _gravity(robot, x), arm)
 
@@ -344,10 +366,13 @@ def local_stiffness(
 ) -> Float[Array, "*batch spring"]:
     """Stiffness of every spring at its deflection, averaged over `deflections` about it; N m/rad.
 
-    **Arguments:** `point`: whose deflections are taken, (*batch, spring). `deflections`: samples about it, (sample,
-    spring), rad, arm side; `None`: the tangent at the point.
+    **Arguments:** `robot`: with its springs' law. `point`: whose deflections are taken, (*batch, spring).
+    `deflections`: samples about it, (sample, spring), rad, arm side; `None`: the tangent at the point.
 
     **Returns:** (*batch, spring), N m/rad.
+
+    **Source:** the derivative of the springs' law (`Spring`); the mean over a motion as describing functions take it
+    (Gelb & Vander Velde, Multiple-Input Describing Functions and Nonlinear System Design, 1968).
     """
     if deflections is None:
         return robot.springs.tangent(point.deflection)

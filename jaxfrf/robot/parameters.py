@@ -33,7 +33,7 @@ _SLIDING = {"stiffness": "N/m", "damping": "N s/m", "stiffness_knee": "m", "gear
 def parameter_unit(robot: Robot, joint: str, kind: str) -> str:
     """Unit of a kind of parameter of this joint, which may slide; kinds on the motor's side are the same then.
 
-    **Arguments:** `joint`: its name. `kind`: one of `jaxfrf.robot.PARAMETER_UNITS`.
+    **Arguments:** `robot`: whose joint it is. `joint`: its name. `kind`: one of `jaxfrf.robot.PARAMETER_UNITS`.
 
     **Returns:** the unit as text, e.g. `N m/rad`.
 
@@ -49,8 +49,8 @@ def parameters(robot: Robot, kinds: Iterable[str] = ("stiffness", "damping")) ->
     A kind that a joint does not have (the stiffness of a rigid transmission) is left out. `com`, `inertia`
     and `offset` are vectors, everything else numbers.
 
-    **Arguments:** `kinds`: of `jaxfrf.robot.PARAMETER_UNITS`, which says their units; see `parameter_unit` for a joint
-    that slides.
+    **Arguments:** `robot`: whose parameters they are. `kinds`: of `jaxfrf.robot.PARAMETER_UNITS`, which says their
+    units; see `parameter_unit` for a joint that slides.
 
     **Returns:** numbers, or vectors of (3,) (`com`, `offset`, m) and (6,) (`inertia`, kg m^2).
 
@@ -66,7 +66,9 @@ def parameters(robot: Robot, kinds: Iterable[str] = ("stiffness", "damping")) ->
 def with_parameters(robot: Robot, values: Mapping[str, jax.Array | float]) -> Robot:
     """The same robot with these parameters changed, in their units (`parameter_unit`); differentiable in the values.
 
-    **Arguments:** `values`: {"joint.kind": value}, as of `parameters`; what is left out stays.
+    **Arguments:** `robot`: as it is. `values`: {"joint.kind": value}, as of `parameters`; what is left out stays.
+
+    **Returns:** the robot with these values.
 
     **Raises:** `jaxfrf.InputError` for a name that the robot does not have, with the nearest one that it has.
     """

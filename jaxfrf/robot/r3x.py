@@ -16,6 +16,11 @@ def r3x() -> Robot:
     Links, motors, gears, friction and the stiffness of axes 1-3 are published measurements (Otter & Tuerk,
     The DFVLR models 1 and 2 of the Manutec r3 robot, 1988; Modelica library, RobotR3); stiffness of axes 4-6,
     elasticity across the transmissions, damping, spring shape and payload are proposed values.
+
+    **Returns:** the robot, in SI units, with its controller.
+
+    **Source:** Otter & Tuerk, The DFVLR models 1 and 2 of the Manutec r3 robot, 1988; what they do not state is this
+    project's own.
     """
     text = importlib.resources.files(__package__).joinpath("r3x.toml").read_text(encoding="utf-8")
     return robot_from_table(tomllib.loads(text), "r3x.toml")
@@ -27,7 +32,13 @@ _RESOLVER = (5e-4, 1e-3)  # rad, orders 1 and 2
 
 
 def r3x_ripple() -> tuple[AbstractEffect, ...]:
-    """Torque ripple and resolver ripple of R3X, for `r3x().with_effects(*r3x_ripple())`; proposed values."""
+    """Torque ripple and resolver ripple of R3X, for `r3x().with_effects(*r3x_ripple())`.
+
+    **Returns:** effects: torque ripple, N m, of orders 1, 2, 6 and 18 of the motor's angle, and resolver ripple, rad,
+    of orders 1 and 2.
+
+    **Source:** proposed values, this project's own.
+    """
     torque = (TorqueRipple(axis, scale * np.array(_RIPPLE)) for axis, scale in enumerate(_RIPPLE_SCALE))
     resolver = (ResolverRipple(axis, list(_RESOLVER)) for axis in range(len(_RIPPLE_SCALE)))
     return (*torque, *resolver)

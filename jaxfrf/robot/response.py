@@ -29,6 +29,11 @@ class ZeroOrderHold(eqx.Module):
 
     **Arguments:** `sampling_frequency`: Hz. `measured`: the quantity that is sampled, `position` or
     `velocity`; any other is obtained from its spectrum by (j w)^n. `order`: terms of the expansion.
+
+    **Raises:** `jaxfrf.InputError` for another quantity.
+
+    **Source:** Astrom & Wittenmark, Computer-Controlled Systems, 3rd ed. 1997 (sampling behind a zero-order hold, the
+    modified z-transform); the sum of the aliases by an expansion in 1/s is this project's own.
     """
 
     sampling_frequency: float
@@ -56,9 +61,15 @@ def frf(
 
     Differentiable in everything; `frf_and_jacobian` is faster for springs, dampers and friction.
 
-    **Arguments:** `frequency`: Hz, above 0. `hold`: how the torque is held and the motion sampled; `None` =
-    continuous. `delay`: of each torque, s, held or not; parts of a sample count. **Returns:** (*batch, freq,
-    axis, axis).
+    **Arguments:** `model`: of `linearise`. `frequency`: (freq,), Hz, above 0. `quantity`: `position`, `velocity` or
+    `acceleration` of the motors. `hold`: how the torque is held and the motion sampled; `None` = continuous. `delay`:
+    of each torque, s, held or not; parts of a sample count.
+
+    **Returns:** (*batch, freq, axis, axis), rad, rad/s or rad/s^2 per N m, motor side.
+
+    **Raises:** `jaxfrf.InputError` for another quantity.
+
+    **Source:** the equation above; held and sampled as `ZeroOrderHold` says.
     """
     return _frf(model, jnp.asarray(frequency), quantity, hold, jnp.asarray(delay))
 
@@ -80,6 +91,10 @@ def hold_remainder(
 
     **Arguments:** `model`: of `jaxfrf.robot.linearise`. `frequency`: (freq,), Hz, above 0. `hold`: whose `order` is
     judged.
+
+    **Returns:** (*batch, freq), without unit.
+
+    **Source:** the next two terms of the expansion of `ZeroOrderHold`: this project's own.
     """
     omega = 2.0 * jnp.pi * jnp.asarray(frequency)
     longer = dataclasses.replace(hold, order=hold.order + 2)

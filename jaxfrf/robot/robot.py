@@ -40,7 +40,12 @@ class Robot(eqx.Module):
     - `stiff`: whether its transmission is rigid (driven), or it is locked (elastic).
     - `controller`, `sampling_frequency` (Hz): for the simulation.
     - `effects`: that act beside the robot's own laws; see `with_effects`.
-    - `tolerances`: how well its numbers are known.
+    - `name`: in messages and reports. `tolerances`: how well its numbers are known.
+
+    **Raises:** `ValueError` where names, joints and motors differ in number.
+
+    **Source:** Moberg, Wernholt, Hanssen & Brogardh, J. Dyn. Sys. Meas. Control 136, 2014 (extended flexible joint
+    model).
     """
 
     chain: Chain
@@ -143,7 +148,7 @@ class Robot(eqx.Module):
 def chain_angles(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch joint"]:
     """Angles of all joints in chain order, from [q_a, q_e], rad; a locked joint stands at zero.
 
-    **Arguments:** `arm`: [q_a, q_e], (*batch, arm), rad, arm side.
+    **Arguments:** `robot`: whose joints they are. `arm`: [q_a, q_e], (*batch, arm), rad, arm side.
 
     **Returns:** (*batch, joint), rad.
     """
@@ -173,9 +178,11 @@ def _reflected_rotors(robot: Robot):
 def arm_inertia(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:
     """M_ae(q_a, q_e), with the rotors of rigid transmissions.
 
-    **Arguments:** `arm`: [q_a, q_e], (*batch, arm), rad, arm side.
+    **Arguments:** `robot`: with its chain and motors. `arm`: [q_a, q_e], (*batch, arm), rad, arm side.
 
     **Returns:** (*batch, arm, arm), kg m^2.
+
+    **Source:** as of `mass_matrix`.
     """
     return _arm_matrix(robot, mass_matrix(robot.chain, chain_angles(robot, arm)))
 
@@ -186,9 +193,12 @@ def arm_inertia_and_bias(
 ) -> tuple[Float[Array, "*batch arm arm"], Float[Array, "*batch arm"]]:
     """M_ae and c_ae + g_ae from one pass over the kinematics: what changes slowly within a control sample.
 
-    **Arguments:** `arm`: [q_a, q_e], (*batch, arm), rad, arm side. `rate`: of that shape, rad/s.
+    **Arguments:** `robot`: with its chain and motors. `arm`: [q_a, q_e], (*batch, arm), rad, arm side. `rate`: of that
+    shape, rad/s.
 
     **Returns:** (*batch, arm, arm), kg m^2, and (*batch, arm), N m.
+
+    **Source:** as of `mass_and_bias`.
     """
     matrix, bias = mass_and_bias(robot.chain, chain_angles(robot, arm), chain_angles(robot, rate))
     return _arm_matrix(robot, matrix), bias[..., np.array(robot.arm_joints)]
@@ -199,9 +209,11 @@ def arm_inertia_and_bias_columns(
 ) -> tuple[Float[Array, "arm arm run"], Float[Array, "arm run"]]:
     """As `arm_inertia_and_bias`, of many runs with the runs last: for simulations.
 
-    **Arguments:** `arm`: (arm, run), rad. `rate`: (arm, run), rad/s.
+    **Arguments:** `robot`: with its chain and motors. `arm`: (arm, run), rad. `rate`: (arm, run), rad/s.
 
     **Returns:** (arm, arm, run), kg m^2, and (arm, run), N m.
+
+    **Source:** as of `mass_and_bias`.
     """
     order = np.array(robot.arm_joints)
     angles, rates = chain_angles(robot, arm.T).T, chain_angles(robot, rate.T).T
@@ -212,7 +224,12 @@ def arm_inertia_and_bias_columns(
 
 
 def motor_inertia(robot: Robot) -> Float[Array, "motor"]:
-    """Inertia of the motors that have a coordinate of their own, kg m^2."""
+    """Inertia of the motors that have a coordinate of their own, kg m^2.
+
+    **Arguments:** `robot`: with its motors.
+
+    **Returns:** (motor,), kg m^2, base to tip.
+    """
     return robot.drives.motor_inertia[np.array(robot.flexible_axes, int)]
 
 
@@ -220,9 +237,12 @@ def motor_inertia(robot: Robot) -> Float[Array, "motor"]:
 def inertia(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch dof dof"]:
     """Inertia in the coordinates z: motors and arm are coupled by springs only, so it is block diagonal.
 
-    **Arguments:** `z`: [q_m, q_a, q_e], (*batch, dof), rad.
+    **Arguments:** `robot`: with its chain and motors. `z`: [q_m, q_a, q_e], (*batch, dof), rad.
 
     **Returns:** (*batch, dof, dof), kg m^2.
+
+    **Source:** as of `mass_matrix`; the blocks as Moberg, Wernholt, Hanssen & Brogardh, J. Dyn. Sys. Meas. Control 136,
+    2014, have them.
     """
     arm = arm_inertia(robot, z[..., robot.n_motors :])
     motors = jnp.broadcast_to(jnp.diag(motor_inertia(robot)), (*arm.shape[:-2], robot.n_motors, robot.n_motors))
@@ -242,7 +262,12 @@ def deflections(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*b
     The sign makes a positive spring torque drive the arm, tau_g = torque(q_m/n - q_a) and tau_e =
     torque(-q_e). Where effects couple axes, q_a is what their gears see of the arm (`gear_coupling`).
 
-    **Arguments:** `z`: [q_m, q_a, q_e], (*batch, dof), rad; or rates, rad/s, for those of the deflections.
+    **Arguments:** `robot`: with its gears. `z`: [q_m, q_a, q_e], (*batch, dof), rad; or rates, rad/s, for those of the
+    deflections.
+
+    **Returns:** (*batch, spring), rad, or rad/s of rates.
+
+    **Source:** the equations above.
     """
     flexible = np.array(robot.flexible_axes, int)
     motor, arm, elastic = jnp.split(z, [robot.n_motors, robot.n_motors + robot.n_axes], axis=-1)
@@ -271,12 +296,22 @@ def gear_angles(robot: Robot, arm: Float[Array, "*batch axis"]) -> Float[Array, 
 
 
 def spring_directions(robot: Robot) -> Float[Array, "dof spring"]:
-    """W with deflections(z) = W^T z, rad; a spring torque tau acts on the coordinates as -W tau."""
+    """W with deflections(z) = W^T z, rad; a spring torque tau acts on the coordinates as -W tau.
+
+    **Arguments:** `robot`: with its gears.
+
+    **Returns:** W, (dof, spring).
+    """
     return deflections(robot, jnp.eye(robot.dof))
 
 
 def motor_directions(robot: Robot) -> Float[Array, "dof axis"]:
-    """B with motor angles = B^T z (all axes, motor side, rad); a motor torque u acts on the coordinates as B u."""
+    """B with motor angles = B^T z (all axes, motor side, rad); a motor torque u acts on the coordinates as B u.
+
+    **Arguments:** `robot`: with its gears.
+
+    **Returns:** B, (dof, axis).
+    """
     motors, axes = robot.n_motors, robot.n_axes
     flexible = np.array(robot.flexible_axes, int)
     direct = np.zeros((robot.dof, axes))
@@ -290,7 +325,7 @@ def motor_directions(robot: Robot) -> Float[Array, "dof axis"]:
 def motor_values(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch axis"]:
     """Motor angles of all axes from the coordinates z, or motor speeds from z'; motor side.
 
-    **Arguments:** `z`: [q_m, q_a, q_e], (*batch, dof), rad; or z', rad/s.
+    **Arguments:** `robot`: with its gears. `z`: [q_m, q_a, q_e], (*batch, dof), rad; or z', rad/s.
 
     **Returns:** (*batch, axis), in the unit of `z`.
     """
@@ -305,10 +340,13 @@ def drive_forces(
 ) -> Float[Array, "*batch dof"]:
     """The fast part of the dynamics: motors, friction and springs, B (u - tau_fm) - W tau_spring.
 
-    **Arguments:** `z`: [q_m, q_a, q_e], (*batch, dof), rad. `rate`: of that shape, rad/s. `torque`: u, of the motors of
-    all axes, (*batch, axis), N m, motor side.
+    **Arguments:** `robot`: with its springs, friction and effects. `z`: [q_m, q_a, q_e], (*batch, dof), rad. `rate`: of
+    that shape, rad/s. `torque`: u, of the motors of all axes, (*batch, axis), N m, motor side.
 
     **Returns:** force on every coordinate, (*batch, dof), N m.
+
+    **Source:** Moberg, Wernholt, Hanssen & Brogardh, J. Dyn. Sys. Meas. Control 136, 2014; effects as each of them
+    says.
     """
     spring = robot.springs.torque(deflections(robot, z), deflections(robot, rate))
     speed = motor_values(robot, rate)
@@ -332,10 +370,12 @@ def friction_effects(
 ) -> Float[Array, "*batch axis"]:
     """Torque against the motors by the robot's effects, motor side.
 
-    **Arguments:** `speed`: of the motors, (*batch, axis), rad/s. `load`: torque in the gears on the motor side,
-    (*batch, axis), N m.
+    **Arguments:** `robot`: with its effects. `speed`: of the motors, (*batch, axis), rad/s. `load`: torque in the gears
+    on the motor side, (*batch, axis), N m.
 
     **Returns:** (*batch, axis), N m.
+
+    **Source:** as each of the effects says.
     """
     return _effects_torque(robot, AbstractFriction, speed, load)
 
@@ -362,10 +402,12 @@ def generalised_forces(
 ) -> Float[Array, "*batch dof"]:
     """All forces that accelerate the coordinates: `drive_forces` less [0; c_ae + g_ae].
 
-    **Arguments:** `z`: [q_m, q_a, q_e], (*batch, dof), rad. `rate`: of that shape, rad/s. `torque`: u, of the motors of
-    all axes, (*batch, axis), N m, motor side.
+    **Arguments:** `robot`: all of it. `z`: [q_m, q_a, q_e], (*batch, dof), rad. `rate`: of that shape, rad/s. `torque`:
+    u, of the motors of all axes, (*batch, axis), N m, motor side.
 
     **Returns:** (*batch, dof), N m; `inertia` times the acceleration of z.
+
+    **Source:** as of `drive_forces` and `mass_and_bias`.
     """
     motors = robot.n_motors
     _, bias = arm_inertia_and_bias(robot, z[..., motors:], rate[..., motors:])
@@ -381,7 +423,13 @@ def forward_dynamics(
     M(z) z'' = `generalised_forces`. A simulation that evaluates the slow part (`arm_inertia_and_bias`) less
     often than the fast one (`drive_forces`) is several times cheaper.
 
-    **Arguments:** `state`: (*batch, 2 dof), rad and rad/s. `torque`: motor side, (*batch, axis), N m.
+    **Arguments:** `robot`: all of it. `state`: (*batch, 2 dof), rad and rad/s. `torque`: motor side, (*batch, axis),
+    N m.
+
+    **Returns:** (*batch, 2 dof), rad/s and rad/s^2.
+
+    **Source:** Moberg, Wernholt, Hanssen & Brogardh, J. Dyn. Sys. Meas. Control 136, 2014; the arm by its inertia
+    matrix (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 6).
     """
     motors = robot.n_motors
     z, rate = state[..., : robot.dof], state[..., robot.dof :]
@@ -398,7 +446,13 @@ def energy(robot: Robot, state: Float[Array, "*batch state"]) -> Float[Array, "*
 
     Kept where there is no damping, friction or torque.
 
-    **Arguments:** `state`: [z, z'], (*batch, 2 dof), rad and rad/s.
+    **Arguments:** `robot`: whose springs have no play. `state`: [z, z'], (*batch, 2 dof), rad and rad/s.
+
+    **Returns:** (*batch,), J.
+
+    **Raises:** `NotImplementedError` for springs with play.
+
+    **Source:** 1/2 z'^T M(z) z', `potential_energy`, and the integral of the springs' law.
     """
     z, rate = state[..., : robot.dof], state[..., robot.dof :]
     kinetic = 0.5 * jnp.einsum("...i,...ij,...j->...", rate, inertia(robot, z), rate)

@@ -107,6 +107,10 @@ def robot_from_table(
 def table_from_robot(robot: Robot) -> dict[str, Any]:
     """The table of a robot: `robot_from_table` of it gives the same robot.
 
+    **Arguments:** `robot`: with `Spring` and `Friction`.
+
+    **Returns:** a table of plain numbers, lists and texts, as `tomllib.load` gives it, in SI units.
+
     **Raises:** `jaxfrf.InputError` for springs or friction that a file cannot state.
     """
     springs, friction = robot.springs, robot.drives.friction

@@ -39,6 +39,8 @@ def state_space(model: LinearRobot, quantity: str = "velocity") -> StateSpace:
     rad/s^2, motor side.
 
     **Raises:** `jaxfrf.InputError` for another quantity.
+
+    **Source:** closed form, A = [0, 1; -M^-1 K, -M^-1 D] and B = [0; M^-1 B_motor].
     """
     dof, axes = model.motor.shape
     batch = model.mass.shape[:-2]
@@ -87,6 +89,8 @@ def state_space_frf(system: StateSpace, frequency: Float[Array, "freq"]) -> Comp
     **Arguments:** `system`: continuous or sampled. `frequency`: (freq,), Hz.
 
     **Returns:** (*batch, freq, out, in), unit of the output over that of the input.
+
+    **Source:** the equation above.
     """
     omega = 2.0 * jnp.pi * jnp.asarray(frequency)
     point = jnp.exp(1j * omega * system.sample_time) if system.sample_time else 1j * omega
@@ -101,6 +105,8 @@ def state_space_frf(system: StateSpace, frequency: Float[Array, "freq"]) -> Comp
 
 def to_control(system: StateSpace) -> Any:
     """The system as a `control.StateSpace` of python-control; one operating point (no batch axes).
+
+    **Arguments:** `system`: continuous or sampled.
 
     **Returns:** a `control.StateSpace`.
 

@@ -140,8 +140,14 @@ def kind_of(name: str) -> str:
 def tolerances_from(table: Mapping[str, Any], names: Iterable[str], where: str = "tolerance") -> Tolerances:
     """Tolerances as a file or the command line states them: numbers are relative, "0.2 kg" is absolute.
 
-    **Arguments:** `names`: of the robot's joints, whose numbers may be named. **Raises:** `jaxfrf.InputError` for a key
-    that is no number of the robot, no kind and no group, and for a value that is no tolerance.
+    **Arguments:** `table`: {key: value}; a key is the name of a number (`joint6.mass`), a kind (`mass`) or a group
+    (`links`), a value a number (0: exact), a text with a unit, or "unknown". `names`: of the robot's joints, whose
+    numbers may be named. `where`: the table's name in messages.
+
+    **Returns:** the `Tolerances` that it states.
+
+    **Raises:** `jaxfrf.InputError` for a key that is no number of the robot, no kind and no group, and for a value that
+    is no tolerance.
     """
     joints = tuple(names)
     return Tolerances(tuple((_key(key, joints, where), _value(key, value, where)) for key, value in table.items()))
