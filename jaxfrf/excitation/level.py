@@ -28,6 +28,10 @@ def rms(x: Float[Array, "*batch time channel"]) -> Float[np.ndarray, "*batch cha
     """Root mean square over time, in the unit of x.
 
     **Arguments:** `x`: (*batch, time, channel), evenly sampled.
+
+    **Returns:** (*batch, channel), unit of x.
+
+    **Source:** the definition.
     """
     return np.sqrt(np.mean(np.square(x), axis=-2))
 
@@ -37,12 +41,25 @@ def crest_factor(x: Float[Array, "*batch time channel"]) -> Float[np.ndarray, "*
 
     Peaks between samples are not seen: with n samples in a period of the highest line it is low by up to
     1 - cos(pi/n), 1 % at n = 22.
+
+    **Arguments:** `x`: whole periods, (*batch, time, channel), of any unit, evenly sampled.
+
+    **Returns:** (*batch, channel), without unit.
+
+    **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, chapter 5.
     """
     return np.max(np.abs(x), axis=-2) / rms(x)
 
 
 def line_power(R: Complex[Array, "*batch freq channel"]) -> Float[np.ndarray, "*batch freq channel"]:
-    """Mean square that each line carries, 2 |R(k)|^2, R Fourier coefficients; the sum over lines is rms^2."""
+    """Mean square that each line carries, 2 |R(k)|^2, R Fourier coefficients; the sum over lines is rms^2.
+
+    **Arguments:** `R`: (*batch, freq, channel), of any unit, without the line 0.
+
+    **Returns:** (*batch, freq, channel), unit of R squared.
+
+    **Source:** Parseval's theorem.
+    """
     return 2 * np.abs(R) ** 2
 
 
@@ -50,6 +67,10 @@ def reference_levels(reference: Reference) -> ExcitationLevels:
     """The levels of every experiment and channel of a reference.
 
     **Arguments:** `reference`: of `jaxfrf.reference`.
+
+    **Returns:** `ExcitationLevels`, each (exp, in), in rad, rad/s and rad/s^2.
+
+    **Source:** definitions; the acceleration by j omega in frequency.
     """
     design = reference.design
     steady = reference.r[:, -design.period :]

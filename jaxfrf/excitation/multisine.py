@@ -234,6 +234,8 @@ def shaped_amplitude(
     **Returns:** (freq,) or (freq, channel): the `amplitude` of a `Multisine`.
 
     **Raises:** `jaxfrf.InputError` where corners do not increase, or anything is not positive.
+
+    **Source:** straight lines between the corners in log amplitude over log frequency: this project's own.
     """
     corners = _numbers("spectrum frequency", corners)
     levels = _numbers("spectrum amplitude", levels)

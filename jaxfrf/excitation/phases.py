@@ -99,6 +99,10 @@ def random_phases(shape: tuple[int, ...], key: PRNGKeyArray) -> Float[np.ndarray
     """Independent phases of this shape, uniform on [0, 2 pi), rad.
 
     **Arguments:** `shape`: of the array. `key`: of the draw, `jax.random.key`.
+
+    **Returns:** an array of this shape, rad.
+
+    **Source:** the definition.
     """
     return 2 * np.pi * uniform(key, shape)
 
@@ -138,7 +142,10 @@ def optimise_crest(
     = A A^H, stay as they are. A local optimum, which depends on the start. Takes about a second for one
     input and several hundred lines, and n^2 times that for n inputs.
 
-    **Arguments:** `amplitude`: (freq, in); `phi`, `psi`: starting phases (in, freq), rad.
+    **Arguments:** `amplitude`: of each line and input, (freq, in), of any unit. `lines`: (freq,), line numbers of one
+    period, increasing. `phi`, `psi`: starting phases of the inputs and of the experiments, (in, freq), rad.
+
+    **Returns:** `phi` and `psi`, (in, freq), rad, in [0, 2 pi).
 
     **Source:** Guillaume, Schoukens, Pintelon & Kollar, IEEE Trans. Instrum. Meas. 40 (1991) 982-989 (the
     L2p norm; here with a quasi-Newton method and gradients by FFT).

@@ -126,6 +126,8 @@ def one_period(
     lines, (freq, in), rad/s, one experiment of `reference_spectra`.
 
     **Returns:** speed, (time, in), rad/s, and its zero-mean periodic integral, (time, in), rad.
+
+    **Source:** the inverse DFT; the integral by 1/(j omega).
     """
     X = np.zeros((design.period // 2 + 1, design.n_in), complex)
     X[design.lines] = R

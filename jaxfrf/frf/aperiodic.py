@@ -19,6 +19,12 @@ def adapted(method: AbstractMethod, spectra: Spectra) -> AbstractMethod:
     as 1/duration and carry as little as a part of a sweep or of noise. Others stay as they are, and say what they need.
 
     **Arguments:** `method`: any. `spectra`: of `jaxfrf.dft`, `jaxfrf.record_spectra` or `jaxfrf.segment_spectra`.
+
+    **Returns:** a method for `jaxfrf.estimate`: the same one, or one with a transient term and a window of its own
+    choice.
+
+    **Source:** transients that are smooth in frequency: Pintelon & Schoukens, System Identification: A Frequency Domain
+    Approach, 2nd ed. 2012, chapter 7; when one is added is this project's own.
     """
     return method if spectra.periodic or spectra.segments else _without_period(method)
 

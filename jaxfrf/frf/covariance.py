@@ -72,7 +72,13 @@ class AbstractFactors(eqx.Module, np.lib.mixins.NDArrayOperatorsMixin):
 
 
 class KroneckerSum(AbstractFactors):
-    """sum_t S_t (x) C_t: (*batch, term, in, in) and (*batch, term, out, out)."""
+    """A covariance as a sum of Kronecker products, sum_t S_t (x) C_t.
+
+    **Fields:** `left`: S, (*batch, term, in, in). `right`: C, (*batch, term, out, out); their product has the unit of G
+    squared.
+
+    **Source:** closed form: errors of the outputs that are alike at all experiments of a least-squares estimate.
+    """
 
     left: Complex[Array, "*batch term in in"]
     right: Complex[Array, "*batch term out out"]
@@ -99,7 +105,12 @@ class KroneckerSum(AbstractFactors):
 
 
 class OuterSum(AbstractFactors):
-    """sum_m d_m d_m^H, d_m the columns: (*batch, vec, term)."""
+    """A covariance as a sum of outer products, sum_m d_m d_m^H.
+
+    **Fields:** `columns`: d_m, (*batch, vec, term), unit of G.
+
+    **Source:** closed form: the scatter of single estimates about their mean.
+    """
 
     columns: Complex[Array, "*batch vec term"]
 

@@ -106,9 +106,19 @@ def with_distortion(frf: FRF, data: Experiment, spectra: Spectra | None = None) 
 def distortion_of(frf: FRF, data: Experiment, spectra: Spectra | None = None) -> Distortion:
     """As `best_linear_approximation`, of an FRF of the same record and band.
 
-    **Arguments:** `spectra`: `jaxfrf.dft` of the record, where it is there already.
+    Biased as that is: too high where G bends between two excited lines, and by the smoothing of `frf`, which counts as
+    distortion at unexcited lines. Fails with an FRF of another record, or of the same one in another quantity: what G U
+    does not explain is then no distortion.
 
-    **Raises:** `jaxfrf.InputError` where nothing tells noise and distortion: one period, no unexcited line.
+    **Arguments:** `frf`: (pos, freq, out, in), of the record and in its quantity. `data`: the periodic record.
+    `spectra`: `jaxfrf.dft` of the record, where it is there already.
+
+    **Returns:** a `Distortion`: the FRF with its covariances, and levels in the unit of y.
+
+    **Raises:** `jaxfrf.InputError` where nothing tells noise and distortion (one period, no unexcited line), and where
+    the lines of the FRF are not all the record's.
+
+    **Source:** as of `jaxfrf.best_linear_approximation`.
     """
     if spectra is None:
         spectra = dft(data)

@@ -127,9 +127,14 @@ def cost_function(model: AbstractModel, frf: FRF, weights: Weights | None = None
     values = cost.coordinates.values(x)     # by name, in their units
     ```
 
-    **Arguments:** as of `jaxfrf.fit`.
+    **Arguments:** `model`, `frf`, `weights`: as of `jaxfrf.fit`. `points`: operating points, leading axis (pos), as the
+    model takes them; by default those of the FRF, by its `q` (rad).
 
-    **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together.
+    **Returns:** a `Cost`, without unit: the weighted sum of |log(G_measured/G_model)|^2, magnitude and phase apart.
+
+    **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together; `ValueError` in 32 bit.
+
+    **Source:** Zimmermann & Moberg, section III.B (logarithmic errors, weighted).
     """
     require_x64("cost_function")
     check_quantity(model, frf)

@@ -29,6 +29,8 @@ def robot_points(robot: Robot, data: Experiment) -> RobotPoint:
     **Returns:** the points, one for each position: arm angles, and samples of the springs' deflections, rad.
 
     **Raises:** `jaxfrf.InputError` for a record without a period, without q, or of another number of axes.
+
+    **Source:** the motor's equation of motion, above, and Newton's method on the springs' law: this project's own.
     """
     return points_under(robot, np.asarray(data.q), varying_gear_torque(robot, data))
 

@@ -39,6 +39,7 @@ class Start(eqx.Module):
     **Fields:** `x`: where it ended, (parameter,). `cost`: there, all lines. `path_x`, `path_cost`: every step, the
     start first; the search uses a part of the lines, whose cost `path_cost` is, scaled to all of them. `polished`:
     whether it was followed to the end with all lines; others were left in their valley (`x` of the search).
+    `converged`: whether the solver ended by itself, not at its last step.
     """
 
     x: Float[np.ndarray, "parameter"]
@@ -343,6 +344,8 @@ def evaluate(fitted: Fit, frf: FRF, weights: Weights | None = None, points: PyTr
 
     **Raises:** `jaxfrf.InputError` where weights have another shape, nothing is left to compare, or the FRF has no `q`
     that the model could take.
+
+    **Source:** a definition: the cost of `jaxfrf.fit` over its expected value.
     """
     weights = Weights() if weights is None else weights
     points = fitted.model.points(frf.q, frf.n_pos) if points is None else points

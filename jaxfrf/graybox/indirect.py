@@ -90,7 +90,8 @@ def fit_indirectly(
     - `model`: `jaxfrf.RobotModel` of a robot with a controller. Effective friction is fitted as a nuisance beside the
       simulation's own friction.
     - `data`: periodic records with references and arm configurations.
-    - `method`: `default_method()` where it is not given.
+    - `method`: by default `jaxfrf.JointInputOutput(jaxfrf.LRM())`: fixed windows, which smooth measurement and
+      simulation alike.
     - `weights`, `solver`, `starts`, `key`: of the direct fit, as in `jaxfrf.fit`.
     - `rounds`: at most. `done`: rounds of an interrupted run. `keep`: called with every new round.
     - `say`: called with a line of progress.

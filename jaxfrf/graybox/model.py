@@ -283,6 +283,8 @@ def fix(model: Model, names: Iterable[str]) -> Model:
 
     **Arguments:** `model`: with `parameters`, one of `jaxfrf.AbstractModel`. `names`: of parameters, or patterns.
 
+    **Returns:** the model with these parameters fixed.
+
     **Raises:** `jaxfrf.InputError` for a name that the model does not have.
     """
     return _changed(model, names, lambda p: dataclasses.replace(p, free=False))
@@ -318,7 +320,10 @@ def _changed(model: Model, names: Iterable[str], change: Callable[[Parameter], P
 def starting_at(model: Model, values: Mapping[str, float]) -> Model:
     """The same model with its parameters starting at these values.
 
-    **Arguments:** `values`: {name: value}, in the units of the parameters; others keep their start.
+    **Arguments:** `model`: with `parameters`, one of `jaxfrf.AbstractModel`. `values`: {name: value}, in the units of
+    the parameters; others keep their start.
+
+    **Returns:** the model with these starts.
 
     **Raises:** `jaxfrf.InputError` for a name that the model does not have.
     """

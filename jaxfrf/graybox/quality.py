@@ -202,7 +202,16 @@ def model_quality(
 ) -> Quality:
     """Errors of a fitted model on another FRF: positions that were not fitted.
 
-    **Arguments:** `points`: operating points of the FRF, leading axis pos; from its q by default.
+    **Arguments:** `fitted`: of `jaxfrf.fit`. `frf`: the other one, (pos, freq, out, in), of the quantity that the model
+    gives. `weights`: as in `jaxfrf.fit`; `Weights()` by default. `points`: operating points of the FRF, leading axis
+    pos; from its q (rad) by default. `bands`: how many, of equal width in the logarithm.
+
+    **Returns:** a `Quality`: chi-square and errors by position, band and element.
+
+    **Raises:** `jaxfrf.InputError` where weights have another shape, nothing is left to compare, the FRF has no `q`
+    that the model could take, and for less than one band.
+
+    **Source:** as of `jaxfrf.quality`.
     """
     points = fitted.model.points(frf.q, frf.n_pos) if points is None else points
     tg = target(frf, Weights() if weights is None else weights, points)
@@ -218,7 +227,12 @@ def response_quality(
     **Arguments:** `G`: (pos, freq, out, in), unit of the FRF. `frf`: the measured one. `weights`: as in `jaxfrf.fit`;
     `Weights()` by default. `bands`: how many, of equal width in the logarithm.
 
-    **Raises:** `jaxfrf.InputError` if `G` has another shape than the FRF.
+    **Returns:** a `Quality`: chi-square and errors by position, band and element.
+
+    **Raises:** `jaxfrf.InputError` if `G` has another shape than the FRF, nothing is left to compare, and for less than
+    one band.
+
+    **Source:** as of `jaxfrf.quality`.
     """
     if np.shape(G) != np.shape(frf.G):
         raise input_error("G", f"shape {np.shape(G)}", f"{np.shape(frf.G)} as the FRF", "Take the same lines.")

@@ -45,6 +45,8 @@ def slow_motion(robot: Robot, data: Experiment, below: float) -> SlowMotion | No
     **Returns:** a `SlowMotion`: arm angles in rad, torques in the gears in N m.
 
     **Raises:** `jaxfrf.InputError` for records without a period, without q, or of another number of axes.
+
+    **Source:** this project's own: the lines below `below` of the mean period, integrated.
     """
     check_axes(robot, data)
     gear = np.asarray(robot.drives.gear_ratio)
@@ -96,6 +98,8 @@ def moving_response(
     **Returns:** (pos, freq, out, in), in the quantity of the model.
 
     **Raises:** `jaxfrf.InputError` where q or the motion have another number of axes than the robot.
+
+    **Source:** the equations above, this project's own.
     """
     expect("model", model, RobotModel)
     for name, angles in (("q", q), ("q of the slow motion", slow.q)):
@@ -126,6 +130,8 @@ def response_in_motion(
     **Returns:** (pos, freq, out, in), in the quantity of the model.
 
     **Raises:** `jaxfrf.InputError` for records without a period, without q, or of another number of axes.
+
+    **Source:** as of `moving_response`; that of the linear model where the arm stays still.
     """
     expect("model", model, RobotModel)
     slow = slow_motion(model.robot, data, slow_limit(frequency))

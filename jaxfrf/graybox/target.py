@@ -73,14 +73,15 @@ class Weights(eqx.Module):
 class Target(eqx.Module):
     """An FRF made ready for fitting.
 
-    **Fields:** `log_G`: log of the measured elements, (pos, freq, vec), columns stacked; 0 where left out.
-    `magnitude`, `phase`: square roots of the weights of Re E and Im E, (pos, freq, vec). `whitener`: matrix applied to
-    E before them, (pos, freq, vec, vec), or `None`. `cov`: covariance of E, (pos, freq, vec, vec); where it is not
-    known, what stands in for it in the weights (`roughness`). `overlap`: correlation between the estimates of two
-    lines, one for each position, or `None` for independent lines.
-    `points`: operating points, leading axis pos. `used`: (pos, freq, vec). `scatter`: how much more the cost and the
-    variance of its gradient are than weights from the true covariance would make them, because the weights come from
-    a covariance of few degrees of freedom, (pos, freq, 2).
+    **Fields:** `frequency`: (freq,), Hz. `log_G`: log of the measured elements, (pos, freq, vec), columns stacked; 0
+    where left out. `shift`: what is added to the log of the model's response before it is compared, (pos, freq, vec):
+    0, or what a motion makes of the linear response (`jaxfrf.fit_in_motion`). `magnitude`, `phase`: square
+    roots of the weights of Re E and Im E, (pos, freq, vec). `whitener`: matrix applied to E before them, (pos, freq,
+    vec, vec), or `None`. `cov`: covariance of E, (pos, freq, vec, vec); where it is not known, what stands in for it in
+    the weights, the scatter of neighbouring lines. `overlap`: correlation between the estimates of two lines, one for
+    each position, or `None` for independent lines. `points`: operating points, leading axis pos. `used`: (pos, freq,
+    vec). `scatter`: how much more the cost and the variance of its gradient are than weights from the true covariance
+    would make them, because the weights come from a covariance of few degrees of freedom, (pos, freq, 2).
     """
 
     frequency: Float[Array, "freq"]
@@ -219,6 +220,8 @@ def focus_band(frf: FRF, axis: int, position: int) -> tuple[float, float]:
     it, the highest is twice the antiresonance.
 
     **Raises:** `jaxfrf.InputError` if `frf` is none, or has no such axis or position.
+
+    **Source:** extrema as of `jaxfrf.features`; the factors are this project's own.
     """
     expect("frf", frf, FRF)
     expect_index("axis", axis, min(frf.n_out, frf.n_in))

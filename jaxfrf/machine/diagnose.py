@@ -80,11 +80,17 @@ def diagnose_machine(
 
     **Arguments:**
 
+    - `machine`: as it is known, with places. `data`: a periodic record of it.
     - `candidates`: by default Coulomb, Stribeck and one-sided friction at every place, and cubic spring, play and
       hardening where the machine has a spring.
-    - `band`, `settle`, `floor`: as of `fit_machine`.
+    - `band` (Hz), `settle` (periods), `floor`: as of `fit_machine`. `most`: effects that are added at most.
+    - `say`: called with a line on every fit.
+
+    **Returns:** a `MachineDiagnosis`: verdict, effects with their numbers, what is left on the held-out part.
 
     **Raises:** `jaxfrf.InputError` as `fit_machine`, and for a machine without places.
+
+    **Source:** this project's own: forward selection, judged by what a held-out experiment or line is left with.
     """
     expect("machine", machine, Machine)
     expect("data", data, Experiment)

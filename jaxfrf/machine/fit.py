@@ -78,7 +78,15 @@ def fit_machine(
     - `floor`: standard deviation of the model itself, over the rms of the output.
     - `used`: which experiments and lines (of `MachineFit.lines`) count; by default all.
 
-    **Raises:** `jaxfrf.InputError` for records without a period, and where the simulation diverges at the start.
+    **Returns:** a `MachineFit`: the machine at the result, its free parameters with their standard deviations, in their
+    units, and what is left at every line.
+
+    **Raises:** `jaxfrf.InputError` for records without a period or of other inputs and outputs, a `band` without lines,
+    `used` of another shape, and where the simulation diverges at the start; `ValueError` in 32 bit.
+
+    **Source:** output-error least squares on the mean period's Fourier coefficients, with weights from the scatter
+    between periods (Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012); that the
+    distortion's lines count as well is this project's own.
     """
     require_x64("fit_machine")
     expect("machine", machine, Machine)
@@ -204,7 +212,12 @@ def measured_lines(machine: Machine, data: Experiment, band, floor: float):
 
 
 class RankedEffect(eqx.Module):
-    """A candidate: the `fit` with it, and `gain`, the factor by which the power of the residual fell."""
+    """A candidate of `rank_effects`.
+
+    **Fields:** `effect`: as it was given, with its first numbers. `fit`: the machine with it, all numbers fitted.
+    `gain`: factor by which the power of the residual fell. `p_value`: of an F test, the probability of a gain as large
+    where the effect is not there and what is left is noise.
+    """
 
     effect: AbstractEffect
     fit: MachineFit
@@ -226,7 +239,17 @@ def rank_effects(
     Each is fitted together with all other parameters. `p_value` is that of an F test with as many degrees of freedom as
     lines that were compared: a guide, not a verdict, as what is left is mostly not noise.
 
-    **Arguments:** `band`, `settle`, `floor`: as of `fit_machine`.
+    Biased to what has more numbers: no line is held out, as `diagnose_machine` does.
+
+    **Arguments:** `machine`: as it is known. `data`: a periodic record of it. `candidates`: effects at places of the
+    machine, with the numbers that their fits start from. `band` (Hz), `settle` (periods), `floor`: as of `fit_machine`.
+
+    **Returns:** the fit without a candidate, and `RankedEffect`s, the largest gain first.
+
+    **Raises:** `jaxfrf.InputError` as `fit_machine`, and for a candidate that no place of the machine takes.
+
+    **Source:** F test between nested least-squares fits, (chi_0^2/chi_1^2 - 1) dof/more of the mean squares; this
+    project's own order.
     """
     fitted = functools.partial(fit_machine, data=data, band=band, settle=settle, floor=floor)
     plain = fitted(machine)

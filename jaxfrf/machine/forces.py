@@ -28,6 +28,8 @@ class CubicSpring(AbstractArmTorque):
     **Arguments:** `stiffness`: N m/rad^3 or N/m^3, either sign.
 
     In data: resonances move up with the amplitude; odd distortion.
+
+    **Source:** the cubic term of a spring's Taylor series, as in Duffing's equation.
     """
 
     name: ClassVar = "cubic_spring"
@@ -50,10 +52,19 @@ class CubicSpring(AbstractArmTorque):
 def force(effect: AbstractEffect, x: Signal, v: Signal, stiffness: Signal, smoothing: float) -> Signal:
     """Force of an effect against the motion x, v at its place, beside what the machine's matrices say.
 
-    **Arguments:** `x`, `v`: rad and rad/s, or m and m/s. `stiffness`: of the machine's own spring there, N m/rad, which
-    play and hardening take from. `smoothing`: speed at which Coulomb friction has 76 % of its level.
+    Biased where a law has a corner: Coulomb friction is smoothed over `smoothing`, so that a mass at rest creeps under
+    a force below its level, and play rounds its corners over a tenth of the half gap. Friction that depends on a load
+    gets a load of 0. Play and hardening fail where the machine has no spring at the place: they take from it.
+
+    **Arguments:** `effect`: at the place. `x`, `v`: (*run,), rad and rad/s, or m and m/s. `stiffness`: of the machine's
+    own spring there, N m/rad, which play and hardening take from. `smoothing`: speed at which Coulomb friction has 76 %
+    of its level, rad/s or m/s.
+
+    **Returns:** the force against the motion, (*run,), N m or N.
 
     **Raises:** `jaxfrf.InputError` for effects that need a robot (gears, sensors, motors with a controller).
+
+    **Source:** as each of the effects says; the smoothing is this project's own.
     """
     if isinstance(effect, CoulombFriction):
         return effect.level * jnp.tanh(v / smoothing)

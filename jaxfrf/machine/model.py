@@ -36,6 +36,10 @@ class Machine(AbstractModel):
 
     It is a gray-box model: `jaxfrf.fit` fits its linear part to an FRF; `jaxfrf.machine.fit_machine` all of it to the
     record.
+
+    **Raises:** `jaxfrf.InputError` for shapes that do not fit together, and effects at places that are not there.
+
+    **Source:** the equation above.
     """
 
     parameters: dict[str, Parameter]

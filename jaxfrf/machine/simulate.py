@@ -35,11 +35,18 @@ def simulate_machine(
     a thousandth of the start is left); any other once, from rest. Integrated by the classical Runge-Kutta method in
     `steps` steps a sample (by default as many as the fastest mode asks for).
 
-    **Arguments:** `values`: parameters by name; by default where they start.
+    Fails where the machine never settles (rigid motion without a damper): 50 periods are waited at most. What the input
+    does between samples is not seen: it is held.
+
+    **Arguments:** `machine`: with its effects. `data`: whose `u` drives it, in N m, N or what its inputs take.
+    `values`: parameters by name, in their units; by default where they start. `steps`: Runge-Kutta steps in a sample.
+    `settle`: periods that are waited.
 
     **Returns:** (exp, time, out), in the machine's quantity, of the first operating point.
 
     **Raises:** `jaxfrf.InputError` if `machine` or `data` are none; `ValueError` in 32 bit.
+
+    **Source:** the classical Runge-Kutta method of fourth order on M q'' + D q' + K q = B u - effects.
     """
     require_x64("A simulation")
     expect("machine", machine, Machine)

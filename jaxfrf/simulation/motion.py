@@ -47,11 +47,13 @@ def replay_motion(
 
     They take (dof + 2 axis)/(2 axis) times the memory of a record.
 
-    **Arguments:** as of `jaxfrf.replay`.
+    **Arguments:** `robot`, `data`, `run_in` (s), `steps`, `chunk`, `progress`: as of `jaxfrf.replay`.
 
     **Returns:** a `Motion`: u in N m, y and z in rad, each (pos, exp, time, channel).
 
     **Raises:** as `jaxfrf.replay`.
+
+    **Source:** as of `jaxfrf.replay`.
     """
     study = study_of_record(robot, data, None, 0.0, run_in, steps)
     u, y, z = record(study, chunk, progress, _play_with_coordinates)
@@ -74,11 +76,16 @@ def imposed_motion(
     `u` is the mean of the torque that acts on them from a sample to the next (of a torque T(omega): T times
     e^{j omega/2fs} sinc(omega/2fs)).
 
-    **Arguments:** `speed`, `angle`: of the motors as their sensors show them, rad/s and rad about rest, one period,
-    for run number position * n_exp + experiment; sampled at the robot's `sampling_frequency`. `data`: arm
-    configurations, and how many experiments there are. `run_in`: s.
+    **Arguments:** `robot`: without its controller. `speed`, `angle`: of the motors as their sensors show them, rad/s
+    and rad about rest, one period, for run number position * n_exp + experiment; sampled at the robot's
+    `sampling_frequency`. `data`: arm configurations, and how many experiments there are. `run_in`: s. `chunk`,
+    `progress`: as of `jaxfrf.simulate`.
+
+    **Returns:** a `Motion`: u in N m, y and z in rad, each (pos, exp, time, channel).
 
     **Raises:** `jaxfrf.InputError` where the robot has no equilibrium, or where the arm diverges.
+
+    **Source:** inverse dynamics of motors whose motion is given, the arm by Runge-Kutta steps: this project's own.
     """
     robot = arrays(robot)
     point = equilibria(robot, check_positions(robot, data.q), limited=False)

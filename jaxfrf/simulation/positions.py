@@ -25,10 +25,13 @@ def random_positions(n: int, key: PRNGKeyArray, axes: int = 6) -> Float[np.ndarr
 
     **Returns:** (n, `axes`), rad.
 
+    **Raises:** `jaxfrf.InputError` for numbers of positions or axes that are no whole numbers of 1 or more.
+
     **Source:** this project's own; the paper, section IV.A, has 49 random configurations and does not state their
     ranges.
     """
     expect_whole("n", n, 1)
+    expect_whole("axes", axes, 1)
     elbow = axes == len(_LOW)
     low, high = (_LOW, _HIGH) if elbow else (np.full(axes, -90.0), np.full(axes, 90.0))
     draw = np.array([np.asarray(jr.uniform(jr.fold_in(key, i), (axes + 1,))) for i in range(n)]).reshape(n, axes + 1)

@@ -19,8 +19,16 @@ def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
     """The lines that the reference (or, without one, the input) excites, found from its spectrum.
 
     A line counts when *every* channel is excited there (a slow sine on one axis does not make a line); of zippered
-    designs, where each channel has lines of its own, those of all channels count. `found_lines` says how sure that is,
-    `jaxfrf.periodic.find_lines` how it is done. Give `lines` where they are known.
+    designs, where each channel has lines of its own, those of all channels count.
+
+    Excited and quiet lines are two levels, smooth in frequency: a line counts that is nearer to the upper one (medians
+    over 41 lines), carries more than noise and fits the grid of the others; missing lines of a full grid are filled in.
+    `jaxfrf.screen` says how sure that is.
+
+    Fails where there are no two levels, as with noise, sweeps or a spectrum that falls off smoothly: all lines within
+    40 dB of the strongest then count. Biased to a regular grid: single lines beside one are left out, and strong
+    distortion at unexcited lines may count as excitation where the input stands for a reference. Give `lines` where
+    they are known.
 
     **Arguments:** `data`: periodic, with `r` or without.
 
