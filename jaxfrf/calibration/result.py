@@ -94,7 +94,13 @@ class Calibration(eqx.Module):
         return tuple(n for n, x in zip(self.given.axis_names, self.missed_after, strict=True) if not x <= _MUCH)
 
     def determined_by(self, name: str) -> str:
-        """ "data", "prior", or "data in combination" where the data know it only together with others."""
+        """What a number rests on.
+
+        **Arguments:** `name`: as in `values`.
+
+        **Returns:** "data"; "data in combination" where the data know it only together with others; "prior" where what
+        was known before stands; "nothing" where nothing was known before and the data do not tell it.
+        """
         i = [n.name for n in self.numbers].index(name)
         alone = 1.0 / np.linalg.inv(self.dependence)[i, i]  # variance of x where all others were known
         prior = self.numbers[i].prior

@@ -228,7 +228,7 @@ _READ = {
 
 _TOML = {
     "robot": ("a robot in TOML", "`jaxfrf example -o run.nc --robot-out ROBOT.toml` writes one."),
-    "design": ("a design in TOML", "The module jaxfrf.io.designs shows every key."),
+    "design": ("a design in TOML", "The page keys.md of the book shows every key."),
 }
 
 

@@ -28,7 +28,7 @@ def add(commands) -> None:
         "Estimate the best linear approximation, and tell noise, even and odd distortion apart.",
     )
     parser.add_argument("data", nargs="+", metavar="DATA", help=f"periodic records, one data set: {' '.join(RECORDS)}")
-    parser.add_argument("-o", "--output", help="FRF to write, with the total level: .nc, .mat or .npz")
+    parser.add_argument("-o", "--output", help=f"FRF to write, with the total level: {' '.join(SAVED)}")
     parser.add_argument("--plot", metavar="FILE", help="picture of the levels to write: .png, .pdf, .svg")
     add_record_options(parser, method="auto", default="auto")
 

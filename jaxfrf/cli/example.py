@@ -14,7 +14,7 @@ EXAMPLES = (
 
 def add(commands) -> None:
     parser = command(commands, "example", run, "Simulate a small closed-loop experiment and write its record.")
-    parser.add_argument("-o", "--output", required=True, help="record to write: .nc, .mat or .npz")
+    parser.add_argument("-o", "--output", required=True, help=f"record to write: {' '.join(SAVED)}")
     parser.add_argument(
         "--robot-out", metavar="ROBOT.toml", help="write the two axes as a robot, too, with guesses to be identified"
     )

@@ -32,7 +32,7 @@ def add(commands) -> None:
     parser.add_argument("robot", metavar="ROBOT", help=".toml, or .urdf with its drives in a .toml beside it")
     parser.add_argument("design", metavar="DESIGN.toml")
     own_effects.add_effects_option(parser)
-    parser.add_argument("-o", "--output", required=True, help="record to write: .nc, .mat or .npz")
+    parser.add_argument("-o", "--output", required=True, help=f"record to write: {' '.join(SAVED)}")
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--positions", type=int, default=None, metavar="N", help="how many, drawn at random (default 1)")
     place.add_argument(

@@ -9,10 +9,14 @@ from ..frf import FRF
 from ..robot import Robot
 
 VERDICTS = ("sufficient", "named", "ambiguous", "unexplained", "inconclusive")
+"""What `Diagnosis.verdict` may be."""
 
 
 class EstimatedValue(eqx.Module):
-    """A number with its standard deviation and unit."""
+    """A number with its standard deviation and unit.
+
+    **Fields:** `value`, `std`: in `unit`, an SI unit as text.
+    """
 
     value: float = eqx.field(static=True)
     std: float = eqx.field(static=True)
@@ -45,8 +49,13 @@ class Named(eqx.Module):
 
 
 class Ranked(eqx.Module):
-    """A candidate in the order of what it explains alone. `score`: part of the misfit that it removes; `p_value`:
-    family-wise; `expected`: its parameters without a refit; `why`: why it was taken or not, in words."""
+    """A candidate in the order of what it explains alone.
+
+    **Fields:** `name`: of the effect; `joint`: its name, "" where it has none. `score`: part of the misfit that it
+    removes. `p_value`: of the null that it is not there, family-wise. `expected`: its parameters without a refit, in
+    their units. `visible`: its size over the just visible one; below 1 the data could not show it. `why`: why it was
+    taken or not, in words.
+    """
 
     name: str = eqx.field(static=True)
     joint: str = eqx.field(static=True)
@@ -58,8 +67,11 @@ class Ranked(eqx.Module):
 
 
 class Cell(eqx.Module):
-    """Where model and measurement differ: one joint's torque in one band at one position (None: at all positions).
-    `z`: rms over the floor; `says`: one sentence."""
+    """Where model and measurement differ: one joint's torque in one band at one position.
+
+    **Fields:** `position`: from 0; `None`: all of them together. `channel`: name of the joint. `band_hz`: lowest and
+    highest frequency, Hz. `z`: rms over the floor. `says`: one sentence.
+    """
 
     position: int | None = eqx.field(static=True)
     channel: str = eqx.field(static=True)
@@ -72,7 +84,9 @@ class Gap(eqx.Module):
     """rms residual (of the torque, unless `quantity` says another) of the robots that are written, before and after,
     over its floor, on positions that nothing was fitted to.
 
-    `floor`: what noise and an honest model leave. `shrink` = 1 - (after - floor)/(before - floor). `torque_before`,
+    **Fields:** `before`, `after`: the residual over its floor, without unit. `floor`: what noise and an honest model
+    leave. `unit`: of the residual. `on`: which positions it was taken on, in words. `quantity`: of what it is the
+    residual. `shrink` = 1 - (after - floor)/(before - floor). `torque_before`,
     `torque_after`: the same residual over the rms torque (of another quantity: in `unit`), per axis, (axis,).
     """
 
@@ -104,12 +118,13 @@ class Maps(eqx.Module):
 class Diagnosis(eqx.Module):
     """The result of `jaxfrf.gap.diagnose`.
 
-    **Fields:** `verdict`: one of `VERDICTS`; `says`: the verdict in a sentence or two. `effects`: named ones, in the
-    order in which they were found. `ranking`: of all candidates, the first few. `where`: the largest cells before.
-    `gap`, `maps`. `parameters`: of the extended model, by name, with `changed` the relative change from the given robot
-    in the same order. `given`, `base`, `extended`: robots: as given, refitted, with the effects; the last two have the
-    ripple that their motors show, too, and gap and maps are theirs, simulated. `compared`: how measurement and model
-    were compared. `fitted`, `heldout`: positions. `frf`: measured, base and extended FRF on the
+    **Fields:** `verdict`: `sufficient` (nothing is missing), `named` (by `effects`), `ambiguous` (several explain it as
+    well), `unexplained` or `inconclusive` (the data do not tell); `says`: the verdict in a sentence or two. `effects`:
+    named ones, in the order in which they were found. `ranking`: of all candidates, the first few. `where`: the largest
+    cells before. `gap`, `maps`. `parameters`: of the extended model, by name, with `changed` the relative change from
+    the given robot in the same order. `given`, `base`, `extended`: robots: as given, refitted, with the effects; the
+    last two have the ripple that their motors show, too, and gap and maps are theirs, simulated. `compared`: how
+    measurement and model were compared. `fitted`, `heldout`: positions. `frf`: measured, base and extended FRF on the
     held-out positions, estimated alike. `next_experiment`: what to do next. `sources`: of the data. `settings`.
     """
 

@@ -115,7 +115,7 @@ class Identification(eqx.Module):
         return text
 
     def as_dict(self) -> dict[str, Any]:
-        """What fit.json holds: see `jaxfrf.io.fits`."""
+        """What fit.json holds, as `jaxfrf.io.write_fit` takes it."""
         fitted, own = self.fit, fit_contents(self.fit, self.model)
         held = self.heldout
         values = lambda x: {n: float(v) for n, v in fitted.coordinates.values(x).items() if n in own["parameters"]}

@@ -146,7 +146,7 @@ def check_file(path: pathlib.Path) -> None:
 
 
 def save(path: str | os.PathLike, variables: Mapping[str, Variable], attributes: Attributes) -> None:
-    """Write arrays and scalars (numbers or text) to a `.nc`, `.mat` or `.npz` file, whole or not at all.
+    """Write arrays and scalars (numbers or text) to one of the formats of `_formats.SAVED`, whole or not at all.
 
     **Raises:** `jaxfrf.InputError` if the folder does not exist or the extension is not known; nothing is
     written then.

@@ -161,7 +161,11 @@ def data_set(
 
     NetCDF and Zarr files are read in part; of others only whole ones can be left for later.
 
-    **Arguments** and **Raises:** as `jaxfrf.io.read`.
+    **Arguments:** `paths`, `names`, `values`, `factor`, `anyway`: as of `jaxfrf.io.read`.
+
+    **Returns:** the data set, whose records are `jaxfrf.Experiment`s, or `None`.
+
+    **Raises:** as `jaxfrf.io.read`.
     """
     given = as_given(check_names(names), check_values(values), check_factor(factor), anyway)
     files = [pathlib.Path(path) for path in paths]

@@ -54,7 +54,11 @@ _LINES_STREAM = 0x6C696E65  # keeps the draw of the lines apart from those of th
 
 
 def read_design(path: str | os.PathLike) -> Multisine:
-    """Read a DESIGN.toml; the module's documentation shows every key.
+    """Read a DESIGN.toml; the page *Keys of robots and designs* of the book shows every key.
+
+    **Arguments:** `path`: of the file.
+
+    **Returns:** the design, with frequencies in Hz and amplitudes in rad/s.
 
     **Raises:** `jaxfrf.InputError` naming the file, the key, what was found and what was expected; an
     unknown key is an error that names the nearest known one.
@@ -63,7 +67,7 @@ def read_design(path: str | os.PathLike) -> Multisine:
     path = pathlib.Path(path)
     if not path.is_file():
         raise input_error(str(path), "no such file", "a design in TOML", "Check the name and the folder.")
-    table = read_toml(path, "a design in TOML", "The module jaxfrf.io.designs shows every key.")
+    table = read_toml(path, "a design in TOML", "The page keys.md of the book shows every key.")
     try:
         return design_from_table(table)
     except InputError as error:
@@ -71,7 +75,16 @@ def read_design(path: str | os.PathLike) -> Multisine:
 
 
 def design_from_table(table: Mapping) -> Multisine:
-    """The design that a parsed DESIGN.toml describes."""
+    """The design that a parsed DESIGN.toml describes.
+
+    **Arguments:** `table`: what `tomllib.load` gives; its keys are those of the file, frequencies in Hz, amplitudes in
+    rad/s.
+
+    **Returns:** the design.
+
+    **Raises:** `jaxfrf.InputError` naming the key: unknown (with the nearest known one), missing, or with a value that
+    no design can have.
+    """
     _check_keys("design", table, _TOP, required=("fs", "period", "lines"))
     record = {name: table[name] for name in _RECORD if name in table}
     signal = _section(table, "multisine")

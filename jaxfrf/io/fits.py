@@ -41,6 +41,10 @@ def write_fit(path: str | os.PathLike, contents: Mapping[str, Any]) -> None:
 def read_fit(path: str | os.PathLike) -> dict[str, Any]:
     """What `write_fit` wrote: dictionaries, lists, numbers, texts and `None`; `kind` as it is called now.
 
+    **Arguments:** `path`: of a fit.json.
+
+    **Returns:** its fields by name, numbers in the units that stand beside them.
+
     **Raises:** `jaxfrf.InputError` if the file is missing, no JSON, or holds no fit.
     """
     expect_path("path", path)

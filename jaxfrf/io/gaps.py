@@ -53,6 +53,10 @@ def write_gap(path: str | os.PathLike, diagnosis: Any) -> None:
 def read_gap(path: str | os.PathLike) -> dict[str, Any]:
     """What `write_gap` wrote: dictionaries, lists, numbers, texts and `None`.
 
+    **Arguments:** `path`: of a gap.json.
+
+    **Returns:** its fields by name, numbers in the units that stand beside them.
+
     **Raises:** `jaxfrf.InputError` if the file is missing, no JSON, or holds no diagnosis.
     """
     expect_path("path", path)

@@ -1,4 +1,4 @@
-"""Arm configurations to a text file that `jaxfrf.simulation.positions.read_positions` reads."""
+"""Arm configurations to a text file that `jaxfrf.simulation.read_positions` reads."""
 
 import os
 import pathlib
@@ -20,7 +20,8 @@ def write_positions(
 ) -> None:
     """Write arm angles, rad, one row for each position, separated by commas, whole or not at all.
 
-    **Arguments:** `axis_names`: over the columns, as a comment. `comments`: lines above everything.
+    **Arguments:** `path`: of the file. `q`: arm angles, (pos, axis), rad. `axis_names`: over the columns, as a comment.
+    `comments`: lines above everything.
 
     **Raises:** `jaxfrf.InputError` if the angles are no finite table, or the folder does not exist.
     """

@@ -32,6 +32,10 @@ def parse_map(text: str) -> dict[str, str]:
     `u=currents.csv:[tau1;tau2]`), some channels of one (`u=log[3]`, `y=log[0:3]`, counted from 0, the stop
     not included), or one transposed (`u=torque'`).
 
+    **Arguments:** `text`: as behind `--map`.
+
+    **Returns:** the `names` of `read`: {name here: name in the file}.
+
     **Raises:** `jaxfrf.InputError` if the text is not of this form.
     """
     expect_text("text", text)
@@ -46,6 +50,10 @@ def parse_values(text: str) -> dict[str, object]:
     configuration in rad; `r_quantity`, `y_quantity` are `position`, `velocity` or `acceleration`; `u_unit=mA`,
     `y_unit=deg/s` (`r_unit`, `q_unit`, `t_unit`) are the units that the file's numbers have: they are converted to SI.
 
+    **Arguments:** `text`: as behind `--set`.
+
+    **Returns:** the `values` of `read` by name, numbers in SI units.
+
     **Raises:** `jaxfrf.InputError` if the text is not of this form.
     """
     expect_text("text", text)
@@ -54,6 +62,10 @@ def parse_values(text: str) -> dict[str, object]:
 
 def parse_factor(text: str) -> dict[str, float | tuple[float, ...]]:
     """Factors for unit conversion, from `y=0.0174532925` or, one for each channel, `y=[1;-1]`.
+
+    **Arguments:** `text`: as behind `--factor`.
+
+    **Returns:** the `factor` of `read`: a number, or one for each channel, by name.
 
     **Raises:** `jaxfrf.InputError` if the text is not of this form.
     """

@@ -1,4 +1,4 @@
-"""Experiment files: read from `.nc`, `.mat`, `.npz` or `.csv`, under whatever names, and written."""
+"""Experiment files: read from `.nc`, `.zarr`, `.mat`, `.npz`, `.csv` and more, under whatever names, and written."""
 
 import contextlib
 import dataclasses
@@ -39,9 +39,9 @@ def read(
 
     **Arguments:**
 
-    - `paths`: `.nc`, `.mat` (v5, v7.3), `.npz`, tables (`.csv`, `.txt`, `.tsv`, `.lvm`), and, with the extras `parquet`
-      and `mdf`, `.parquet` and `.mf4` (`.mdf`, `.dat`) files holding `r`, `u`, `y`, `q`, `fs`, `period`,
-      `lines`, `transient_periods`, `r_quantity`, `y_quantity` as in `jaxfrf.Experiment`. Only `u`, `y` and
+    - `paths`: `.nc`, `.zarr` (folders), `.mat` (v5, v7.3), `.npz`, tables (`.csv`, `.txt`, `.tsv`, `.lvm`), and, with
+      the extras `parquet` and `mdf`, `.parquet` and `.mf4` (`.mdf`, `.dat`) files holding `r`, `u`, `y`, `q`, `fs`,
+      `period`, `lines`, `transient_periods`, `r_quantity`, `y_quantity` as in `jaxfrf.Experiment`. Only `u`, `y` and
       either `fs` or a time vector `t` (s) are needed. A file that says neither `y_quantity` nor the unit of y is taken
       to hold velocities, with a warning. Units that a file states (a line of units, `speed [deg/s]`, attributes) are
       converted to SI, unless `factor` says how; the SI units go with the record.
@@ -59,8 +59,10 @@ def read(
     more than half the memory should be split into one file for each operating point, read and transformed one
     by one.
 
+    **Returns:** one `jaxfrf.Experiment` of all files, in SI units.
+
     **Raises:** `jaxfrf.InputError` naming the file, the variable, what was found, what was expected and what
-    to do.
+    to do; `ImportError` without the library that a format needs.
     """
     return _compared(concatenate(_each(paths, names, values, factor, anyway)), anyway)
 
@@ -102,15 +104,16 @@ def _each(paths: Sequence[str | os.PathLike], names, values, factor, anyway: boo
 
 
 def write(path: str | os.PathLike, data: Experiment) -> None:
-    """Write an experiment file, `.nc`, `.mat` or `.npz`, whole or not at all.
+    """Write an experiment file, `.nc`, `.mat`, `.npz` or a folder `.zarr`, whole or not at all.
 
     `.mat` is v5, or v7.3 where an array is too large for v5 (2 GiB). Provenance and warnings are not written:
     they belong to the files that the data came from.
 
-    **Arguments:** `path`: of the file. `data`: with u, y and r, (pos, exp, time, channel), which are stored with their
-    SI units.
+    **Arguments:** `path`: of the file, or of the folder of a `.zarr`. `data`: with u, y and r, (pos, exp, time,
+    channel), which are stored with their SI units.
 
-    **Raises:** `jaxfrf.InputError` if `data` is no experiment, the folder does not exist or the extension is not known.
+    **Raises:** `jaxfrf.InputError` if `data` is no experiment, the folder does not exist or the extension is not known;
+    `ImportError` without the library that the format needs.
     """
     expect_path("path", path)
     expect("data", data, Experiment)

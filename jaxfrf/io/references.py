@@ -90,6 +90,10 @@ def reference_files(path: str | os.PathLike, n_exp: int) -> tuple[pathlib.Path, 
 def read_reference(path: str | os.PathLike) -> Reference:
     """Read a reference that `write_reference` wrote as `.nc` or `.mat`.
 
+    **Arguments:** `path`: of the file.
+
+    **Returns:** the `jaxfrf.Reference`, in rad and rad/s, with its design.
+
     **Raises:** `jaxfrf.InputError` naming the file if it is no reference.
     """
     expect_path("path", path)

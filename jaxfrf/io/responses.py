@@ -126,8 +126,12 @@ def read_frf(path: str | os.PathLike) -> FRF:
 
     What such a file does not hold is unknown: no `cov` means NaN and `Status.NO_COVARIANCE`.
 
+    **Arguments:** `path`: of the file, or of the folder of a `.zarr`.
+
+    **Returns:** the FRF, frequencies in Hz.
+
     **Raises:** `jaxfrf.InputError` if the file is missing, empty, truncated, of another format, or holds no
-    FRF.
+    FRF; `ImportError` without the library that the format needs.
     """
     expect_path("path", path)
     path = pathlib.Path(path)
@@ -158,6 +162,10 @@ def frf_from_arrays(
     - `frequency`: (freq,), Hz.
     - `y_quantity`: `position`, `velocity` or `acceleration`.
     - `q`: (pos, joint), rad, or `None`.
+    - `method`: by what the numbers were estimated, in words. `sources`: files that they came from. `warnings`: what is
+      to be told with them.
+
+    **Returns:** an FRF, (pos, freq, out, in).
 
     **Raises:** `jaxfrf.InputError` naming what does not fit.
     """

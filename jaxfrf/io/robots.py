@@ -19,7 +19,10 @@ def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()
     """The robot that a TOML file describes; with `urdf = "arm.urdf"` in it, links and joints are those of that file
     beside it (`read_urdf`). Of a `.urdf`, the drive trains are those of the TOML file of the same name beside it.
 
-    **Arguments:** `own`: effects of your own that the file may name, beside the library's.
+    **Arguments:** `path`: of the `.toml` or `.urdf` file. `own`: effects of your own that the file may name, beside the
+    library's.
+
+    **Returns:** the `jaxfrf.robot.Robot`, in SI units.
 
     **Raises:** `jaxfrf.InputError` naming file and key: not TOML, a key that is unknown (with the nearest
     known one), missing, or of the wrong type. `OSError` if the file cannot be opened.

@@ -51,7 +51,12 @@ def write_uff(path: str | os.PathLike, frf: FRF) -> None:
 def read_uff(path: str | os.PathLike) -> FRF:
     """Read the FRFs (datasets 58 of function type 4) of a universal file; see `frf_from_uff`.
 
-    **Raises:** `jaxfrf.InputError` if the file is missing, or holds no complete set of FRFs.
+    **Arguments:** `path`: of the file, `.uff` or `.unv`.
+
+    **Returns:** an FRF, (pos, freq, out, in), without a covariance.
+
+    **Raises:** `jaxfrf.InputError` if the file is missing, or holds no complete set of FRFs; `ImportError` without
+    pyuff.
     """
     expect_path("path", path)
     pyuff = require("pyuff", "io")

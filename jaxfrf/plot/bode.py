@@ -42,7 +42,9 @@ def confidence_radius(frf: FRF, level: float = 0.95) -> Float[Array, "pos freq o
     with the period; and estimates at neighbouring lines share data. NaN where `cov` is, or without degrees of
     freedom.
 
-    **Arguments:** `level`: between 0 and 1. **Returns:** (pos, freq, out, in), unit of G.
+    **Arguments:** `frf`: with its covariance. `level`: between 0 and 1.
+
+    **Returns:** (pos, freq, out, in), unit of G.
 
     **Source:** Pintelon & Schoukens 2012, System Identification, ch. 2.
 
@@ -68,12 +70,12 @@ def bode(
 ):
     """Draw magnitude (dB) above phase (degrees) of elements of G at one operating point.
 
-    Every line of the estimate is a point. A faint line joins neighbours only where no gap stands between them
-    (see `breaks`), both are sound, and the phase steps by less than 120 degrees. Points that their status
-    doubts are hollow and grey. Bands are those of `confidence_radius`. Where that disc holds zero, the
-    magnitude's band runs out of the picture below, and the phase is unknown: its points are faint, without
-    line and band. Where an estimate knows noise and nonlinear distortion apart (`FRF.cov_total`), dotted lines show the
-    standard deviation from noise alone, dashed ones that from both.
+    Every line of the estimate is a point. A faint line joins neighbours only where no gap stands between them (more
+    than one line missing on a regular grid), both are sound, and the phase steps by less than 120 degrees. Points that
+    their status doubts are hollow and grey. Bands are those of `confidence_radius`. Where that disc holds zero, the
+    magnitude's band runs out of the picture below, and the phase is unknown: its points are faint, without line and
+    band. Where an estimate knows noise and nonlinear distortion apart (`FRF.cov_total`), dotted lines show the standard
+    deviation from noise alone, dashed ones that from both.
 
     **Arguments:**
 
