@@ -102,11 +102,13 @@ _PUBLIC = {
     "identify": "identification.identify",
     "Identification": "identification",
     "diagnose": "gap.diagnose",
+    "Parts": "parts",
     "position_information": "graybox",
     "d_optimal": "graybox",
     "expected_accuracy": "graybox",
 }
 _NAMESPACES = (
+    "batch",
     "calibration",
     "effects",
     "excitation",
@@ -120,12 +122,15 @@ _NAMESPACES = (
     "robot",
     "simulation",
     "study",
+    "trajectory",
+    "units",
 )
 
 __all__ = ["__version__", *_PUBLIC, *_NAMESPACES]
 
 if TYPE_CHECKING:
     from . import (
+        batch as batch,
         calibration as calibration,
         effects as effects,
         excitation as excitation,
@@ -139,6 +144,8 @@ if TYPE_CHECKING:
         robot as robot,
         simulation as simulation,
         study as study,
+        trajectory as trajectory,
+        units as units,
     )
     from ._errors import (
         InputError as InputError,
@@ -235,6 +242,7 @@ if TYPE_CHECKING:
         Identification as Identification,
     )
     from .identification.identify import identify as identify
+    from .parts import Parts as Parts
     from .screening import (
         Finding as Finding,
         examine as examine,

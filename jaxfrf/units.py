@@ -1,13 +1,16 @@
 """Units of records: read where files state them, converted to SI, kept with what is made of them."""
 
 import re
+import typing
 
 QUANTITIES = {"position": 0, "velocity": 1, "acceleration": 2}
 """How many times each quantity is the time derivative of a position."""
 
 UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
+"""Of a motor's motion, where a record says nothing else."""
 
 DEFAULT_INPUT = "N m"
+"""Of a motor's torque, where a record says nothing else."""
 
 _LADDERS = (("rad", "rad/s", "rad/s^2"), ("m", "m/s", "m/s^2"))
 _TURN = 6.283185307179586
@@ -41,13 +44,20 @@ def known_unit(text: str) -> tuple[str, float] | None:
     """The SI unit and the factor to it, of a unit as people write it; `None` if it is not known.
 
     `g` is the acceleration, 9.80665 m/s^2: nobody logs grams of a machine that vibrates.
+
+    **Arguments:** `text`: e.g. `deg/s`, `[mA]`, `rpm`.
+
+    **Returns:** e.g. (`rad/s`, 0.0174533).
     """
     plain = text.replace("\u03bc", "\u00b5")  # the Greek letter for the sign of micro
     return _KNOWN.get(re.sub(r"\s+", "", plain.strip().strip("[]()")).lower())
 
 
 def quantity_of(unit: str) -> str | None:
-    """`position`, `velocity` or `acceleration`, as the SI unit of a motion says; `None` of anything else."""
+    """`position`, `velocity` or `acceleration`, as the SI unit of a motion says; `None` of anything else.
+
+    **Arguments:** `unit`: e.g. `rad/s`.
+    """
     for ladder in _LADDERS:
         if unit in ladder:
             return list(QUANTITIES)[ladder.index(unit)]
@@ -55,7 +65,12 @@ def quantity_of(unit: str) -> str | None:
 
 
 def differentiated(unit: str, times: int) -> str:
-    """The unit of the `times`-th time derivative (negative: integral)."""
+    """The unit of the `times`-th time derivative (negative: integral).
+
+    **Arguments:** `unit`: in SI, as text. `times`: how often.
+
+    **Returns:** e.g. `rad/s^2` of `rad` and 2.
+    """
     for ladder in _LADDERS:
         if unit in ladder and 0 <= ladder.index(unit) + times < len(ladder):
             return ladder[ladder.index(unit) + times]
@@ -63,18 +78,46 @@ def differentiated(unit: str, times: int) -> str:
     return f"{unit}{power[-times]}" if times else unit
 
 
-def input_unit(of) -> str:
-    """The unit of u of a record, of spectra or of an FRF."""
+class _WithUnits(typing.Protocol):
+    """A record, spectra or an FRF."""
+
+    @property
+    def u_unit(self) -> str: ...
+
+    @property
+    def y_unit(self) -> str: ...
+
+    @property
+    def y_quantity(self) -> str: ...
+
+
+def input_unit(of: _WithUnits) -> str:
+    """The unit of u of a record, of spectra or of an FRF.
+
+    **Arguments:** `of`: `jaxfrf.Experiment`, `jaxfrf.Spectra` or `jaxfrf.FRF`.
+
+    **Returns:** its SI unit, as text; `N m` where it says none.
+    """
     return of.u_unit or DEFAULT_INPUT
 
 
-def output_unit(of) -> str:
-    """The unit of y of a record, of spectra or of an FRF."""
+def output_unit(of: _WithUnits) -> str:
+    """The unit of y of a record, of spectra or of an FRF.
+
+    **Arguments:** `of`: `jaxfrf.Experiment`, `jaxfrf.Spectra` or `jaxfrf.FRF`.
+
+    **Returns:** its SI unit, as text; that of a motor's motion where it says none.
+    """
     return of.y_unit or UNITS[of.y_quantity]
 
 
-def response_unit(of) -> str:
-    """The unit of y over that of u."""
+def response_unit(of: _WithUnits) -> str:
+    """The unit of y over that of u.
+
+    **Arguments:** `of`: `jaxfrf.Experiment`, `jaxfrf.Spectra` or `jaxfrf.FRF`.
+
+    **Returns:** e.g. `(rad/s)/(N m)`.
+    """
     return f"{_bracketed(output_unit(of))}/{_bracketed(input_unit(of))}"
 
 

@@ -134,19 +134,51 @@ SOURCE = r"\b(19|20)\d\d\b|Zimmermann|paper"
 WITHOUT_SOURCE = """
     InputError Status Reference Experiment Source Finding Spectra FRF Levels Distortion ModalModel Mode Feature
     AbstractMethod AbstractModel Parameter Fit Quality Calibration Identification
-    concatenate select_periods segments select_band select_positions concatenate_positions describe_method
+    concatenate select_periods segments select_band select_positions concatenate_positions describe_method Parts
 """.split()
 """Containers and bases, then what only joins, cuts or describes them: all others compute something."""
 
+WITHOUT_SOURCE_BESIDE = {
+    "batch": "Chosen each estimate_to outcomes simulate_to",
+    "calibration": "numbers with_numbers",
+    "effects": "effect_from_table effect_to_table library",
+    "graybox": "Coordinates fix free share starting_at starting_near",
+    "robot": """Chain Controller Drives Tolerances chain_angles motor_directions motor_inertia motor_values
+    parameter_names parameter_unit parameters robot_from_table spring_directions table_from_robot to_control
+    tolerances_from with_parameters""",
+    "simulation": "read_positions",
+    "study": "Settings run_study",
+    "trajectory": "fewer",
+    "units": "differentiated input_unit known_unit output_unit quantity_of response_unit",
+}
+"""Of each namespace, what only reads, writes, picks, renames or holds something. Records, whose docstrings list their
+fields, and bases need no source anywhere."""
+
+PLAIN_SPACES = {"io", "plot", "report"}
+"""Readers and writers, pictures, pages."""
+
+
+def is_record_or_base(value) -> bool:
+    if not inspect.isclass(value):
+        return not callable(value)  # a table
+    return inspect.isabstract(value) or "**Fields:**" in inspect.getdoc(value) or "Abstract" in value.__name__
+
 
 def with_a_source():
+    seen = {id(getattr(jf, name)) for name in jf._PUBLIC}
     yield from ((name, getattr(jf, name)) for name in jf._PUBLIC if name not in WITHOUT_SOURCE)
-    yield from ((f"effects.{kind.__name__}", kind) for kind in jf.effects.library().values())
+    for space in sorted(set(jf._NAMESPACES) - PLAIN_SPACES):
+        plain = WITHOUT_SOURCE_BESIDE.get(space, "").split()
+        for name, value in defined_in(getattr(jf, space)):
+            if id(value) not in seen and name not in plain and not is_record_or_base(value):
+                yield f"{space}.{name}", value
 
 
 def test_what_computes_something_says_where_it_comes_from():
     """Its docstring ends with a paragraph that begins with "Source": a reference, or that there is none."""
     assert set(WITHOUT_SOURCE) <= set(jf._PUBLIC)
+    for space, names in WITHOUT_SOURCE_BESIDE.items():
+        assert set(names.split()) <= set(dir(getattr(jf, space))), space
     for name, value in with_a_source():
         last = (inspect.getdoc(value) or "").split("\n\n")[-1]
         assert re.match(r"\*\*Source:\*\* \S.{5,}", last), f"{name}: ends with {last[:60]!r}"

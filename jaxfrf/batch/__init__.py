@@ -22,3 +22,7 @@ def __getattr__(name: str):
 
         return getattr(simulated, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__():
+    return sorted([*globals(), "Simulated", "simulate_to"])

@@ -79,7 +79,10 @@ def each(
 
     **Arguments:** `given`: a command's options as the command line parses them, `data` its files or patterns
     (`logs/*.mat`), `output` the folder. `workers`, `cluster`, `client`, `patience`: as of `jaxfrf.batch.outcomes`; on
-    other machines paths must mean the same files. `progress`: called with the part that is done, and a few words.
+    other machines paths must mean the same files. `say`: called with a line of text. `progress`: called with the part
+    that is done, and a few words.
+
+    **Returns:** a `Batch`: what became of every file.
 
     **Raises:** `jaxfrf.InputError` where there is no file, or the folder is someone else's.
     """

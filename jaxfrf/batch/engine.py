@@ -53,12 +53,15 @@ def outcomes(
 
     **Arguments:**
 
+    - `work`: called with a piece. `pieces`: one for each call.
     - `workers`: processes on this machine; 1: this one.
     - `cluster`: address of a Dask scheduler that runs, e.g. `tcp://host:8786`. `client`: a `dask.distributed.Client`
       of one's own, before both.
-    - `patience`: seconds after which a worker that has given no sign (`jaxfrf._alive.alive`, or the end of a piece) is
+    - `patience`: seconds after which a worker that has given no sign (a step of a long run, or the end of a piece) is
       taken for hung; half an hour by default. Nobody can tell so in one process.
     - `say`: told where the work can be watched, and of workers that hang.
+
+    **Returns:** an iterator of `Done`.
 
     **Raises:** `jaxfrf.InputError` for a number of workers below 1, no patience, or a cluster that does not answer;
     `ImportError` where Dask is needed and not installed.

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import json
+import os
 import pathlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -40,8 +41,12 @@ Progress = Callable[[float], None]
 
 
 class Chosen(eqx.Module):
-    """What of a record is taken, and how it is estimated: as of `jaxfrf.frf.from_record.spectra_of`; `segment`: samples
-    of the pieces that a record without a period is cut to."""
+    """What of a record is taken, and how it is estimated.
+
+    **Fields:** `method`: of `jaxfrf.estimate`. `periods`: first steady period and the one behind the last, as of
+    `jaxfrf.select_periods`. `band`: lowest and highest frequency, Hz. `robust`: periods are weighed, as of
+    `jaxfrf.dft`. `segment`: samples of the pieces that a record without a period is cut to.
+    """
 
     method: AbstractMethod
     periods: tuple[int | None, int | None] | None = None
@@ -79,7 +84,7 @@ class _EstimateJob(eqx.Module):
 
 
 def estimate_to(
-    path,
+    path: str | os.PathLike,
     data: DataSet,
     chosen: Chosen,
     *,
@@ -100,10 +105,14 @@ def estimate_to(
 
     **Arguments:**
 
-    - `data`: of `jaxfrf.io.data_set`. `about`: what the caller read it by, for `parts`, which keep what is finished.
+    - `path`: of the file. `data`: of `jaxfrf.io.data_set`. `chosen`: what is taken of it, and how. `about`: what the
+      caller read it by, for `parts`, which keep what is finished.
     - `memory`: bytes that every process may take, `None`: by what is free.
     - `workers`, `cluster`, `client`, `patience`: as of `jaxfrf.batch.outcomes`; on other machines paths must mean
       the same files.
+    - `progress`: called with the part that is done. `say`: called with a line of text.
+
+    **Returns:** `Estimated`: what was written, without the covariances.
 
     **Raises:** `jaxfrf.InputError` as `jaxfrf.io.read` and `jaxfrf.estimate` do; nothing is kept then.
     """
@@ -178,7 +187,7 @@ def _silent(chosen: Chosen, data: Experiment) -> tuple[np.ndarray, Spectra]:
 
 
 def _found(data: DataSet, chosen: Chosen, pieces) -> np.ndarray:
-    """The excited lines, as `jaxfrf.spectra.excited_lines` finds them in the whole."""
+    """The excited lines, as `jaxfrf.excited_lines` finds them in the whole."""
     power = noise = None
     for piece in pieces:
         part = chosen.steady(data.unscreened(piece))

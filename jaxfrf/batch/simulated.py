@@ -15,12 +15,13 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray
 
 from .._alive import alive
 from .._errors import InputError
 from .._files import check_space, replacing
 from .._memory import block_memory, check_memory
+from .._types import Array
 from ..excitation import Multisine
 from ..io.records import writing
 from ..parts import Parts, numbers_text
@@ -37,7 +38,10 @@ _COPIES = 3  # of a block's signals, while it is simulated and written
 
 
 class Simulated(eqx.Module):
-    """What was written. **Fields:** `positions`, `experiments`, `samples`, `periods`, and `warnings` about the runs."""
+    """What was written.
+
+    **Fields:** `positions`, `experiments`, `samples`, `periods`: how many. `warnings`: about the runs.
+    """
 
     positions: int
     experiments: int
@@ -65,7 +69,7 @@ def simulate_to(
     path: str | os.PathLike,
     robot: Robot,
     design: Multisine,
-    positions,
+    positions: Float[Array, "pos axis"],
     *,
     key: PRNGKeyArray,
     parts: Parts,
@@ -85,6 +89,8 @@ def simulate_to(
     memory at the end). `parts` keeps finished positions. `memory`: bytes that every process may take, `None`: by what
     is free. `workers`, `cluster`, `client`, `patience`, `say`: as of `jaxfrf.batch.outcomes`; on other machines paths
     must mean the same files.
+
+    **Returns:** `Simulated`: what was written.
 
     **Raises:** `jaxfrf.InputError` as `jaxfrf.simulate` does, and where disk or memory have no room for the result.
     """

@@ -80,7 +80,7 @@ def calibrate(
       judged.
     - `rounds`: of simulation, at most.
     - `cutoff`: of the motion's filter, Hz, of a robot with rigid transmissions.
-    - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`), so that an interrupted run goes on where it was.
+    - `parts`: keeps finished rounds (`jaxfrf.Parts`), so that an interrupted run goes on where it was.
     - `say`: called with a line of progress.
 
     **Returns:** a `Calibration`: the robot as found, every number with its interval, what the data tell of it.

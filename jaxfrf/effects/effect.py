@@ -45,8 +45,11 @@ _PHASES = 4096  # of one period of the slow sine; exact for a smoothing down to 
 
 
 class Reach(eqx.Module):
-    """How far a record moves one joint: `speed`, the largest of its motor, rad/s; `travel`, the range of the motor's
-    angle, rad; `torque`, the largest command, N m."""
+    """How far a record moves one joint.
+
+    **Fields:** `speed`: the largest of its motor, rad/s. `travel`: range of the motor's angle, rad. `torque`: the
+    largest command, N m.
+    """
 
     speed: float = eqx.field(static=True)
     travel: float = eqx.field(static=True)
@@ -223,7 +226,9 @@ class Candidate(eqx.Module):
 class OwnNumber(eqx.Module):
     """A parameter of an effect as a number of the robot that has it: parameter = number - `minus`.
 
-    `known`: relative standard deviation of where a fit of it begins."""
+    **Fields:** `number`: its name in the robot. `parameter`: its name in the effect. `minus`: in the number's unit.
+    `known`: relative standard deviation of where a fit of it begins.
+    """
 
     number: str = eqx.field(static=True)
     parameter: str = eqx.field(static=True)

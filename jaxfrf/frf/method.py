@@ -18,9 +18,11 @@ _BATCHES = (8, 64)  # lines that are solved again at once: few numbers, so that 
 
 
 class Signals(eqx.Module):
-    """Spectra of one operating point as arrays: (exp, freq, channel), and `frequency` (freq,) in Hz.
+    """Spectra of one operating point as arrays.
 
-    `R` and `noise` (covariance of [Y; U] between periods, (exp, freq, sig, sig)) are `None` where they are unknown.
+    **Fields:** `U`, `Y`, `R`: Fourier coefficients of input, output and reference, (exp, freq, channel). `noise`:
+    covariance of [Y; U] between periods, (exp, freq, sig, sig). `frequency`: (freq,), Hz. `R` and `noise` are `None`
+    where they are unknown.
     """
 
     U: Complex[Array, "exp freq in"]
@@ -43,10 +45,11 @@ class Signals(eqx.Module):
 
 
 class Estimate(eqx.Module):
-    """What a method returns; the fields mean the same as those of `jaxfrf.FRF`, with or without the axis of positions.
+    """What a method returns.
 
-    `doubtful` marks lines where the fast solution is not accurate enough (too small a pivot or residual):
-    `jaxfrf.estimate` solves them again by an orthogonal factorisation.
+    **Fields:** `G`, `cov`, `dof`, `status`, `window`, `cov_noise`, `cov_total`, `bias`: as those of `jaxfrf.FRF`, with
+    or without the axis of positions. `doubtful`: lines where the fast solution is not accurate enough (too small a
+    pivot or residual): `jaxfrf.estimate` solves them again by an orthogonal factorisation.
     """
 
     G: Complex[Array, "*pos freq out in"]

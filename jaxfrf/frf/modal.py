@@ -49,8 +49,11 @@ class Mode(eqx.Module):
 
 
 class Stabilisation(eqx.Module):
-    """The poles of all model orders: `order`, `frequency` (Hz), `damping` of each, and whether the order below had it,
-    too (`stable`)."""
+    """The poles of all model orders.
+
+    **Fields:** each (pole,): `order` of the model, `frequency`, Hz, `damping`, ratio to the critical one, and `stable`:
+    whether the order below had it, too.
+    """
 
     order: Int[np.ndarray, "pole"]
     frequency: Float[np.ndarray, "pole"]

@@ -53,7 +53,7 @@ def diagnose(
     effect that the library does not hold looks like one that it does: then the remaining misfit tells, and nothing is
     named.
 
-    Data that need no simulation are compared as they are (`jaxfrf.gap.channels`): the torque that a rigid robot needs
+    Data that need no simulation are compared as they are (`jaxfrf.gap.CHANNELS`): the torque that a rigid robot needs
     for a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
 
     **Arguments:**
@@ -69,7 +69,7 @@ def diagnose(
       three.
       Of FRFs and records that are not periodic: so many of the last, none by default.
     - `say`: called with a line of progress. `progress`: with the part that is done.
-    - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`, begun); a run that finds some goes on behind them.
+    - `parts`: keeps finished rounds (`jaxfrf.Parts`, begun); a run that finds some goes on behind them.
 
     **Returns:** a `Diagnosis`: verdict, named effects with their numbers in SI units, the gap before and after, maps.
 

@@ -84,9 +84,9 @@ class Gap(eqx.Module):
     """rms residual (of the torque, unless `quantity` says another) of the robots that are written, before and after,
     over its floor, on positions that nothing was fitted to.
 
-    **Fields:** `before`, `after`: the residual over its floor, without unit. `floor`: what noise and an honest model
-    leave. `unit`: of the residual. `on`: which positions it was taken on, in words. `quantity`: of what it is the
-    residual. `shrink` = 1 - (after - floor)/(before - floor). `torque_before`,
+    **Fields:** `before`, `after`: in `unit`; "1" of the torque's residual says over the floor of every line. `floor`:
+    what noise and an honest model leave, in that unit. `shrink` = 1 - (after - floor)/(before - floor). `on`: which
+    positions or records it was taken on, in words. `quantity`: what the residual is called. `torque_before`,
     `torque_after`: the same residual over the rms torque (of another quantity: in `unit`), per axis, (axis,).
     """
 

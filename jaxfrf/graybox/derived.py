@@ -14,7 +14,10 @@ from .fit import Fit
 
 
 class Derived(eqx.Module):
-    """A quantity that follows from fitted parameters: `value`, `std` (in its unit), `interval` (lowest, highest)."""
+    """A quantity that follows from fitted parameters.
+
+    **Fields:** `value`, `std`: in its unit. `interval`: lowest and highest value.
+    """
 
     value: float
     std: float

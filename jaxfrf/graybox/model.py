@@ -110,9 +110,11 @@ def _spread(robot: Robot, name: str, value: float, asked: float | None) -> float
 
 
 class RobotPoint(eqx.Module):
-    """An operating point of a robot: `q`, arm angles (*pos, axis), rad; `deflections`: of the springs about their rest
-    during the experiment, (*pos, sample, spring), rad, over which a nonlinear spring's stiffness is averaged.
-    `jaxfrf.graybox.robot_points` finds them in the records."""
+    """An operating point of a robot; `jaxfrf.graybox.robot_points` finds them in the records.
+
+    **Fields:** `q`: arm angles, (*pos, axis), rad. `deflections`: of the springs about their rest during the
+    experiment, (*pos, sample, spring), rad, over which a nonlinear spring's stiffness is averaged.
+    """
 
     q: Float[Array, "*pos axis"]
     deflections: Float[Array, "*pos sample spring"]

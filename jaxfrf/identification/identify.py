@@ -78,7 +78,7 @@ def identify(
     - `shared`: groups of names that have one value.
     - `heldout`: numbers of positions, from 0, that are not fitted, and on which the result is judged.
     - `band`: (low, high), Hz; `None` at an end: open.
-    - `parts`: keeps finished rounds (`jaxfrf.parts.Parts`), so that those of an interrupted run of the same data and
+    - `parts`: keeps finished rounds (`jaxfrf.Parts`), so that those of an interrupted run of the same data and
       settings are not simulated again.
     - `say`: called with a line of progress.
 

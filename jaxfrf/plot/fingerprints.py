@@ -82,7 +82,7 @@ def fingerprint(effect: AbstractEffect, torque: Complex[np.ndarray, "exp line ax
     """The fingerprint of an effect in the first experiment of a scene, on the motor of its joint, or on that whose
     torque it changes most where it has none.
 
-    **Arguments:** `torque`: what `jaxfrf.trajectory.signature.signature` gives for the effect in this scene.
+    **Arguments:** `torque`: what `jaxfrf.trajectory.signature` gives for the effect in this scene.
     """
     command = np.asarray(scene.command)[0]
     lines = np.asarray(torque).shape[1]

@@ -88,7 +88,10 @@ class Chain(eqx.Module):
 
 
 class Frames(eqx.Module):
-    """Frames of the links in the world: `rotation` and `position` (m)."""
+    """Frames of the links in the world.
+
+    **Fields:** `rotation`: (*batch, joint, 3, 3). `position`: of the origins, (*batch, joint, 3), m.
+    """
 
     rotation: Float[Array, "*batch joint 3 3"]
     position: Float[Array, "*batch joint 3"]

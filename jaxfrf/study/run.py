@@ -65,7 +65,7 @@ def run_study(
 
     - `settings`: sizes and seeds. `output`: the folder, new, empty or of a study.
     - `say`: called with a line of progress.
-    - `parts`: keeps every finished step (`jaxfrf.parts.Parts`); by default in `<output>.parts`, until the study stands.
+    - `parts`: keeps every finished step (`jaxfrf.Parts`); by default in `<output>.parts`, until the study stands.
     - `workers`, `cluster`, `client`, `patience` (s): as of `jaxfrf.batch.outcomes`: who shares the steps; on other
       machines paths must mean the same files.
 

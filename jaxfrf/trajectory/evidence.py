@@ -125,7 +125,15 @@ class Weighed(eqx.Module):
 
 
 def weigh(evidence: Evidence, columns: Sequence[Column], base: Weighed | None = None) -> Weighed:
-    """Weighted columns beside those of `base`, whose products run by run are not made again."""
+    """Weighted columns beside those of `base`, whose products run by run are not made again.
+
+    **Arguments:** `evidence`: whose floor weighs. `columns`: each gives what a number adds to the torque of a scene,
+    (exp, line, axis), N m per unit of the number. `base`: of the same evidence.
+
+    **Returns:** `Weighed`: columns, residual and their products, without unit.
+
+    **Source:** the normal equations of weighted least squares.
+    """
     if base is None:
         parts = tuple(shared(lambda pos: _rows(evidence, pos, columns, True), range(len(evidence.scenes))))
         return Weighed(parts, _gram(np.concatenate(shared(lambda X: _products(X, X), parts)), parts))

@@ -59,10 +59,17 @@ class Measured(eqx.Module):
 
 
 def measured(data: Experiment, payloads: Sequence[Payload | None] = ()) -> Measured:
-    """Lines of a periodic record; `payloads`: of its positions, as in `Measured`.
+    """Lines of a periodic record.
+
+    **Arguments:** `data`: of all motors of a robot. `payloads`: of its positions, as in `Measured`.
+
+    **Returns:** `Measured`: torque in N m, motion in rad.
 
     **Raises:** `jaxfrf.InputError` for a record without period, and for one of a single period whose lines leave no
     band to see its noise in.
+
+    **Source:** the DFT of the mean steady period, integrated by 1/(j omega); the noise of a single period is this
+    project's own guess from beyond the excited band.
     """
     if not data.period:
         raise input_error(
@@ -83,7 +90,12 @@ def measured(data: Experiment, payloads: Sequence[Payload | None] = ()) -> Measu
 
 
 def fewer(data: Experiment, most: int) -> Experiment:
-    """Some experiments of every position, spread over those that there are."""
+    """Some experiments of every position, spread over those that there are.
+
+    **Arguments:** `data`: the record. `most`: how many experiments are kept at most.
+
+    **Returns:** the record with these.
+    """
     if data.n_exp <= most:
         return data
     some = np.linspace(0, data.n_exp - 1, most).round().astype(int)

@@ -43,7 +43,14 @@ def needed_torque(robot: Robot, motion: MeasuredMotion) -> Torque:
 
     A is what the robot's actuator effects make of a command. With a rigid transmission the measured motor torque stands
     for the load of friction that depends on it, as in the simulation. Sensor effects are taken off the motion. It fails
-    for effects that have no inverse (saturation, quantisation).
+    for effects that have no inverse (saturation, quantisation), and is biased where gears give way: `jaxfrf.calibrate`
+    takes flexible ones.
+
+    **Arguments:** `robot`: with its effects. `motion`: of its motors.
+
+    **Returns:** (time, axis), N m, motor side.
+
+    **Source:** the equation above; M, c and g as of `jaxfrf.robot.mass_and_bias`.
     """
     plain = dataclasses.replace(robot, effects=())
     for sensor in (x for x in robot.effects if isinstance(x, AbstractSensor)):

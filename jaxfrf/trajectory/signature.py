@@ -31,6 +31,14 @@ def signature(effect: AbstractEffect, scene: Scene) -> Signature:
 
     To first order: the motion of the motors is kept. An effect that changes the robot's coordinates is compared by the
     frozen linear robots.
+
+    **Arguments:** `effect`: on a joint of the scene's robot. `scene`: one position, of `Evidence.scenes`.
+
+    **Returns:** (exp, line, axis), N m, amplitudes of one period.
+
+    **Raises:** `NotImplementedError` for an effect of a kind that acts nowhere.
+
+    **Source:** the effect's own law along the motion, by the DFT: this project's own.
     """
     raise NotImplementedError(f"{type(effect).__name__} acts nowhere that is known here.")
 

@@ -19,7 +19,9 @@ CHANNELS: list[type[AbstractChannel]] = [
     _in("distortion").DistortionChannel,
     _in("response").ResponseChannel,
 ]
-"""Asked in this order. The line of a channel says where it is: it needs no import."""
+"""The kinds of comparison: of those that take the data, `jaxfrf.diagnose` uses the first. One of your own goes before
+any that would take the same data, `CHANNELS.insert(0, MyChannel)`. In the package its line says where it stands, and
+needs no import."""
 
 
 def channel_of(robot: Robot | None, data: Sequence[Any]) -> type[AbstractChannel] | None:

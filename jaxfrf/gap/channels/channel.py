@@ -19,7 +19,11 @@ Rows = Float[np.ndarray, "row"]
 
 
 class State(eqx.Module):
-    """A robot, values of its own numbers that give way, and effects with coefficients."""
+    """A robot, values of its own numbers that give way, and effects with coefficients.
+
+    **Fields:** `given`: the robot as it was given. `own`: numbers of it by name, in their units. `chosen`: effects that
+    were added, each as its `jaxfrf.effects.Candidate` and its coefficients.
+    """
 
     given: Robot
     own: dict[str, float]
@@ -181,8 +185,12 @@ class AbstractChannel(eqx.Module):
 
 
 class Outcome(eqx.Module):
-    """What a channel may see of a finished search: the state before and after, what is left of the rows, the ranking,
-    and a test of columns: (share, coefficient, p-value) of each, family-wise."""
+    """What a channel may see of a finished search.
+
+    **Fields:** `base`, `state`: before and after. `before`, `residual`: what is left of the rows in each, (row,).
+    `ranking`: of the candidates, as in `Diagnosis`. `test`: of columns beside the residual, (row, column): share,
+    coefficient and p-value of each, family-wise.
+    """
 
     base: State
     state: State
@@ -201,7 +209,12 @@ def makes_sense(
     only held to the sign that they state, or to the robot's own number, and to the largest torque on its joint; times
     and ratios to the bounds, or to their sign alone where the robot is not known (`bounded`).
 
-    **Arguments:** `most`: the largest torque on the joint, N m.
+    **Arguments:** `robot`: as it was given. `candidate`: the effect that is tried. `values`: its fitted coefficients.
+    `most`: the largest torque on the joint, N m. `bounded`: see above.
+
+    **Returns:** whether they do.
+
+    **Source:** this project's own.
     """
     try:
         effect = candidate.make(np.asarray(values))
