@@ -7,19 +7,27 @@ class Status(enum.IntFlag):
     """Bits of `FRF.status`, one integer per operating point and frequency; 0 is a plain good estimate.
 
     The first three and `NOISE_ONLY` are remarks; of the others the estimate should be looked at before it is used.
+
+    - `EDGE_WINDOW`, 1: the window is not centred on the line: it stands at an end of the band.
+    - `REFINED`, 2: the fast solver's pivots were too small; solved again by an orthogonal factorisation.
+    - `NO_COVARIANCE`, 4: no residual degree of freedom is left: `cov` is NaN.
+    - `RANK_DEFICIENT`, 8: the regressor has not full rank: the estimate is the minimum-norm one.
+    - `LOW_EXCITATION`, 16: an input (or reference) carries almost no power here.
+    - `LOG_BRANCH`, 32: the matrix logarithm is not safe: an eigenvalue left the right half-plane, or V is ill
+      conditioned.
+    - `NOT_FINITE`, 64: the estimate is NaN or infinite.
+    - `NOISE_ONLY`, 128: `cov` is the noise between periods: nothing is left over to show nonlinear distortion.
     """
 
     OK = 0
-    EDGE_WINDOW = 1  # the window is not centred on the line: it stands at an end of the band
-    REFINED = 2  # the fast solver's pivots were too small; solved again by an orthogonal factorisation
-    NO_COVARIANCE = 4  # no residual degree of freedom is left: `cov` is NaN
-    RANK_DEFICIENT = 8  # the regressor has not full rank: the estimate is the minimum-norm one
-    LOW_EXCITATION = 16  # an input (or reference) carries almost no power here
-    LOG_BRANCH = (
-        32  # the matrix logarithm is not safe: an eigenvalue left the right half-plane, or V is ill conditioned
-    )
-    NOT_FINITE = 64  # the estimate is NaN or infinite
-    NOISE_ONLY = 128  # `cov` is the noise between periods: nothing is left over to show nonlinear distortion
+    EDGE_WINDOW = 1
+    REFINED = 2
+    NO_COVARIANCE = 4
+    RANK_DEFICIENT = 8
+    LOW_EXCITATION = 16
+    LOG_BRANCH = 32
+    NOT_FINITE = 64
+    NOISE_ONLY = 128
 
 
 SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE

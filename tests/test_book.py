@@ -11,7 +11,6 @@ Blocks of other languages, and indented ones (what a command prints), are only r
 """
 
 import copy
-import importlib
 import importlib.util
 import os
 import pathlib
@@ -203,8 +202,31 @@ def test_names_on_the_pages_exist():
             first, _, second = name.partition(".")
             if first in ("nc", "toml", "md"):
                 continue
-            found = getattr(jf, first, None) or importlib.import_module(f"jaxfrf.{first}")
-            assert not second or hasattr(found, second), f"{page.name}: {name}"
+            assert hasattr(jf, first), f"{page.name}: {name}"
+            assert not second or hasattr(getattr(jf, first), second), f"{page.name}: {name}"
+
+
+def test_imports_on_the_pages_are_of_public_names():
+    """`from jaxfrf.X import Y` takes what stands in the reference: Y of the namespace X."""
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        lines = re.findall(r"(?m)^(?:from jaxfrf(\.[\w.]+)? import|import jaxfrf\.([\w.]+)) ?(.*)$", text)
+        for space, module, names in lines:
+            assert (space.removeprefix(".") or module) in (*jf._NAMESPACES, ""), f"{page.name}: {space}{module}"
+            home = getattr(jf, space.removeprefix(".")) if space else jf
+            assert all(hasattr(home, name.split(" ")[0]) for name in names.split(", ") if name), f"{page.name}: {names}"
+
+
+def test_constants_of_the_reference_say_what_they_hold():
+    book = generated()
+    texts = book.pages()
+    for name, (room, value) in book.public().items():
+        if not callable(value):
+            entry = texts[book._file(room)].split(f"{{py:data}} {name}\n")[1].split("```")[0]
+            held = [str(key) for key in value] if isinstance(value, dict) else []
+            assert entry.strip() and all(f"`{key}`" in entry for key in held), name
+    status = texts[book._file("Errors and status")]
+    assert all(f"`{flag.name}`, {flag.value}:" in status for flag in jf.Status)
 
 
 def test_pages_are_listed():

@@ -15,6 +15,8 @@ from .estimated import Chosen as Chosen, Estimated as Estimated, estimate_to as 
 if TYPE_CHECKING:
     from .simulated import Simulated as Simulated, simulate_to as simulate_to
 
+_EAGER = ("Batch", "Chosen", "Done", "Estimated", "each", "estimate_to", "outcomes")
+
 
 def __getattr__(name: str):
     if name in ("Simulated", "simulate_to"):  # an estimate needs no simulation
@@ -25,4 +27,4 @@ def __getattr__(name: str):
 
 
 def __dir__():
-    return sorted([*globals(), "Simulated", "simulate_to"])
+    return sorted([*_EAGER, "Simulated", "simulate_to"])

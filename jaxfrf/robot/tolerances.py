@@ -100,7 +100,8 @@ DEFAULTS: dict[str, Tolerance] = {
     "controller_gain": Tolerance(0.1),
     "effect": Tolerance(0.5),
 }
-"""Of a robot that says nothing: catalogue springs, links from CAD, friction that drifts with temperature."""
+"""What is known of each kind of number (`Tolerance`: a standard deviation) of a robot that says nothing: catalogue
+springs, links from CAD, friction that drifts with temperature."""
 
 
 @dataclasses.dataclass(frozen=True)

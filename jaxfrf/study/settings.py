@@ -95,6 +95,7 @@ DEMO = Settings(
 """The shortest run that shows every part."""
 
 SCALES = {"demo": DEMO, "medium": MEDIUM, "paper": PAPER}
+"""The sizes by the name that `--scale` takes."""
 
 
 def design(blocks: int, seed: int, slow: bool = True) -> Multisine:

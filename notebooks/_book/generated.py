@@ -4,14 +4,18 @@ They are written to `notebooks/reference/` when the book is built; docstrings ar
 backticks, anywhere in the book, becomes a link to its place in the reference.
 """
 
+import ast
 import dataclasses
 import inspect
+import itertools
 import pathlib
 import re
+import sys
 import types
 import typing
 
 import jaxfrf as jf
+from jaxfrf.robot.tolerances import KINDS
 
 ROOMS = {
     "excitation": "Excitation",
@@ -31,6 +35,10 @@ ROOMS = {
     "io": "Files",
     "plot": "Pictures",
     "report": "Pages",
+    "trajectory": "Robots along a motion",
+    "batch": "Many files and long runs",
+    "parts": "Many files and long runs",
+    "units": "Units",
     "study": "Study",
     "_errors": "Errors and status",
     "_status": "Errors and status",
@@ -114,7 +122,7 @@ def _entry(name: str, value: object) -> str:
         return _class(name, value)
     if inspect.isfunction(value) or hasattr(value, "__wrapped__"):
         return _directive("function", f"{name}{_signature(value)}", [_docstring(value), _shapes(value)])
-    return _directive("data", name, [_described(value)])
+    return _directive("data", name, [_comment(name, value), _described(value)])
 
 
 def _class(name: str, kind: type) -> str:
@@ -209,11 +217,45 @@ def _type(note: object) -> str:
     return f"`{re.sub(r'(?:[a-z_]+[.])+(?=[A-Za-z])', '', text)}`"
 
 
+def _comment(name: str, value: object) -> str:
+    """The string below the line that gives a constant its value, in whichever module that stands."""
+    own = name.rpartition(".")[2]
+    for module in [m for key, m in sys.modules.items() if key.startswith("jaxfrf.") and vars(m).get(own) is value]:
+        body = ast.parse(inspect.getsource(module)).body
+        for line, after in itertools.pairwise(body):
+            names = line.targets if isinstance(line, ast.Assign) else [getattr(line, "target", None)]
+            text = getattr(getattr(after, "value", None), "value", None)
+            if any(isinstance(n, ast.Name) and n.id == own for n in names) and isinstance(text, str):
+                return inspect.cleandoc(text)
+    return ""
+
+
 def _described(value: object) -> str:
+    """A constant as people read it: a table of what it holds."""
     if isinstance(value, dict):
-        return f"A table of {len(value)}: {', '.join(f'`{key}`' for key in value)}."
-    text = repr(value)
-    return f"`{text}`" if len(text) < 200 else ""
+        return _table((key, _value(x, key)) for key, x in value.items())
+    if isinstance(value, jf.study.Settings):
+        return _table((key, _value(x)) for key, x in value.as_dict().items())
+    if isinstance(value, list | tuple):
+        return "\n".join(f"- {_value(x)}" for x in value)
+    return _value(value)
+
+
+def _table(rows) -> str:
+    return "\n".join(["| | |", "|---|---|", *(f"| `{key}` | {_cell(text)} |" for key, text in rows)])
+
+
+def _value(value: object, key: str = "") -> str:
+    if isinstance(value, jf.robot.Tolerance):
+        if value.exact or value.unknown:
+            return "exact" if value.exact else "unknown"
+        absolute = "absolute" if KINDS[key] == "1" else KINDS[key]
+        return f"{value.std:.3g}, {'relative' if value.relative else absolute}"
+    if isinstance(value, jf.study.Settings):
+        return f"`jaxfrf.study.{value.name.upper()}`"
+    if inspect.isclass(value):
+        return f"`{next((n for n, (_, x) in _known().items() if x is value), value.__name__)}`"
+    return value if isinstance(value, str) else f"`{value!r}`"
 
 
 # --- links
