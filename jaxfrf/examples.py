@@ -73,6 +73,8 @@ def example_response(frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "1 
 
     **Returns:** (1, freq, out, in), rad/s over N m.
 
+    **Raises:** `jaxfrf.InputError` for frequencies that are no finite numbers.
+
     **Source:** closed form, C (z - A)^-1 B of the sampled system.
     """
     expect_real("frequency", frequency)

@@ -64,6 +64,7 @@ WRONG = {
     "log_odd_lines of []": lambda: jf.log_odd_lines(1, 99, []),
     "band_lines of period 0": lambda: jf.band_lines(1.0, 9.0, 1000.0, 0),
     "band_lines of inf": lambda: jf.band_lines(1.0, np.inf, 1000.0, 50),
+    "excited_lines without a period": lambda: jf.excited_lines(LONG),
     "estimate(None)": lambda: jf.estimate(None, jf.H1()),
     "estimate by a name": lambda: jf.estimate(DATA, "h1"),
     "dft of a file": lambda: jf.dft("run.nc"),

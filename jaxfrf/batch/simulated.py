@@ -85,7 +85,8 @@ def simulate_to(
 ) -> Simulated:
     """`jaxfrf.simulate` to a file, some positions at a time: within 1e-9 the same numbers, whoever simulates them.
 
-    **Arguments:** as of `jaxfrf.simulate`. `path`: `.nc`, `.zarr` (written as it comes), `.mat` or `.npz` (held in
+    **Arguments:** `robot`, `design`, `positions` (rad), `key`, `run_in` (s), `noise` (rad) and `progress`: as of
+    `jaxfrf.simulate`. `path`: `.nc`, `.zarr` (written as it comes), `.mat` or `.npz` (held in
     memory at the end). `parts` keeps finished positions. `memory`: bytes that every process may take, `None`: by what
     is free. `workers`, `cluster`, `client`, `patience`, `say`: as of `jaxfrf.batch.outcomes`; on other machines paths
     must mean the same files.

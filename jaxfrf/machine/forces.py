@@ -25,7 +25,7 @@ Signal = Float[Array, "*run"]
 class CubicSpring(AbstractArmTorque):
     """A spring that stiffens (or softens) with its deflection, beside what the machine has: force = stiffness x^3.
 
-    **Arguments:** `stiffness`: N m/rad^3 or N/m^3, either sign.
+    **Arguments:** `joint`: name of the place where it acts. `stiffness`: N m/rad^3 or N/m^3, either sign.
 
     In data: resonances move up with the amplitude; odd distortion.
 

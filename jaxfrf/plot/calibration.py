@@ -19,9 +19,12 @@ def numbers_found(found: Calibration, kinds: Sequence[str] | None = None, title:
 
     Numbers that may be zero (centres, inertias) are drawn in tolerances. One axes for each kind.
 
-    **Arguments:** `kinds`: to draw, all of the calibration by default.
+    **Arguments:** `found`: of `jaxfrf.calibrate`. `kinds`: to draw, all of the calibration by default. `title`: set
+    above the figure.
 
     **Returns:** the figure, and its axes by kind.
+
+    **Raises:** `ImportError` without matplotlib.
     """
     determined = {n.name for n in found.numbers if found.determined_by(n.name) == "data"}
     return draw_numbers(found.numbers, found.x, found.half_width, determined, kinds=kinds, title=title)

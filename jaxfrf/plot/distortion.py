@@ -17,7 +17,8 @@ def distortion(found: Distortion, *, position: int = 0, axes: _style.Axes | None
     Points: the output at the excited lines, and what the linear response leaves unexplained at even and odd unexcited
     lines. Lines: noise, and noise and distortion together as they fall on the excited lines.
 
-    **Arguments:** `found`: of `jaxfrf.best_linear_approximation`. `axes`: one for every output, or a new figure.
+    **Arguments:** `found`: of `jaxfrf.best_linear_approximation`. `position`: which operating point. `axes`: one for
+    every output, or a new figure. `title`: set above a new figure.
 
     **Returns:** the figure, and its axes (out,).
 

@@ -19,10 +19,13 @@ def multisine(
     spectrum, where nonlinear distortion will show. The legend gives the rms and the crest factor of the
     multisine alone, and the peak of what is played.
 
-    **Arguments:** `experiment`: which one (all have the same amplitudes); `channels`: which inputs, all by
-    default; `axes`: two matplotlib axes to draw on, for time and spectrum; new ones by default.
+    **Arguments:** `reference`: of `jaxfrf.reference`. `experiment`: which one (all have the same amplitudes).
+    `channels`: which inputs, all by default. `axes`: two matplotlib axes to draw on, for time and spectrum; new ones by
+    default.
 
     **Returns:** the two axes; `axes[0].figure.savefig("design.png")` saves the picture.
+
+    **Raises:** `jaxfrf.InputError` if there is no such experiment or channel; `ImportError` without matplotlib.
     """
     channels = list(range(reference.n_in) if channels is None else channels)
     _check(reference, experiment, channels)

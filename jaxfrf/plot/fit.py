@@ -101,6 +101,8 @@ def residual_maps(quality: Quality, positions: Sequence[int] | None = None):
     default.
 
     **Returns:** the figure and its two axes.
+
+    **Raises:** `ImportError` without matplotlib.
     """
     positions = range(len(quality.weighted)) if positions is None else positions
     return draw_residual_maps(
@@ -163,6 +165,8 @@ def start_paths(fitted: Fit):
     **Arguments:** `fitted`: of `jaxfrf.fit`, from one start or several.
 
     **Returns:** the figure and its axes.
+
+    **Raises:** `ImportError` without matplotlib.
     """
     return draw_start_paths([s.cost for s in fitted.starts], [s.path_cost for s in fitted.starts])
 
@@ -190,6 +194,8 @@ def correlation_map(fitted: Fit):
     **Arguments:** `fitted`: of `jaxfrf.fit`.
 
     **Returns:** the figure and its axes.
+
+    **Raises:** `ImportError` without matplotlib.
     """
     return draw_correlation_map(fitted.coordinates.names, fitted.uncertainty.correlation)
 
@@ -217,6 +223,8 @@ def round_gaps(gap_db: Sequence[float], gap_degrees: Sequence[float]):
     **Arguments:** `gap_db`, `gap_degrees`: rms of magnitude, dB, and phase, degrees, one for each round.
 
     **Returns:** the figure and its axes.
+
+    **Raises:** `ImportError` without matplotlib.
     """
     figure = _style.new_figure(4.2, 2.3)
     axis = _style.add_axes(figure, 0.65, 0.45, 3.4, 1.7)

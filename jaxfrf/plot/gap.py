@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from .._arguments import expect
+from .._errors import input_error
 from .._text import number
 from ..frf import FRF
 from ..io._optional import require
@@ -33,10 +35,12 @@ def gap_maps(
     """Torque residuals over their floor before and after, side by side: a block for every axis, a row of it for every
     position, a column for every band.
 
-    **Arguments:** `after`: `None` where nothing was changed. `bands`: edges, Hz. `marked`: axes in bold. `heldout`:
-    positions in bold.
+    **Arguments:** `before`, `after`: over the floor, (pos, axis, band); `after` is `None` where nothing was changed.
+    `bands`: edges, Hz. `axis_names`: one for each axis. `marked`: axes in bold. `heldout`: positions in bold.
 
     **Returns:** the figure and its axes, one or two.
+
+    **Raises:** `ImportError` without matplotlib.
     """
     panels = [np.asarray(x, float) for x in (before, after) if x is not None]
     n_pos, n_axes, n_bands = np.shape(before)
@@ -105,9 +109,11 @@ def torque_courses(
     All pictures of an axis share their scale, which never goes below 2 % of its largest load.
 
     **Arguments:** `courses`: {signal: (values, before, after)}, each (axis, bin); without the last where nothing was
-    changed. `row`: height of a row, inches.
+    changed. `axis_names`: one for each axis. `shown`: those of them that get a row. `row`: height of a row, inches.
 
     **Returns:** the figure and its axes, (row, signal).
+
+    **Raises:** `ImportError` without matplotlib.
     """
     signals = [s for s in (*_SIGNALS, *courses) if s in courses]
     signals = list(dict.fromkeys(signals))
@@ -177,10 +183,12 @@ def gap_dumbbells(
 ):
     """Rms torque residual over the rms torque, axis by axis, before and after; or another part that `label` says.
 
-    **Arguments:** `before`, `after`: (axis,), parts without a unit; `None` where nothing was changed. `marked`: axes in
-    bold.
+    **Arguments:** `before`, `after`: (axis,), parts without a unit; `None` where nothing was changed. `axis_names`: one
+    for each axis. `marked`: axes in bold. `label`: below the picture.
 
     **Returns:** the figure and its axes.
+
+    **Raises:** `ImportError` without matplotlib.
     """
     left, width, row = 0.8, 3.0, 0.27
     height = row * len(axis_names)
@@ -225,8 +233,17 @@ def gap_bode(frfs: Sequence[FRF], axis: int, position: int):
     `axis`, `position`: from 0.
 
     **Returns:** the figure and its axes: magnitude, phase, error.
+
+    **Raises:** `jaxfrf.InputError` where the measured FRF has no such axis or position, or a model is not of its lines
+    and elements; `ImportError` without matplotlib.
     """
     measured, *models = frfs
+    for name, model in zip(("before", "after"), models, strict=False):
+        expect(name, model, FRF)
+        if np.shape(model.G) != np.shape(measured.G):
+            raise input_error(
+                f"FRF {name}", f"shape {np.shape(model.G)}", f"{np.shape(measured.G)} as measured", "Take its lines."
+            )
     figure = _style.new_figure(9.9, 3.5)
     pair = _style.add_axes(figure, 0.6, 1.5, 4.9, 1.6), _style.add_axes(figure, 0.6, 0.42, 4.9, 0.98)
     error = _style.add_axes(figure, 6.2, 0.42, 3.6, 2.68)

@@ -15,8 +15,12 @@ def stabilisation(model: ModalModel, *, axes: _style.Axes | None = None, title: 
     """Draw the poles of every order at their frequency (filled: the order below had them), over the root of the sum of
     squares of all elements, measured and of the modes; the modes that were taken as lines, with their 95 % intervals.
 
-    **Arguments:** `axes`: matplotlib axes to draw on; a twin of it holds the orders. **Returns:** figure and the two
-    axes (magnitude, order).
+    **Arguments:** `model`: of `jaxfrf.modal`. `axes`: matplotlib axes to draw on; a twin of it holds the orders.
+    `title`: set above a new figure.
+
+    **Returns:** the figure and its two axes (magnitude, order).
+
+    **Raises:** `ImportError` without matplotlib.
     """
     handles = _legend()
     if axes is None:

@@ -17,8 +17,8 @@ def plan(plan: PositionPlan, *, axes: _style.Axes | None = None, title: str = ""
     Solid with markers: chosen D-optimally; dashed or dotted: drawn at random, median over draws. A vertical line
     stands at the number that was chosen. Nuisance parameters are left out. It knows noise alone.
 
-    **Arguments:** `axes`: one for each kind (the part of a name behind its last dot: stiffness, damping); by default a
-    new figure. `title`: set above a new figure.
+    **Arguments:** `plan`: of `jaxfrf.plan_positions`. `axes`: one for each kind (the part of a name behind its last
+    dot: stiffness, damping); by default a new figure. `title`: set above a new figure.
 
     **Returns:** the figure, and its axes.
 

@@ -28,7 +28,11 @@ def write_calibration(path: str | os.PathLike, found: Calibration | Mapping[str,
 def calibration_page(found: Calibration | Mapping[str, Any]) -> str:
     """The page about a calibration, or about what its fit.json holds, as HTML text.
 
-    **Raises:** `jaxfrf.InputError` if the file lacks what the page shows.
+    **Arguments:** `found`: what `jaxfrf.calibrate` returned, or what its fit.json holds (`jaxfrf.io.read_fit`).
+
+    **Returns:** the HTML of the page.
+
+    **Raises:** `jaxfrf.InputError` if the file lacks what the page shows; `ImportError` without matplotlib.
     """
     if not isinstance(found, Mapping):
         return _page(plain_data(found.as_dict()))

@@ -75,7 +75,11 @@ def write_gap_report(path: str | os.PathLike, diagnosis: Any) -> None:
 def gap_page(diagnosis: Any) -> str:
     """The page about a `diagnosis`, or about what its gap.json holds, as HTML text.
 
-    **Raises:** `jaxfrf.InputError` if the file lacks what the page shows.
+    **Arguments:** `diagnosis`: a `jaxfrf.gap.Diagnosis`, or what its gap.json holds (`jaxfrf.io.read_gap`).
+
+    **Returns:** the HTML of the page.
+
+    **Raises:** `jaxfrf.InputError` if the file lacks what the page shows; `ImportError` without matplotlib.
     """
     if not isinstance(diagnosis, Mapping):
         return _page(recorded(gap_contents(diagnosis), diagnosis.frf))

@@ -27,7 +27,11 @@ def write_identification(path: str | os.PathLike, found: Identification | Mappin
 def identification_page(found: Identification | Mapping[str, Any]) -> str:
     """The page about a fit, or about what its fit.json holds, as HTML text.
 
-    **Raises:** `jaxfrf.InputError` if the file lacks what the page shows.
+    **Arguments:** `found`: what `jaxfrf.identify` returned, or what its fit.json holds (`jaxfrf.io.read_fit`).
+
+    **Returns:** the HTML of the page.
+
+    **Raises:** `jaxfrf.InputError` if the file lacks what the page shows; `ImportError` without matplotlib.
     """
     if not isinstance(found, Mapping):
         return _page(found.as_dict(), _bode(found))

@@ -107,12 +107,22 @@ def section(heading: str, *blocks: str) -> str:
 
 
 def paragraph(text: str) -> str:
-    """A paragraph of text, escaped."""
+    """A paragraph of text, escaped.
+
+    **Arguments:** `text`: plain text.
+
+    **Returns:** HTML.
+    """
     return f"<p>{html.escape(text)}</p>"
 
 
 def listing(texts: Sequence[str]) -> str:
-    """A list of sentences; nothing where there are none."""
+    """A list of sentences; nothing where there are none.
+
+    **Arguments:** `texts`: plain text.
+
+    **Returns:** HTML.
+    """
     rows = "".join(f"<li>{html.escape(text)}</li>" for text in texts)
     return f'<ul class="plain">{rows}</ul>' if rows else ""
 
@@ -131,7 +141,11 @@ def verdict(word: str, texts: Sequence[str], good: bool) -> str:
 def table(headers: Sequence[str], rows: Sequence[Sequence[object]], flags: Sequence[int] = ()) -> str:
     """A table; columns of numbers are right-aligned, with four significant digits.
 
-    **Arguments:** `rows`: texts, numbers, or `None` for nothing. `flags`: columns that say what is wrong."""
+    **Arguments:** `headers`: one for each column. `rows`: as long each; texts, numbers, or `None` for nothing. `flags`:
+    columns that say what is wrong, from 0.
+
+    **Returns:** HTML.
+    """
     columns = list(zip(*rows, strict=True)) if rows else [()] * len(headers)
     numeric = [
         bool(c) and all(_is_number(x) for x in c if x not in (None, "")) and any(x is not None for x in c)
@@ -166,6 +180,8 @@ def number(x: object, digits: int = 4) -> str:
 
     **Arguments:** `x`: a number, or what stands for one: a text stays as it is, `None` becomes empty, a number that is
     not finite a dash. `digits`: significant ones.
+
+    **Returns:** plain text.
     """
     if x is None:
         return ""
@@ -181,7 +197,12 @@ def number(x: object, digits: int = 4) -> str:
 
 
 def facts(pairs: Mapping[str, object]) -> str:
-    """Names and values, side by side."""
+    """Names and values, side by side.
+
+    **Arguments:** `pairs`: {name: value}, texts or numbers.
+
+    **Returns:** HTML.
+    """
     rows = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(number(v))}</dd>" for k, v in pairs.items())
     return f"<dl>{rows}</dl>"
 
@@ -205,7 +226,12 @@ def figure(picture: Any, caption: str = "", kind: str = "svg") -> str:
 
 
 def beside(*blocks: str) -> str:
-    """Blocks side by side where there is room."""
+    """Blocks side by side where there is room.
+
+    **Arguments:** `blocks`: HTML; empty ones are left out.
+
+    **Returns:** HTML.
+    """
     return '<div class="beside">' + "".join(f"<div>{b}</div>" for b in blocks if b) + "</div>"
 
 

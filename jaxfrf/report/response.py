@@ -32,7 +32,7 @@ def write_frf_page(
 ) -> None:
     """Write the page about one or several FRFs, one HTML file that needs nothing beside itself.
 
-    **Arguments:** `path`: of the file. `frfs` and the others as of `frf_page`.
+    **Arguments:** `path`: of the file. `frfs`, `labels`, `about`: as of `frf_page`.
 
     **Raises:** `jaxfrf.InputError` if the FRFs have other outputs and inputs, or the folder is not there.
     """
@@ -51,8 +51,10 @@ def frf_page(
     A person chooses position, output and input, zooms and reads values. Of FRFs that are too large for a page, the
     first positions are shown, or every n-th line of them; the page says so.
 
-    **Arguments:** `labels`: a name for each, the methods by default. `about`: sentences to stand first. `confidence`:
-    probability of the bands.
+    **Arguments:** `frfs`: one or several, of the same outputs and inputs. `labels`: a name for each, the methods by
+    default. `about`: sentences to stand first. `confidence`: probability of the bands.
+
+    **Returns:** the HTML of the page.
 
     **Raises:** `jaxfrf.InputError` where the FRFs do not fit together.
     """

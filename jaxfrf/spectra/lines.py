@@ -34,7 +34,7 @@ def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
 
     **Returns:** lines of one period, (freq,); line k is k fs/period Hz.
 
-    **Raises:** `jaxfrf.InputError` if a channel carries no power.
+    **Raises:** `jaxfrf.InputError` if the record has no period, or a channel carries no power.
 
     **Source:** this project's own.
     """
@@ -43,7 +43,14 @@ def excited_lines(data: Experiment) -> Int[np.ndarray, "freq"]:
 
 
 def found_lines(data: Experiment) -> FoundLines:
-    """`excited_lines` with the design they fit, in words, and a confidence from 0 to 1."""
+    """`excited_lines` with the design they fit, in words, and a confidence from 0 to 1.
+
+    **Raises:** as `excited_lines`.
+    """
+    if not data.period:
+        raise input_error(
+            where(data, "period"), "0", "a periodic record", "Say its period (period=N), or cut it (jaxfrf.segments)."
+        )
     k = np.arange(1, (data.period - 1) // 2 + 1)
     power, noise = _power(data, k)
     return lines_in(k, power, noise, data)

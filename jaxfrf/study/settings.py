@@ -17,8 +17,8 @@ class Settings(eqx.Module):
 
     **Arguments:**
 
-    - `positions`: random arm configurations of Table I. `fit_positions`: chosen from them, D-optimally, for
-      Table II; where there are as many, all of them.
+    - `name`: on the page. `positions`: random arm configurations of Table I. `fit_positions`: chosen from them,
+      D-optimally, for Table II; where there are as many, all of them.
     - `blocks`: blocks of six experiments at every position.
     - `seeds`: realisations of phases and noise; Table I uses the first, Table II all of them.
     - `indirect`: numbers of experiments from which the indirect fit is made.

@@ -27,6 +27,9 @@ _FEW, _STAND_INS = 4, 8  # runs whose scatter says too little: so many bands of 
 class Evidence:
     """A robot simulated through the experiment, and the residual of the record, referred to the motors' commands.
 
+    **Arguments:** `robot`: with a controller, or without: its motors then move as they were measured. `record`: of
+    `measured`. `steps`, `progress`: as of `jaxfrf.simulate`.
+
     **Fields:** `residual`: measured less simulated torque, less what the robot asks for the difference in motion, (pos,
     exp, line, axis), N m. `floor`: rms of what noise and an honest model leave of it, (line, axis), N m. `scenes`: one
     for each position. `U`, `Y`: of the simulation.
