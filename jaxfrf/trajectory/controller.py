@@ -102,7 +102,7 @@ def shown_controller(robot: Robot, record: Measured) -> ShownController:
     **Biased** where the motion's noise is not small against the motion: the controller reads it, too, and a log of
     speeds or accelerations does not hold it.
 
-    **Source:** `jaxfrf.Controller`; least squares with errors of known size are textbook statistics.
+    **Source:** `jaxfrf.robot.Controller`; least squares with errors of known size are textbook statistics.
     """
     axes, controller = robot.n_axes, robot.controller
     change, std, left, noise = np.zeros((3, axes)), np.zeros((3, axes)), np.zeros(axes), np.zeros(axes)
