@@ -108,7 +108,7 @@ def test_notebooks_run_and_print_what_they_hold(path, tmp_path, monkeypatch):
     pytest.importorskip("ipykernel")
     kept = nbformat.read(path, 4)
     if "JAXFRF_DATA" in str(kept.cells) and "JAXFRF_DATA" not in os.environ:
-        pytest.skip("JAXFRF_DATA is not set: tests/data.md says where its data are to be had.")
+        pytest.skip("JAXFRF_DATA is not set: `python tests/data.py` says where its data are to be had.")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
     made, where = copy.deepcopy(kept), {"metadata": {"path": str(tmp_path)}}
     nbclient.NotebookClient(made, timeout=1500, kernel_name="python3", resources=where).execute()

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
+from .._compile import compiled
 from .._errors import input_error
 from .._status import Status
 from .._text import counted
@@ -16,7 +17,7 @@ from ..spectra import Spectra, changed_signals
 from .classical import H1
 from .covariance import OuterSum, sum_over, variances
 from .matrix_functions import matrix_function
-from .method import AbstractMethod, Estimate, Signals
+from .method import AbstractMethod, Estimate, Signals, arrays_of, on_host
 
 _CONDITION = 1e6  # of the eigenvectors: above it the matrix logarithm loses half of the digits
 _ROUNDS, _WEIGHT_REACH = 4, 4  # of weighing blocks; lines on either side that share a weight
@@ -57,17 +58,32 @@ class AbstractAverage(AbstractMethod):
         own = self.inner.residual_dof(_first(signals, size))
         return own * (signals.n_exp // size) if own > 0 else signals.n_exp // size - 1.0
 
+    def estimate(self, spectra: Spectra) -> Estimate:
+        """As everywhere; but a method that mends doubtful lines before it goes on does so for every block."""
+        if type(self.inner).estimate is AbstractMethod.estimate:
+            return super().estimate(spectra)
+        blocks = _block_by_block(spectra, self.block_size(spectra))
+        each = self.inner.estimate(blocks)
+        each = jax.tree.map(lambda x: x.reshape(spectra.n_pos, -1, *x.shape[1:]), each)
+        return on_host(compiled(_averaged)(self, each, *arrays_of(spectra)))
+
     def at_point(self, signals: Signals, lines=None) -> Estimate:
+        return self.of_blocks(self._blocks(signals, lines), signals)
+
+    def _blocks(self, signals: Signals, lines) -> Estimate:
+        """The estimate of every block, which is the leading axis."""
         size = self.block_size(signals)
         n_block = signals.n_exp // size
+        if n_block == 1:
+            return jax.tree.map(lambda x: x[None], self.inner.at_point(_first(signals, size), lines))
         blocks = jax.tree.map(
             lambda x: x[: n_block * size].reshape(n_block, size, *x.shape[1:]), _by_experiment(signals)
         )
-        if n_block == 1:
-            one = self.inner.at_point(_first(signals, size), lines)
-            each = jax.tree.map(lambda x: x[None], one)
-        else:
-            each = jax.lax.map(lambda b: self.inner.at_point(dataclasses.replace(signals, **b), lines), blocks)
+        return jax.lax.map(lambda b: self.inner.at_point(dataclasses.replace(signals, **b), lines), blocks)
+
+    def of_blocks(self, each: Estimate, signals: Signals) -> Estimate:
+        """The mean of the blocks' estimates, (block, freq, ...)."""
+        size, n_block = self.block_size(signals), len(each.G)
         G, unsafe = jax.lax.map(self.mean, jnp.swapaxes(each.G, 0, 1), batch_size=_BLOCK)
         scatter = _scatter(each.G, G)
         status = jnp.bitwise_or.reduce(each.status, axis=0) | jnp.where(unsafe, int(Status.LOG_BRANCH), 0)
@@ -199,16 +215,12 @@ class RobustMean(AbstractAverage):
 
     def at_point(self, signals: Signals, lines=None) -> Estimate:
         if lines is not None:  # weights look at neighbours
-            return jax.tree.map(lambda x: x[lines], self._everywhere(signals, jnp.arange(signals.U.shape[1])))
-        return self._everywhere(signals, None)
+            every = self._blocks(signals, jnp.arange(signals.U.shape[1]))
+            return jax.tree.map(lambda x: x[lines], self.of_blocks(every, signals))
+        return self.of_blocks(self._blocks(signals, None), signals)
 
-    def _everywhere(self, signals: Signals, lines) -> Estimate:
-        size = self.block_size(signals)
-        n_block = signals.n_exp // size
-        blocks = jax.tree.map(
-            lambda x: x[: n_block * size].reshape(n_block, size, *x.shape[1:]), _by_experiment(signals)
-        )
-        each = jax.lax.map(lambda b: self.inner.at_point(dataclasses.replace(signals, **b), lines), blocks)
+    def of_blocks(self, each: Estimate, signals: Signals) -> Estimate:
+        n_block = len(each.G)
         known = jnp.isfinite(each.G).all(axis=(-2, -1))
         own = jnp.where(known[..., None, None], each.G, 0)
         weight = _block_weights(own, known)
@@ -228,6 +240,15 @@ class RobustMean(AbstractAverage):
             cov_noise=None if each.cov_noise is None else sum_over(each.cov_noise, 1 / n_block**2),
             cov_total=scatter,
         )
+
+
+def _averaged(method: AbstractAverage, each: Estimate, points: dict, frequency) -> Estimate:
+    """The mean at every operating point of blocks' estimates, (pos, block, freq, ...)."""
+
+    def one(at):
+        return method.of_blocks(at[0], Signals(**at[1], frequency=frequency))
+
+    return jax.lax.map(one, (each, points))
 
 
 def _block_weights(G, known) -> Float[Array, "block freq"]:

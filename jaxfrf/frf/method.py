@@ -109,7 +109,7 @@ def solved_again(estimate: Estimate, method: AbstractMethod, spectra: Spectra) -
     if not estimate.doubtful.any():
         return estimate
     estimate = jax.tree.map(np.array, estimate)
-    points, frequency = _arrays(spectra)
+    points, frequency = arrays_of(spectra)
     for pos in np.flatnonzero(estimate.doubtful.any(axis=1)):
         signals = jax.tree.map(lambda x, pos=pos: x[pos], points)
         for lines, count in _batches(np.flatnonzero(estimate.doubtful[pos])):
@@ -131,7 +131,7 @@ def flags(**where) -> Int[Array, "*number freq"]:
     return sum((jnp.where(on, int(Status[name]), 0) for name, on in where.items()), jnp.zeros((), int))
 
 
-def _arrays(spectra: Spectra) -> tuple[dict, Array]:
+def arrays_of(spectra: Spectra) -> tuple[dict, Array]:
     names = ("U", "Y", "R", "noise")
     signals = {name: getattr(spectra, name) for name in names}
     return {k: None if x is None else np.asarray(x) for k, x in signals.items()}, np.asarray(spectra.frequency)
@@ -139,7 +139,7 @@ def _arrays(spectra: Spectra) -> tuple[dict, Array]:
 
 def run(estimate, method: AbstractMethod, spectra: Spectra):
     """`estimate(method, signals)` of every operating point, as one compiled program."""
-    return compiled(_run)(estimate, method, *_arrays(spectra))
+    return compiled(_run)(estimate, method, *arrays_of(spectra))
 
 
 def _at_point(method: AbstractMethod, signals: Signals) -> Estimate:

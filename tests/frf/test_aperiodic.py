@@ -63,6 +63,22 @@ def test_what_becomes_of_a_method():
     assert adapted(jf.H1(), whole) == jf.H1()
 
 
+@pytest.mark.parametrize("mean", [jf.LogMean, jf.ArithmeticMean])
+def test_the_mean_of_one_sweep_is_its_estimate(mean):
+    """Doubtful lines, of which a quiet part of a sweep has many, are mended before windows are compared."""
+    t = np.arange(6000) / FS
+    u = 10 * scipy.signal.chirp(t, 0.5, t[-1], 100)
+    b, a = scipy.signal.cont2discrete(([1], [5.0, 8.0]), 1 / FS)[:2]  # one mass
+    y = scipy.signal.lfilter(b.ravel(), a, u) + 0.01 * np.random.default_rng(5).standard_normal(t.size)
+    data = jf.Experiment(u, y, FS)
+    frf = jf.estimate(data, mean(jf.LPM()))
+    inside = (frf.frequency > 5) & (frf.frequency < 20)
+    error = np.abs(frf.G[0, :, 0, 0] / scipy.signal.freqz(b.ravel(), a, worN=frf.frequency, fs=FS)[1] - 1)
+    assert np.median(error[inside]) < 0.06
+    np.testing.assert_allclose(frf.G, jf.estimate(data, jf.LPM()).G, rtol=1e-9)
+    assert np.isfinite(frf.window).all()
+
+
 def test_segments_keep_the_units_of_their_record():
     u, y = np.random.default_rng(1).standard_normal((2, 2000))
     spectra = jf.segment_spectra(jf.Experiment(u, y, FS, u_unit="A", y_unit="m"), 256)
