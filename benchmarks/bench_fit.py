@@ -182,8 +182,7 @@ def _measure_fits(starts: int, every: bool) -> dict:
     import jaxfrf as jf
 
     p = Problem()
-    first = _time(lambda: jf.fit(p.model, p.frf, starts=1))[0]
-    compiled = first - _time(lambda: jf.fit(p.model, p.frf, starts=1))[0]
+    first = _time(lambda: jf.fit(p.model, p.frf, starts=starts))[0]  # of as many starts: of one it is another program
     rows = []
     for keep in (5, None) if every else (5,):
         wall, cpu = time.perf_counter(), time.process_time()
@@ -191,7 +190,7 @@ def _measure_fits(starts: int, every: bool) -> dict:
         rows.append({"keep": keep, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu})
         steps = [len(s.path_cost) - 1 for s in found.starts]
         rows[-1] |= {"close": found.close_starts, "starts": starts, "cost": found.cost, "steps": steps}
-    return {"rows": rows, "compile_s": compiled}
+    return {"rows": rows, "compile_s": first - rows[0]["wall_s"]}
 
 
 _WORKERS = {"costs": _measure_costs, "starts": _measure_starts, "fits": _measure_fits}
