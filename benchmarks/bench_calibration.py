@@ -132,7 +132,7 @@ def entry(machine: Robot, given: Robot, data) -> dict:
 
 def springs(given: Robot, data) -> dict:
     """Today's other fit: springs and dampers, everything else taken as exact."""
-    fit = jf.identify(given, data).fit
+    fit = jf.identify_springs(given, data).fit
     truth = {name: float(value) for name, value in parameters(r3x()).items()}
     return {name: abs(float(fit.values[name]) / value - 1.0) for name, value in truth.items()}
 

@@ -99,7 +99,7 @@ _PUBLIC = {
     "plan_positions": "graybox",
     "calibrate": "calibration.calibrate",
     "Calibration": "calibration",
-    "identify": "identification.identify",
+    "identify_springs": "identification.identify",
     "Identification": "identification",
     "diagnose": "gap.diagnose",
     "Parts": "parts",
@@ -241,7 +241,7 @@ if TYPE_CHECKING:
     from .identification import (
         Identification as Identification,
     )
-    from .identification.identify import identify as identify
+    from .identification.identify import identify_springs as identify_springs
     from .parts import Parts as Parts
     from .screening import (
         Finding as Finding,

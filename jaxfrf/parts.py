@@ -30,7 +30,7 @@ class Parts:
     """The parts of one run, in the folder `<output>.parts`:
 
         with Parts("fit.json", "identify", resume=True) as parts:
-            found = identify(robot, data, parts=parts)
+            found = identify_springs(robot, data, parts=parts)
             jaxfrf.io.write_fit("fit.json", found.as_dict())
 
     The folder goes when the block ends well, so write the result inside it. After an error or an interruption it stays

@@ -433,7 +433,7 @@ class TestEstimate:
 
 
 class Identifying:
-    """Stands for `jaxfrf.identify`: keeps a round, returns what can be written."""
+    """Stands for `jaxfrf.identify_springs`: keeps a round, returns what can be written."""
 
     makes = "0.json"
     measured = type("Measured", (), {"warnings": ()})()
@@ -468,7 +468,7 @@ class TestWriting:
     @pytest.fixture
     def work(self, tmp_path, data, monkeypatch):
         """Command line and stand-in for every command with parts."""
-        monkeypatch.setattr(jaxfrf.identification, "identify", identifying := Identifying())
+        monkeypatch.setattr(jaxfrf.identification, "identify_springs", identifying := Identifying())
         monkeypatch.setattr(jaxfrf.gap, "diagnose", diagnosing := Diagnosing())
         (tmp_path / "robot.toml").write_text(ROBOT)
         robot = ("--robot", str(tmp_path / "robot.toml"))

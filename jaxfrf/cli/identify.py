@@ -200,9 +200,9 @@ def _payloads(given):
 
 
 def _springs(given, robot, data, method, parts, progress):
-    from ..identification import identify
+    from ..identification import identify_springs
 
-    return identify(
+    return identify_springs(
         robot,
         data,
         method=method,

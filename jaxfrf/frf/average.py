@@ -97,7 +97,7 @@ class AbstractAverage(AbstractMethod):
             dof=_joint_dof(each.cov, each.dof) if own else jnp.full(status.shape, n_block - 1.0),
             status=status,
             window=each.window.mean(axis=0),
-            doubtful=each.doubtful.any(axis=0),
+            doubtful=jnp.any(each.doubtful, axis=0),
             cov_noise=None if each.cov_noise is None else sum_over(each.cov_noise, 1 / n_block**2),
             cov_total=scatter if n_block > 1 else None,
         )
@@ -236,7 +236,7 @@ class RobustMean(AbstractAverage):
             dof=jnp.maximum(total - 1, 0.5),
             status=status,
             window=each.window.mean(axis=0),
-            doubtful=each.doubtful.any(axis=0),
+            doubtful=jnp.any(each.doubtful, axis=0),
             cov_noise=None if each.cov_noise is None else sum_over(each.cov_noise, 1 / n_block**2),
             cov_total=scatter,
         )

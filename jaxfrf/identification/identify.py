@@ -41,7 +41,7 @@ from .rounds import kept_rounds
 Say = Callable[[str], None]
 
 
-def identify(
+def identify_springs(
     robot: Robot,
     data: Experiment | FRF,
     *,
@@ -90,7 +90,7 @@ def identify(
     """
     expect("robot", robot, Robot)
     expect("data", data, Experiment, FRF)
-    require_x64("identify")
+    require_x64("identify_springs")
     held = heldout_numbers(heldout, data.n_pos)
     check_data(robot, data)
     why = why_direct(robot, data, direct)

@@ -16,7 +16,7 @@ _POSITIONS = 8  # whose Bode plots the page holds
 def write_identification(path: str | os.PathLike, found: Identification | Mapping[str, Any]) -> None:
     """Write the page about a fit, one HTML file that needs nothing beside itself.
 
-    **Arguments:** `path`: of the file. `found`: what `jaxfrf.identify` returned, or what its fit.json holds
+    **Arguments:** `path`: of the file. `found`: what `jaxfrf.identify_springs` returned, or what its fit.json holds
     (`jaxfrf.io.read_fit`): the FRFs are in no fit.json, and their pictures then not on the page.
 
     **Raises:** `ImportError` without matplotlib; `jaxfrf.InputError` if the folder is not there.
@@ -27,7 +27,7 @@ def write_identification(path: str | os.PathLike, found: Identification | Mappin
 def identification_page(found: Identification | Mapping[str, Any]) -> str:
     """The page about a fit, or about what its fit.json holds, as HTML text.
 
-    **Arguments:** `found`: what `jaxfrf.identify` returned, or what its fit.json holds (`jaxfrf.io.read_fit`).
+    **Arguments:** `found`: what `jaxfrf.identify_springs` returned, or what its fit.json holds (`jaxfrf.io.read_fit`).
 
     **Returns:** the HTML of the page.
 

@@ -206,7 +206,7 @@ def test_kuka_is_refused_by_frf_methods(kuka_runs):
     }
     robot = jf.robot.robot_from_table({"gravity": [0.0, 0.0, -9.81], "joint": [joint] * 3})
     with pytest.raises(jf.InputError, match="not periodic"):
-        jf.identify(robot, record, method=jf.H1())
+        jf.identify_springs(robot, record, method=jf.H1())
     with pytest.raises(jf.InputError, match="springs at joint1, joint2, joint3, and a record that is not periodic"):
         diagnose(robot, record)
 

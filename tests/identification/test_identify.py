@@ -14,7 +14,7 @@ from two_axes import ROBOT
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
-from jaxfrf.identification import identify, robot_model
+from jaxfrf.identification import identify_springs, robot_model
 from jaxfrf.io.fits import read_fit, write_fit
 from jaxfrf.io.frf_or_record import holds_frf, read_frfs
 from jaxfrf.io.robots import read_robot
@@ -142,7 +142,7 @@ class TestIndirect:
 
         robot, data = read_robot(folder / "start.toml"), jf.io.read(folder / "run.npz")
         with pytest.raises(KeyboardInterrupt) as stopped, Parts(out, "identify") as kept:
-            identify(robot, data, starts=3, heldout=[2], parts=kept, say=interrupt)
+            identify_springs(robot, data, starts=3, heldout=[2], parts=kept, say=interrupt)
         parts = kept.folder
         assert kept.finished == ["00000.json"] and not out.exists()
         assert "--resume" in stopped.value.__notes__[0]
