@@ -1,5 +1,6 @@
 """Ripple beside the numbers: at the orders that a residual holds, found one after the other; and as it is simulated."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +13,7 @@ from .least_squares import Posterior
 
 TRIED = {"torque": np.arange(1, 51), "resolver": np.arange(1, 13)}  # whole orders of the motor's turn
 _AT_ONCE = {"torque": 3, "resolver": 2}  # of every motor, in a round
+_NEAR = 3  # orders of one motor no further apart may imitate one that stands between them
 _CHANCE = 1e-3  # of an order that is kept without being there
 _MUCH = 0.5  # of the squares that are left: orders that take away more together stay, sure or not
 
@@ -19,7 +21,9 @@ _MUCH = 0.5  # of the squares that are left: orders that take away more together
 def with_found_orders(
     evidence: Evidence, weighed: Weighed, orders: Sequence[Order], change
 ) -> tuple[tuple[Order, ...], Weighed]:
-    """The strongest orders that are left in the residual behind those that stand there already.
+    """The strongest orders that are left in the residual behind those that stand there already, and those between
+    neighbours of these: where a motor hardly turns, two neighbours are found in the place of the one between them,
+    each of them sure, and hold at no other position.
 
     `change`: what the columns of `weighed` are taken with.
     """
@@ -29,8 +33,16 @@ def with_found_orders(
     for axis in range(evidence.robot.n_axes):
         for kind, tried in TRIED.items():
             had = [o.order for o in orders if (o.kind, o.axis) == (kind, axis)]
-            new += find_orders(scenes, left, evidence.floor, kind, axis, np.setdiff1d(tried, had), most=_AT_ONCE[kind])
+            found = find_orders(scenes, left, evidence.floor, kind, axis, np.setdiff1d(tried, had), most=_AT_ONCE[kind])
+            known = {*had, *(o.order for o in found)}
+            new += [*found, *(Order(kind, axis, h) for h in _between(had) if h not in known)]
     return (*orders, *new), weigh(evidence, order_columns(new), weighed)
+
+
+def _between(orders: Sequence[float]) -> list[float]:
+    """Whole orders between neighbouring ones."""
+    pairs = itertools.pairwise(sorted(orders))
+    return [float(h) for a, b in pairs if b - a <= _NEAR for h in range(int(a) + 1, int(b))]
 
 
 def sure_orders(orders: Sequence[Order], posterior: Posterior, inside=0.0) -> list[bool]:
