@@ -192,6 +192,12 @@ def read_each(given: argparse.Namespace) -> list:
     return read_each(*given.data, **_how(given))
 
 
+def reading_words(given: argparse.Namespace) -> list[str]:
+    """The words that say how the files are read, for another command on them."""
+    words = [x for name in ("map", "set", "factor") if (said := getattr(given, name)) for x in (f"--{name}", said)]
+    return [*words, "--anyway"] if given.anyway else words
+
+
 @contextlib.contextmanager
 def naming(files: Sequence[str]) -> Iterator[None]:
     """What is wrong with the data names the files."""

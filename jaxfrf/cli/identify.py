@@ -1,6 +1,7 @@
 """`jaxfrf identify`."""
 
 import pathlib
+import shlex
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -24,6 +25,7 @@ from .arguments import (
     options_of,
     range_of,
     read_each,
+    reading_words,
     with_tolerances,
 )
 from .each import add_each_options
@@ -124,11 +126,26 @@ def run(given) -> dict:
     warnings = [w for record in data for w in record.warnings] if whole else found.measured.warnings
     for warning in dict.fromkeys(warnings):
         print(f"warning: {warning}", file=sys.stderr)
-    ask = f"jaxfrf diagnose {' '.join(given.data)} --robot {given.robot_out or given.robot} -o gap.json"
-    look = [f"look at {given.report}"] if given.report else [] if whole else ["--report shows it"]
-    next_step = "; ".join([*look, *([f"what is missing? {ask}"] if whole else [])])
-    text = [*found.lines(), f"wrote {', '.join(written)}", f"next: {next_step}"]
+    text = [*found.lines(), f"wrote {', '.join(written)}", f"next: {'; '.join(_next(given, data, robot, whole))}"]
     return {"text": text, "json": (contents if whole else _brief(contents)) | {"output": written}}
+
+
+def _next(given, data, robot, whole: bool) -> list[str]:
+    """The page, and the diagnosis of the same records, where there is one of such a robot."""
+    from ..trajectory.needed_torque import turned_by_one_motor
+
+    periodic = whole and all(record.period for record in data)
+    asked = whole and (periodic or turned_by_one_motor(robot))
+    look = [f"look at {given.report}"] if given.report else [] if asked else ["--report fit.html shows it"]
+    return [*look, *([f"what is missing? {_diagnosis(given)}"] if asked else [])]
+
+
+def _diagnosis(given) -> str:
+    """`jaxfrf diagnose` of the same files, read in the same way."""
+    effects = ["--effects", given.effects] if given.effects else []
+    tolerance = ["--tolerance", given.tolerance] if given.tolerance and not given.robot_out else []
+    robot = ["--robot", given.robot_out or given.robot, *effects, *tolerance]
+    return shlex.join(["jaxfrf", "diagnose", *given.data, *robot, *reading_words(given), "-o", "gap.json"])
 
 
 def _is_whole(given, data) -> bool:
@@ -153,7 +170,7 @@ def _is_whole(given, data) -> bool:
 def _calibrated(given, robot, data, parts, progress):
     from ..calibration import calibrate
 
-    records, payloads = _merged(robot, data, _payloads(given))
+    records, payloads = _merged(robot, data, _payloads(given, len(data)))
     return calibrate(
         robot,
         records,
@@ -176,11 +193,13 @@ def _merged(robot, records, payloads):
     return [concatenate(records)], ()
 
 
-def _payloads(given):
-    """Of every file, in the order of the files."""
+def _payloads(given, records: int) -> list:
+    """Of every record, in the order of the files: one for each file, or one record that they hold together."""
+    import numpy as np
+
     from ..effects import Payload
 
-    found = {}
+    found: dict[str, Payload] = {}
     for text in given.payload:
         path, _, said = text.rpartition(":")
         try:
@@ -195,8 +214,12 @@ def _payloads(given):
                 f"FILE:mass=KG,place=X;Y;Z with one of {', '.join(given.data)}",
                 "Write e.g. --payload 'run2.nc:mass=2.5,place=0;0;0.12' (quoted).",
             )
-        found[path] = Payload(mass, place)
-    return [found.get(path) for path in given.data]
+        found[path] = Payload(mass=mass, place=np.asarray(place))
+    if records == len(given.data):
+        return [found.get(path) for path in given.data]
+    if len(found) > 1:
+        raise input_error("--payload", f"{len(found)} of one record", "one", "Give the sum, with one of its files.")
+    return [next(iter(found.values()), None)]
 
 
 def _springs(given, robot, data, method, parts, progress):

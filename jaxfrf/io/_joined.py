@@ -10,7 +10,8 @@ import numpy as np
 from .._errors import input_error
 from .._text import number
 from ..units import known_unit
-from ._container import Leaf, Variables
+from ._container import Leaf, Variables, load
+from ._select import signals_of, sounds_like
 from .record_arguments import MAPPED, SIGNALS, split
 
 _LATE = 0.5  # sample intervals that the clocks of two files may differ by
@@ -33,6 +34,31 @@ def expanded(names: Mapping[str, str], files: Sequence[pathlib.Path]) -> dict[st
     if len(set(short)) < len(short):
         raise input_error("files", "two of one name", "different names", "Rename one of them.")
     return {key: _expanded(key, name.strip(), files) for key, name in names.items()}
+
+
+def propose_joined(files: Sequence[pathlib.Path]) -> str | None:
+    """A `--map` that takes u and y from two files, unless one sounds as if it held both."""
+    if len(files) != 2 or files[0].name == files[1].name:
+        return None
+    names = [signals_of(load(file)) for file in files]
+    if not all(names) or _may_be_whole(names[0]) or _may_be_whole(names[1]):
+        return None
+    swapped = _likeness("y", files[0], names[0]) + _likeness("u", files[1], names[1])
+    plain = _likeness("u", files[0], names[0]) + _likeness("y", files[1], names[1])
+    order = zip(("y", "u") if swapped > plain else ("u", "y"), files, names, strict=True)
+    return ",".join(f"{key}={file.name}:{_channels(own)}" for key, file, own in sorted(order, key=lambda x: x[0]))
+
+
+def _may_be_whole(names: Sequence[str]) -> bool:
+    return all(any(sounds_like(key, name) for name in names) for key in ("u", "y"))
+
+
+def _likeness(key: str, file: pathlib.Path, names: Sequence[str]) -> int:
+    return sum(sounds_like(key, name) for name in names) + sounds_like(key, file.stem)
+
+
+def _channels(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"[{';'.join(names)}]"
 
 
 def _expanded(key: str, name: str, files: Sequence[pathlib.Path]) -> str:

@@ -12,6 +12,7 @@ from .record_arguments import nearest, split
 
 _EXPRESSION = re.compile(r"(?P<name>.+?)(?P<transposed>')?(?:\[(?P<pick>[^\[\]]*)\])?")
 _LISTED = 20  # names in a message
+NOT_THERE = "no such variable"
 
 # Parts of names that loggers give to the signals, most telling first; only used for proposals in messages.
 _HINTS = {
@@ -81,7 +82,7 @@ def missing(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, name: s
         do.append(f'Say which is which, for example --map "{example}".')
     do.append(f"The file has {listing(variables)}.")
     what = f"{path}: {key}" if name == key else f"{path}: {key} ({name})"
-    return input_error(what, "no such variable", _MEANING.get(key, f"the variable of {key}"), " ".join(do))
+    return input_error(what, NOT_THERE, _MEANING.get(key, f"the variable of {key}"), " ".join(do))
 
 
 _MEANING = {
@@ -115,6 +116,19 @@ def propose(variables: Mapping[str, Leaf]) -> str | None:
         free = [name for name in records if name not in chosen.values()]
         chosen[key] = key if key in free else _likely(key, free)
     return ",".join(f"{key}={name}{_turn(variables[name])}" for key, name in chosen.items())
+
+
+def signals_of(variables: Mapping[str, Leaf]) -> list[str]:
+    """Names of the longest arrays but those of time."""
+    sizes = {n: x.size for n, x in variables.items() if isinstance(x, np.ndarray) and x.dtype.kind in "fiu"}
+    longest = max(sizes.values(), default=0)
+    return [n for n, size in sizes.items() if size == longest > 1 and not _TIME.fullmatch(n.split(".")[-1].lower())]
+
+
+def sounds_like(key: str, name: str) -> bool:
+    """Whether a name sounds like that of u or y."""
+    last = name.split(".")[-1].lower()
+    return last == key or any(hint in last for hint in _HINTS[key])
 
 
 _TIME = re.compile(r"t|t[\W_].*|tim.*")

@@ -17,7 +17,7 @@ from ._container import check_file, load, positions_in
 from ._joined import part_of
 from ._variables import Given
 from .record_arguments import check_factor, check_names, check_values
-from .records import as_given, record_of, source_of
+from .records import as_given, joinable, record_of, source_of
 
 _SMALL = 1e8  # bytes of u in a file that is not read twice
 
@@ -175,18 +175,19 @@ def data_set(
     for path in files:
         check_file(path)
     digests = _begun(files)
-    for path in files:
-        n_pos = positions_in(path)
-        source = Source(path.name)
-        head, remarks, mean = record_of(path, given, source, slice(0, 1) if n_pos else None)
-        if n_pos is None and 8 * head.u.size < _SMALL:
-            kept[path] = head, remarks
-        if mean and n_pos is not None and n_pos > 1:
-            return None  # of all positions the whole record must be seen
-        found.append(_File(path, source, n_pos or head.n_pos, n_pos is not None))
-        heads.append(_short(head))
-        at.append(_places(path, given, n_pos, head))
-        means.append(mean)
+    with joinable(files):
+        for path in files:
+            n_pos = positions_in(path)
+            source = Source(path.name)
+            head, remarks, mean = record_of(path, given, source, slice(0, 1) if n_pos else None)
+            if n_pos is None and 8 * head.u.size < _SMALL:
+                kept[path] = head, remarks
+            if mean and n_pos is not None and n_pos > 1:
+                return None  # of all positions the whole record must be seen
+            found.append(_File(path, source, n_pos or head.n_pos, n_pos is not None))
+            heads.append(_short(head))
+            at.append(_places(path, given, n_pos, head))
+            means.append(mean)
     for other in heads[1:]:
         check_compatible(heads[0], other)
     groups = places(gathered(at, means), [h.n_exp for h in heads])

@@ -18,10 +18,10 @@ from ..screening import ACROSS, CHECKS, screened
 from ..units import DEFAULT_INPUT, input_unit, known_unit, output_unit, quantity_of
 from ._configurations import gathered, logged, mean_configurations, stated_configurations
 from ._container import Later, Leaf, Put, Variable, Variables, check_file, load, save, save_blocks
-from ._joined import expanded, joined, part_of
+from ._joined import expanded, joined, part_of, propose_joined
 from ._matlab import NAMELESS
 from ._rate import sampling_frequency
-from ._select import column, missing
+from ._select import NOT_THERE, column, missing
 from ._variables import File, Given, numbers, scalar, scaled, text, unit_of
 from .record_arguments import SIGNALS, check_factor, check_names, check_values
 
@@ -98,7 +98,8 @@ def _each(paths: Sequence[str | os.PathLike], names, values, factor, anyway: boo
     files = [pathlib.Path(path) for path in paths]
     if len(files) > 1 and any(part_of(name, files) for name in given.names.values()):
         return [_read_one(files, dataclasses.replace(given, names=expanded(given.names, files)))[0]]
-    read = [_read_one([file], given) for file in files]
+    with joinable(files):
+        read = [_read_one([file], given) for file in files]
     places = gathered([data.q for data, _ in read], [mean for _, mean in read])
     return [data if q is data.q else rebuilt(data, q=q) for (data, _), q in zip(read, places, strict=True)]
 
@@ -172,6 +173,18 @@ def _read_one(paths: Sequence[pathlib.Path], given: Given) -> tuple[Experiment, 
         data = screened(data, checks=CHECKS, anyway=given.anyway)
     warnings = tuple(f"{path}: {text}" for text in (*remarks, *data.warnings))
     return (dataclasses.replace(data, warnings=warnings) if warnings else data), mean
+
+
+@contextlib.contextmanager
+def joinable(files: Sequence[pathlib.Path]) -> Iterator[None]:
+    """Say how files become one record, where each holds a part of what one needs."""
+    try:
+        yield
+    except InputError as error:
+        example = propose_joined(files) if NOT_THERE in str(error) else None
+        if example is None:
+            raise
+        raise InputError(f'{error} Parts of one record: --map "{example}" joins these files.') from None
 
 
 def as_given(names, values, factor, anyway: bool) -> Given:

@@ -29,13 +29,18 @@ Torque = Float[np.ndarray, "time axis"]
 def check_one_motor_a_joint(robot: Robot) -> None:
     """Refuse a robot of which a motor turns more than its own joint, or whose arm moves otherwise than its motors."""
     check_rigid(robot)
-    if gear_coupling(robot) is not None:
+    if not turned_by_one_motor(robot):
         raise input_error(
             f"transmissions of {robot.name}",
             "a gear that turns with another axis",
             "one motor for each joint",
-            "Calibrate it (`jaxfrf.calibrate`), which knows such wrists; this diagnosis does not yet.",
+            "Calibrate it (`jaxfrf identify`, `jaxfrf.calibrate`), which knows such wrists; a diagnosis does not yet.",
         )
+
+
+def turned_by_one_motor(robot: Robot) -> bool:
+    """Whether every joint is turned by its own motor alone."""
+    return gear_coupling(robot) is None
 
 
 def needed_torque(robot: Robot, motion: MeasuredMotion) -> Torque:

@@ -3,6 +3,10 @@
 With `pytest -s` the figures are printed.
 """
 
+import argparse
+import dataclasses
+import shlex
+
 import numpy as np
 import pytest
 from emps import COULOMB, MASS, NEWTON_PER_VOLT, OFFSET, VISCOUS, emps_record
@@ -179,35 +183,36 @@ def test_what_changes_between_the_halves_of_tx40(tx40):
 
 # --- a motion of which everything is known
 
+COUPLED = {
+    "name": "arm",
+    "gravity": [0.0, -9.81, 0.0],
+    "sampling_frequency": 1000.0,
+    "friction": {"smoothing": 0.5},
+    "joint": [
+        {
+            "name": f"axis{i}",
+            "type": "driven",
+            "axis": [0.0, 0.0, 1.0],
+            "offset": [0.4 * i, 0.0, 0.0],
+            "mass": 5.0 - i,
+            "com": [0.2, 0.02, 0.0],
+            "inertia": [0.02, 0.2, 0.2, 0.0, 0.0, 0.0],
+            "gear_ratio": 50.0,
+            "motor_inertia": 2e-4,
+            "viscous_friction": 2e-3,
+            "coulomb_friction": 0.1,
+            "stiffness": np.inf,
+            "zero": 10.0 * i,
+        }
+        for i in range(2)
+    ],
+    "effect": [{"name": "wrist_coupling", "joint": "axis1", "ratio": 1.0}],
+}
+
 
 def test_a_simulated_rigid_arm():
     """Two coupled axes moved at will; torque by the textbook's chain, `link_regressor` against `mass_and_bias`."""
-    table = {
-        "name": "arm",
-        "gravity": [0.0, -9.81, 0.0],
-        "sampling_frequency": 1000.0,
-        "friction": {"smoothing": 0.5},
-        "joint": [
-            {
-                "name": f"axis{i}",
-                "type": "driven",
-                "axis": [0.0, 0.0, 1.0],
-                "offset": [0.4 * i, 0.0, 0.0],
-                "mass": 5.0 - i,
-                "com": [0.2, 0.02, 0.0],
-                "inertia": [0.02, 0.2, 0.2, 0.0, 0.0, 0.0],
-                "gear_ratio": 50.0,
-                "motor_inertia": 2e-4,
-                "viscous_friction": 2e-3,
-                "coulomb_friction": 0.1,
-                "stiffness": np.inf,
-                "zero": 10.0 * i,
-            }
-            for i in range(2)
-        ],
-        "effect": [{"name": "wrist_coupling", "joint": "axis1", "ratio": 1.0}],
-    }
-    true = robot_from_table(table)
+    true = robot_from_table(COUPLED)
     t = np.arange(8000) / 1000.0
     waves = lambda seed: sum(
         a * np.sin(2 * np.pi * f * t + p)
@@ -301,6 +306,83 @@ def test_from_a_urdf_and_a_csv(pendulum, monkeypatch, capsys):
     moment = float(robot.chain.mass[0]) * float(robot.chain.com[0, 0])
     assert moment == pytest.approx(2.2 * 0.3, rel=0.02)
     assert "swing.mass" in (pendulum / "fit.html").read_text()
+
+
+@pytest.mark.slow
+def test_a_record_in_two_files(pendulum, monkeypatch, capsys):
+    """Calibrated and diagnosed as one; what is next reads it in the same way."""
+    from jaxfrf.__main__ import main
+
+    monkeypatch.chdir(pendulum)
+    u, y = np.loadtxt("motion.csv", delimiter=",", skiprows=1, max_rows=3000).T
+    np.savetxt("u.csv", u, header="tau in Nm", comments="")
+    np.savetxt("y.csv", y, header="theta", comments="")
+    command = ["identify", "u.csv", "y.csv", "--robot", "robot.toml", "-o", "fit.json", "--robot-out", "found.toml"]
+    assert main(command) == 2
+    assert '--map "u=u.csv:tau in Nm,y=y.csv:theta" joins these files.' in capsys.readouterr().err
+    command += ["--map", "u=u.csv:tau in Nm,y=y.csv:theta", "--set", "fs=500,y_quantity=position", "--rounds", "2"]
+    assert main(command) == 0, capsys.readouterr().err
+    alone = jf.io.read_fit("fit.json")["parameters"]
+    assert alone["swing.coulomb_friction"]["value"] == pytest.approx(0.06, rel=0.02)
+    (_, told) = capsys.readouterr().out.splitlines()[-1].split("what is missing? ")
+    program, *words = shlex.split(told)
+    assert program == "jaxfrf" and words[words.index("--map") + 1] == "u=u.csv:tau in Nm,y=y.csv:theta"
+    assert "'u=u.csv:tau in Nm,y=y.csv:theta'" in told and "--robot found.toml --map" in told
+    assert main(words) == 0, capsys.readouterr().err
+    assert jf.io.read_gap("gap.json")["verdict"] == "sufficient"
+
+
+def test_two_files_are_calibrated_as_one_record(pendulum, monkeypatch):
+    """And the payloads of a rigid robot are those of the record."""
+    from jaxfrf import calibration
+    from jaxfrf.__main__ import main
+
+    monkeypatch.chdir(pendulum)
+    u, y = np.loadtxt("motion.csv", delimiter=",", skiprows=1).T
+    np.savez("u.npz", u=u)
+    np.savez("y.npz", y=y)
+    found = []
+
+    def calibrate(robot, records, *, payloads, **more):
+        found.append((records, payloads))
+        raise jf.InputError("enough")
+
+    monkeypatch.setattr(calibration, "calibrate", calibrate)
+    command = ["identify", "u.npz", "y.npz", "--robot", "robot.toml", "-o", "fit.json"]
+    assert main([*command, "--map", "u=u.npz:u,y=y.npz:y", "--set", "fs=500,y_quantity=position"]) == 2
+    (((record,), payloads),) = found
+    np.testing.assert_array_equal(record.u.ravel(), u)
+    assert list(payloads) == [None]
+
+
+def test_the_payload_of_a_record_in_two_files():
+    from jaxfrf.cli.identify import _payloads
+
+    said = [f"{name}.csv:mass={mass},place=0.3;0;0" for name, mass in (("y", 1.5), ("u", 2.0))]
+    given = argparse.Namespace(data=["u.csv", "y.csv"], payload=said[:1])
+    (carried,) = _payloads(given, 1)
+    assert float(carried.mass) == 1.5
+    assert [p and float(p.mass) for p in _payloads(given, 2)] == [None, 1.5]
+    with pytest.raises(jf.InputError, match=r"--payload: found 2 of one record; expected one\."):
+        _payloads(argparse.Namespace(data=given.data, payload=said), 1)
+
+
+def test_a_wrist_that_a_diagnosis_refuses_is_not_sent_there(pendulum):
+    from jaxfrf.cli.identify import _next
+
+    robot = jf.io.read_robot(pendulum / "robot.toml")
+    given = argparse.Namespace(data=["a b.csv"], robot="r.toml", robot_out=None, report=None, effects="own.py")
+    vars(given).update(tolerance="links=0.1", map=None, set="fs=500", factor=None, anyway=True)
+    record = jf.Experiment(np.ones(100), np.ones(100), 500.0, y_quantity="position")
+    (asked,) = _next(given, [record], robot, True)
+    assert asked == (
+        "what is missing? jaxfrf diagnose 'a b.csv' --robot r.toml --effects own.py --tolerance links=0.1 "
+        "--set fs=500 --anyway -o gap.json"
+    )
+    arm = robot_from_table(COUPLED)
+    assert _next(given, [record], arm, True) == ["--report fit.html shows it"]
+    with pytest.raises(jf.InputError, match=r"Calibrate it \(`jaxfrf identify`"):
+        jf.diagnose(arm, dataclasses.replace(record, u=np.ones((1, 1, 100, 2)), y=np.ones((1, 1, 100, 2))))
 
 
 def test_a_urdf_alone_says_too_little(pendulum, capsys):

@@ -87,6 +87,17 @@ class TestWhatIsHandedOver:
         np.testing.assert_array_equal(data.y, 0.5 * raw["y"])
         assert data.period == 100 and diagnosing.given["heldout_count"] == 1
 
+    def test_a_record_in_two_files(self, folder, tmp_path, diagnosing):
+        raw = np.load(folder / "run0.npz")
+        for name in "uy":
+            np.savez(tmp_path / f"{name}.npz", **{name: raw[name], "q": raw["q"]})
+        more = ["--map", "u=u.npz:u,y=y.npz:y", "--set", "fs=500,period=100,y_quantity=velocity"]
+        data = [str(tmp_path / f"{name}.npz") for name in "uy"]
+        assert run(folder, tmp_path / "gap.json", *more, data=data) == 0
+        (record,) = diagnosing.given["data"]
+        np.testing.assert_array_equal(record.y, raw["y"])
+        assert [x.name for x in record.sources] == ["u.npz", "y.npz"]
+
     def test_own_effects(self, folder, tmp_path, diagnosing):
         assert run(folder, tmp_path / "gap.json", "--effects", folder / "own.py") == 0
         (kind,) = diagnosing.given["own"]  # not the imported CoulombFriction

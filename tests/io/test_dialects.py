@@ -7,6 +7,7 @@ import pytest
 import scipy.io
 
 import jaxfrf as jf
+from jaxfrf.io.blocks import data_set
 from jaxfrf.units import differentiated, known_unit, response_unit
 
 RNG = np.random.default_rng(0)
@@ -33,6 +34,21 @@ def test_one_record_in_several_files(tmp_path):
     late = table(tmp_path / "y.csv", "t,a", T + 0.002, Y)
     with pytest.raises(jf.InputError, match="one time for all files"):
         jf.io.read(u, late, names={"u": "u.csv:a", "y": "y.csv:a"})
+
+
+def test_files_that_could_be_one_record(tmp_path):
+    """Where each holds a part of what a record needs, the map that joins them is told; not where one is whole."""
+    u, y = table(tmp_path / "a.csv", "t,tau1,tau2", T, U, U), table(tmp_path / "b.csv", "t,speed", T, Y)
+    both = table(tmp_path / "c.csv", "tau,speed", U, Y)
+    told = re.escape('--map "u=a.csv:[tau1;tau2],y=b.csv:speed" joins these files.')
+    for files in ((u, y), (y, u)):
+        for read in (jf.io.read, data_set):
+            with pytest.raises(jf.InputError, match=told):
+                read(*files)
+    for files in ((both, y), (u, y, both), (u, u)):
+        with pytest.raises(jf.InputError, match="no such variable") as error:
+            jf.io.read(*files)
+        assert "joins" not in str(error.value)
 
 
 @pytest.mark.parametrize("names", [("time", "Zeit"), ("Time [s]", "timestamp"), ("t", "time [ms]"), ("time", "t")])
