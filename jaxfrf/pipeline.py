@@ -184,7 +184,8 @@ class DistortionSummary(eqx.Module):
         text = [f"distortion {how}; decibels relative to the output of one experiment, its mean period"]
         if np.isnan(found.total).all() and found.way == "fast":
             text.append(
-                "every odd line of the band is excited: distortion of odd order, which falls on them, is not seen"
+                "every odd line of the band is excited: distortion of odd order, which falls on them, is not seen; "
+                'leave some of them out (grid = "random-odd" of a design, `jaxfrf.random_odd_lines`)'
             )
         for out, bands in enumerate(about["outputs"]):
             for band in bands:
@@ -194,6 +195,16 @@ class DistortionSummary(eqx.Module):
                     f"y{out + 1}, {number(low, 4)} to {number(high, 4)} Hz: {', '.join(told) or 'nothing known'}"
                 )
         return text
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether distortion stands above the noise in any band."""
+        bands = [band for out in self.as_dict()["outputs"] for band in out]
+        return any(
+            band[name] is not None and band["noise"] is not None and not _within(band, name)
+            for band in bands
+            for name in ("even", "odd")
+        )
 
 
 def distortion_summary(found: Distortion) -> DistortionSummary:
@@ -212,7 +223,10 @@ def _decibels_below(level, output) -> float | None:
 
 def _level(band: dict, name: str) -> str:
     """What is left of a level when the noise is taken off may be chance where it is not clearly more than the noise."""
-    noise = band["noise"]
-    if name in ("even", "odd") and noise is not None and band[name] < noise + _CLEAR:
+    if name in ("even", "odd") and _within(band, name):
         return f"{name} within the noise"
     return f"{name} {band[name]:.0f} dB"
+
+
+def _within(band: dict, name: str) -> bool:
+    return band["noise"] is not None and band[name] < band["noise"] + _CLEAR

@@ -59,7 +59,7 @@ def run(given) -> dict:
         print(f"warning: {warning}", file=sys.stderr)
     about = distortion_summary(found)
     return {
-        "text": [*about.lines(), *([f"wrote {', '.join(written)}"] if written else []), *_next(given)],
+        "text": [*about.lines(), *([f"wrote {', '.join(written)}"] if written else []), *_next(given, about)],
         "json": about.as_dict() | {"output": written},
     }
 
@@ -78,8 +78,11 @@ def _write(given, found) -> list[str]:
     return written
 
 
-def _next(given) -> list[str]:
+def _next(given, about) -> list[str]:
+    cause = (
+        ["which spring or friction it may be: jaxfrf.machine, howto/machine.md in the book"] if about.is_clear else []
+    )
     if given.output:
-        return [f"next: jaxfrf view {given.output}"]
+        return [f"next: {'; '.join([f'jaxfrf view {given.output}', *cause])}"]
     look = f"look at {given.plot}" if given.plot else "--plot levels.png shows the levels"
-    return [f"next: {look}; -o frf.nc keeps the FRF with its total level"]
+    return [f"next: {'; '.join([look, '-o frf.nc keeps the FRF with its total level', *cause])}"]

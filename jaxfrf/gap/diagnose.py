@@ -25,6 +25,10 @@ from .result import Diagnosis
 from .selection import select_effects
 from .settings import EXPERIMENTS, JUDGING
 
+_ELSEWHERE = (
+    "Springs that harden, friction and play beside a model of your own: `jaxfrf.machine`, howto/machine.md in the book."
+)
+
 
 def diagnose(
     robot: Robot | None,
@@ -118,4 +122,7 @@ def _by_channel(
     say(f"compared: {kind.compared}")
     channel = kind.opened(robot, fitted)
     sources = tuple(source for x in fitted for source in x.sources)
-    return concluded(channel, channel.of(judge) if judge else None, (*library().values(), *own), sources)
+    found = concluded(channel, channel.of(judge) if judge else None, (*library().values(), *own), sources)
+    if robot is None and found.verdict == "unexplained":
+        return dataclasses.replace(found, says=f"{found.says} {_ELSEWHERE}")
+    return found

@@ -16,7 +16,7 @@ from .._errors import input_error
 from .._types import require_x64
 from ..frf import FRF
 from .cost import Cost, check_quantity, check_shape
-from .model import AbstractModel, Model, fix
+from .model import AbstractModel, Model, RobotModel, fix
 from .parameter import Coordinates, matching
 from .solver import AbstractSolver, LevenbergMarquardt, Minimisation, check_solver, descents
 from .target import Target, Weights, assumed_cost, select, target
@@ -29,6 +29,12 @@ _LARGE = 300_000  # numbers to fit, of all starts: below, all lines cost less th
 _SAME = 0.02  # two ends nearer than this, in x, are the same minimum
 _CLOSE = 1.01  # times the best cost
 _AGREE = 3  # starts that should come that close
+_MUCH = 3.0  # times what the uncertainty explains: noise and a little bias are not enough
+
+ELSEWHERE = (
+    "is the machine nonlinear? `jaxfrf distortion` tells it from noise; springs that harden, friction and play beside "
+    "a model of your own: `jaxfrf.machine` (`rank_effects`; howto/machine.md in the book)"
+)
 
 Progress = Callable[[int, int], None]
 
@@ -131,6 +137,8 @@ class Fit(eqx.Module):
                 f"residuals are {np.sqrt(self.uncertainty.misfit):.1f} times what the FRF's uncertainty explains: the "
                 "model lacks something, or the FRF is biased; intervals are widened by that factor"
             )
+        if self.uncertainty.misfit > _MUCH**2 and not isinstance(self.model, RobotModel):
+            said.append(ELSEWHERE)
         return said
 
 

@@ -74,6 +74,9 @@ def test_levels_in_words():
     assert min(band["even"] for bands in found.as_dict()["outputs"] for band in bands) >= -300
     crooked = distortion_summary(jf.best_linear_approximation(record(odd=0.1, noise=1e-3), jf.H1()))
     assert re.search(r"even within the noise, odd -\d\d dB", crooked.lines()[-1])
+    assert crooked.is_clear and not found.is_clear
+    blind = distortion_summary(jf.best_linear_approximation(record(noise=1e-3, lines=np.arange(5, 200, 2)), jf.H1()))
+    assert 'leave some of them out (grid = "random-odd"' in blind.lines()[1]
 
 
 def test_one_experiment_of_several_periods_has_a_covariance():

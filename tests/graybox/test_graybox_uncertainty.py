@@ -18,6 +18,7 @@ from graybox_records import frf_of, noisy, random_covariance
 import jaxfrf as jf
 from jaxfrf.graybox import Coordinates
 from jaxfrf.graybox.cost import Cost
+from jaxfrf.graybox.fit import ELSEWHERE
 from jaxfrf.graybox.overlap import overlaps
 from jaxfrf.graybox.solver import descend
 from jaxfrf.graybox.target import target
@@ -236,6 +237,13 @@ class TestMisfit:
         assert known.misfit == found.cost / known.expected_cost
         assert 5 < known.misfit < 20  # about (.05^2 / 2) / 1e-4
         assert any("the model lacks something" in text for text in found.explain())
+
+    @pytest.mark.parametrize(("ripple", "told"), [(0.2, True), (0.02, False)])
+    def test_where_to_go_on(self, ripple, told):
+        G = np.asarray(motor(2 * np.pi * LINES, SMALL))[None, :, None, None]
+        G = G * (1 + ripple * np.sin(8 * LINES))[None, :, None, None]
+        found = jf.fit(jf.GrayBox(motor, SMALL), frf_of(G, 1e-4 * np.abs(G) ** 2 + 0j, LINES, None), starts=1)
+        assert found.explain().count(ELSEWHERE) == told
 
 
 def test_overlap_is_that_of_the_fits_written_out():
