@@ -33,8 +33,8 @@ class Summary(eqx.Module):
             "median_relative_noise": _finite(_relative_std(frf, frf.cov_noise)),
             "median_relative_total": _finite(_relative_std(frf, frf.cov_total)),
             "median_relative_bias": _finite(_relative(frf, frf.bias)),
-            "median_window": float(np.median(frf.window)),
-            "effective_independent_lines": float(np.median(np.sum(1 / frf.window, axis=1))),
+            "median_window": _finite(float(np.median(frf.window))),
+            "effective_independent_lines": _finite(float(np.median(np.sum(1 / frf.window, axis=1)))),
             "features": [
                 {
                     "element": f"G{i + 1}{j + 1}",
@@ -74,8 +74,8 @@ class Summary(eqx.Module):
             text.append("standard deviation: unknown (no residual degree of freedom)")
         else:
             text.append(
-                f"standard deviation: {percent(about['median_relative_std'])} of |G| (median of the diagonal); "
-                f"about {about['effective_independent_lines']:.0f} independent lines, the others share their data"
+                f"standard deviation: {percent(about['median_relative_std'])} of |G| (median of the diagonal)"
+                f"{_independent(about)}"
             )
             text += _causes(about)
         for i, j in _elements(frf):
@@ -85,6 +85,16 @@ class Summary(eqx.Module):
                 if at:
                     text.append(f"G{i + 1}{j + 1}: {kind} at {', '.join(_at(x) for x in at)}")
         return text + [f"note: {x}" for x in about["status"]]
+
+
+def _independent(about: dict) -> str:
+    """How many lines tell something of their own; nothing where that is not known."""
+    lines = about["effective_independent_lines"]
+    if lines is None:
+        return ""
+    if round(lines) >= about["lines"]:
+        return "; all lines are independent"
+    return f"; about {lines:.0f} independent lines, the others share their data"
 
 
 def _at(feature) -> str:

@@ -13,7 +13,7 @@ from ..effects import AbstractEffect, EncoderQuantisation, FrictionAsymmetry, To
 from ..effects._place import axis_of, stated
 from ..robot import PARAMETER_UNITS, Robot, parameter_unit, parameters
 from ..robot.drive import Friction, Spring
-from ..robot.parameters import parameter_field
+from ..robot.parameters import parameter_field, unit_at
 from ..robot.tolerances import KINDS, Tolerance, relative_sizes
 
 _UNKNOWN = 1.0  # size of the coordinate of a number of which nothing is known: of its logarithm
@@ -99,7 +99,9 @@ def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) 
         if tolerance.exact or not math.isfinite(given):
             return
         if unit is None:
-            unit = KINDS[kind] if kind not in PARAMETER_UNITS else parameter_unit(robot, name.split(".")[0], kind)
+            joint = "" if kind == "smoothing" else name.split(".")[0]
+            of_joint = kind in PARAMETER_UNITS
+            unit = parameter_unit(robot, joint, kind) if of_joint else unit_at(robot, joint, KINDS[kind])
         number = _number(name, kind, unit, given, tolerance, abs(given) if relative_to is None else relative_to)
         if number is not None:
             found.append(number)
@@ -121,7 +123,7 @@ def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) 
             for joint, effect, parameter in effect_parameters(robot):
                 if offset_size is None or not isinstance(effect, FrictionAsymmetry):
                     name, value = f"{joint}.{effect.name}.{parameter}", float(getattr(effect, parameter))
-                    add(name, kind, value, unit=effect.units[parameter])
+                    add(name, kind, value, unit=unit_at(robot, joint, effect.units[parameter]))
         elif kind == "backlash":
             for name, gap in _gaps(robot).items():
                 add(f"{name}.{kind}", kind, gap)

@@ -153,7 +153,7 @@ def _check_periods(data: Experiment) -> None:
             do = f"{seen[0]} repeats every {seen[1].period} samples: {how_to_set(n_time, seen[1].period)}."
         raise input_error(
             "period",
-            f"{n_time} samples, {number(n_time / period, 4)} periods of {period}",
+            f"{n_time} samples, {_broken(n_time / period)} periods of {period}",
             "a whole number of periods",
             do,
         )
@@ -164,6 +164,12 @@ def _check_periods(data: Experiment) -> None:
             "at least one period left after them",
             "Lower transient_periods, or record longer.",
         )
+
+
+def _broken(periods: float) -> str:
+    """A number that is not whole, with as many digits as show that."""
+    texts = (number(periods, digits) for digits in range(4, 16))
+    return next((text for text in texts if not float(text).is_integer()), f"{periods!r}")
 
 
 def seen_period(r, u, y) -> tuple[str, FoundPeriod] | None:

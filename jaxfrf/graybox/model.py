@@ -178,7 +178,8 @@ class RobotModel(AbstractModel):
         friction = _effective_friction(robot, slow_amplitude)
         for axis, value in zip(robot.axis_names, friction, strict=True):
             own = spread(f"{axis}.coulomb_friction", value)
-            known[f"{axis}.effective_friction"] = Parameter(value, "N m s/rad", nuisance=True, spread=own)
+            unit = parameter_unit(robot, axis, "viscous_friction")
+            known[f"{axis}.effective_friction"] = Parameter(value, unit, nuisance=True, spread=own)
         for axis in robot.axis_names:
             known[f"{axis}.torque_gain"] = Parameter(1.0, "1", free=False, spread=0.05)
         for axis in robot.axis_names:

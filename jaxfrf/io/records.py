@@ -268,16 +268,23 @@ def _signal(file: File, key: str) -> np.ndarray:
         raise file.error(key, f"the shape {x.shape}", shapes, "Name a record, or reshape it.")
     time = x.shape[-2]
     if time < max(x.shape):
-        turn = (
-            f'Transpose it: --map "{key}={file.given.names.get(key, key)}\'".' if x.ndim == 2 else "Reorder the axes."
-        )
         raise file.error(
             key,
             f"{time} samples along the time axis of shape {x.shape}",
             "time as the last axis but one, and the longest: ([position,] [experiment,] time, channel)",
-            f"The axes look swapped. {turn}",
+            f"The axes look swapped. {_how_to_turn(file)}",
         )
     return scaled(file, key, x)
+
+
+def _how_to_turn(file: File) -> str:
+    """The `--map` that swaps the last two axes of every signal that asks for it, where that helps."""
+    signals = {key: np.shape(file.get(key)) for key in SIGNALS if file.get(key) is not None}
+    wrong = {key: shape for key, shape in signals.items() if len(shape) > 1 and shape[-2] < max(shape)}
+    if any(shape[-1] != max(shape) for shape in wrong.values()):
+        return "Reorder the axes."
+    names = ",".join(f"{key}={file.given.names.get(key, key)}'" for key in wrong)
+    return f'Transpose {"it" if len(wrong) == 1 else "them"}: --map "{names}".'
 
 
 def _lost_its_channel(file: File, x: np.ndarray) -> bool:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from .._errors import input_error
 from .drive import Friction, Spring
 from .robot import Robot
+from .sliding import sliding_unit
 
 PARAMETER_UNITS: dict[str, str] = {
     "stiffness": "N m/rad",
@@ -27,11 +28,13 @@ PARAMETER_UNITS: dict[str, str] = {
 }
 """Every kind of parameter that a joint can have, and its unit where the joint turns."""
 
-_SLIDING = {"stiffness": "N/m", "damping": "N s/m", "stiffness_knee": "m", "gear_ratio": "rad/m"}
+_MOTOR_SIDE = ("motor_inertia", "viscous_friction", "coulomb_friction")
+_ARM_SIDE = ("stiffness", "damping", "stiffness_knee")
 
 
 def parameter_unit(robot: Robot, joint: str, kind: str) -> str:
-    """Unit of a kind of parameter of this joint, which may slide; kinds on the motor's side are the same then.
+    """Unit of a kind of parameter of this joint, which may slide. Its motor slides, too, where the gear ratio is 1 (a
+    linear motor, or a drive that is referred to the slide); else kinds on the motor's side are those of one that turns.
 
     **Arguments:** `robot`: whose joint it is. `joint`: its name. `kind`: one of `jaxfrf.robot.PARAMETER_UNITS`.
 
@@ -39,8 +42,25 @@ def parameter_unit(robot: Robot, joint: str, kind: str) -> str:
 
     **Raises:** `ValueError` for a joint that the robot does not have, `KeyError` for an unknown kind.
     """
+    unit = PARAMETER_UNITS[kind]
     slides = robot.chain.sliding[robot.joint_names.index(joint)]
-    return _SLIDING.get(kind, PARAMETER_UNITS[kind]) if slides else PARAMETER_UNITS[kind]
+    if slides and kind == "gear_ratio":
+        return unit if motor_slides(robot, joint) else "rad/m"
+    moved = (kind in _ARM_SIDE and slides) or (kind in _MOTOR_SIDE and motor_slides(robot, joint))
+    return sliding_unit(unit) if moved else unit
+
+
+def motor_slides(robot: Robot, joint: str) -> bool:
+    """Whether the motor of this joint moves as the joint does, which slides; not so of joints without a motor."""
+    if joint not in robot.axis_names or not robot.chain.sliding[robot.joint_names.index(joint)]:
+        return False
+    return abs(float(robot.drives.gear_ratio[robot.axis_names.index(joint)])) == 1.0
+
+
+def unit_at(robot: Robot, joint: str, unit: str) -> str:
+    """The unit of a number on the motor's side of a joint, or of all motors ("")."""
+    joints = (joint,) if joint in robot.axis_names else () if joint else robot.axis_names
+    return sliding_unit(unit) if joints and all(motor_slides(robot, name) for name in joints) else unit
 
 
 def parameters(robot: Robot, kinds: Iterable[str] = ("stiffness", "damping")) -> dict[str, jax.Array]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from .._errors import input_error
 from ..effects import AbstractStructure, library
+from .sliding import sliding_unit
 
 KINDS: dict[str, str] = {
     "stiffness": "N m/rad",
@@ -194,7 +195,7 @@ def _value(key: str, value: Any, where: str) -> Tolerance:
         std = float(number)
     except ValueError:
         raise bad from None
-    if not std >= 0 or (said and said != unit):
+    if not std >= 0 or (said and said not in (unit, sliding_unit(unit or ""))):
         raise bad
     return Tolerance(std, relative=not said and (kind not in DEFAULTS or DEFAULTS[kind].relative))
 

@@ -49,8 +49,9 @@ def contradicted(record: Record) -> Iterator[Finding]:
             Severity.REFUSED,
             given,
             f"period: {data.period} samples are given, but {name} repeats every {found.period} samples{after}. "
-            f"Nothing estimated with the wrong period means anything: {how_to_set(data.n_time, found.period)}, and "
-            f"leave out or correct the list of lines.{_or_lost(data, found.period)}",
+            f"Nothing estimated with the wrong period means anything: {how_to_set(data.n_time, found.period)}"
+            f"{', and leave out or correct the list of lines' if data.lines is not None else ''}."
+            f"{_or_lost(data, found.period)}",
             sure=found.sure,
             signal=name,
         )

@@ -83,6 +83,11 @@ def test_opposite_infinities_and_huge_numbers():
     assert "numbers up to 1e308" in message(np.full(20, 1e308), u, 10.0)  # their squares are not finite
 
 
+def test_parts_of_a_period_show():
+    with pytest.raises(jf.InputError, match=r"found 32768 samples, 4\.0005 periods of 8191; expected a whole number"):
+        jf.Experiment(np.ones(32768), np.ones(32768), 10.0, 8191)
+
+
 @pytest.mark.parametrize(
     ("fields", "says"),
     [

@@ -548,6 +548,9 @@ def test_summary():
         "resonance": round(resonance, 1),
     }
     text = "\n".join(about.lines())
-    assert "standard deviation: 1 % of |G|" in text
+    assert "standard deviation: 1 % of |G| (median of the diagonal); all lines are independent\n" in text
+    told = lambda w: summary(about.spectra, dataclasses.replace(frf, window=np.full(frf.window.shape, w))).lines()[2]
+    assert told(10.0).endswith(f"; about {len(f) / 10:.0f} independent lines, the others share their data")
+    assert told(np.nan).endswith("(median of the diagonal)")
     assert f"7 of {len(f)} estimates: an input carries almost no power" in text
     assert f"G11: resonance at {resonance:.4g}" in text

@@ -36,6 +36,25 @@ def test_one_record_in_several_files(tmp_path):
         jf.io.read(u, late, names={"u": "u.csv:a", "y": "y.csv:a"})
 
 
+@pytest.mark.parametrize("shape", [(2, 80), (3, 2, 80), (2, 1, 2, 80)])
+def test_axes_that_are_swapped(tmp_path, shape):
+    """The map that is proposed swaps what has to be swapped, of any number of axes."""
+    x = np.random.default_rng(1).standard_normal((2, *shape))
+    file = tmp_path / "a.npz"
+    what = {"values": {**PERIOD, "fs": 1000.0, "y_quantity": "velocity"}, "anyway": True}
+    np.savez(file, v=x[0], y=x[1])
+    with pytest.raises(jf.InputError, match=re.escape("""Transpose them: --map "u=v',y=y'".""")):
+        jf.io.read(file, names={"u": "v"}, **what)
+    data = jf.io.read(file, names={"u": "v'", "y": "y'"}, **what)
+    np.testing.assert_array_equal(data.u, x[0].swapaxes(-1, -2).reshape(data.u.shape))
+    np.savez(file, v=x[0], y=x[1].swapaxes(-1, -2))
+    with pytest.raises(jf.InputError, match=re.escape("""Transpose it: --map "u=v'".""")):
+        jf.io.read(file, names={"u": "v"}, **what)
+    np.savez(file, v=np.ones((80, 3, 2)), y=np.ones((80, 3, 2)))
+    with pytest.raises(jf.InputError, match="Reorder the axes"):
+        jf.io.read(file, names={"u": "v"}, **what)
+
+
 def test_files_that_could_be_one_record(tmp_path):
     """Where each holds a part of what a record needs, the map that joins them is told; not where one is whole."""
     u, y = table(tmp_path / "a.csv", "t,tau1,tau2", T, U, U), table(tmp_path / "b.csv", "t,speed", T, Y)

@@ -2,9 +2,12 @@
 
 import math
 
+import numpy as np
 import pytest
 
 import jaxfrf as jf
+import jaxfrf.robot as jr
+from jaxfrf.calibration.numbers import numbers
 from jaxfrf.robot import DEFAULTS, Tolerance, Tolerances, r3x, tolerances_from
 
 NAMES = r3x().joint_names
@@ -73,3 +76,21 @@ def test_files_keep_them(tmp_path):
 def test_what_is_no_tolerance(table, says):
     with pytest.raises(jf.InputError, match=says.replace("(", r"\(")):
         tolerances_from(table, NAMES)
+
+
+@pytest.mark.parametrize(("gear", "inertia", "friction"), [(1.0, "kg", "N s/m"), (400.0, "kg m^2", "N m s/rad")])
+def test_units_of_a_joint_that_slides(gear, inertia, friction):
+    """Those of its motor are of a slide, too, where it moves as the joint does."""
+    joint = {"name": "axis", "type": "driven", "slides": True, "axis": [1.0, 0.0, 0.0], "offset": [0.0] * 3}
+    joint |= {"mass": 0.0, "com": [0.0] * 3, "inertia": [0.0] * 6, "gear_ratio": gear, "motor_inertia": 50.0}
+    joint |= {"viscous_friction": 100.0, "coulomb_friction": 10.0, "stiffness": np.inf}
+    table = {"name": "slide", "gravity": [0.0, 0.0, -9.81], "sampling_frequency": 1e3, "joint": [joint]}
+    said = {"rotors": "unknown", "friction": "unknown", "axis.motor_inertia": f"5 {inertia}"}
+    robot = jr.robot_from_table(table | {"tolerance": said, "friction": {"smoothing": 1e-4}})
+    units = {n.name: n.unit for n in numbers(robot, np.ones(1))}
+    assert (units["axis.motor_inertia"], units["axis.viscous_friction"]) == (inertia, friction)
+    slides = gear == 1.0
+    assert (units["axis.coulomb_friction"], units["axis.torque_offset"]) == (("N", "N") if slides else ("N m", "N m"))
+    assert units["friction.smoothing"] == ("m/s" if slides else "rad/s")
+    assert jr.parameter_unit(robot, "axis", "stiffness") == "N/m"
+    assert jr.parameter_unit(robot, "axis", "gear_ratio") == ("1" if slides else "rad/m")

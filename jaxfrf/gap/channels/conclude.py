@@ -7,7 +7,8 @@ import numpy as np
 import scipy.stats
 
 from ...effects import AbstractEffect, Candidate
-from ...robot import parameter_unit, parameters
+from ...robot import Robot, parameter_unit, parameters
+from ...robot.parameters import unit_at
 from ..result import Cell, Diagnosis, EstimatedValue, Gap, Maps, Named, Ranked
 from .channel import AbstractChannel, Outcome, State
 from .select import ChannelSelection, FittedState, TriedCandidate, search, spread
@@ -114,7 +115,7 @@ def _reported(channel: AbstractChannel, fit: FittedState, found: ChannelSelectio
     for i, ((candidate, values), one) in enumerate(zip(state.chosen, found.found, strict=False)):
         here = state.place(i)
         effect = candidate.make(np.array(values))
-        numbers = _numbers_of(candidate, values, V[here, here])
+        numbers = _numbers_of(channel.robot, candidate, values, V[here, here])
         told = [f"{other}: {effect.confusable[other]}" for other in one.equivalent if other in effect.confusable]
         told = told or ["records at other amplitudes and positions"] * bool(one.equivalent)
         named.append(
@@ -132,7 +133,7 @@ def _reported(channel: AbstractChannel, fit: FittedState, found: ChannelSelectio
     return tuple(named), own
 
 
-def _numbers_of(candidate: Candidate, values, V) -> dict[str, EstimatedValue]:
+def _numbers_of(robot: Robot, candidate: Candidate, values, V) -> dict[str, EstimatedValue]:
     """The effect's parameters, with standard deviations by their slopes in the coefficients."""
     units = candidate.make(np.array(values)).units
     read = lambda e: {k: float(np.ravel(getattr(e, k))[0]) for k in units if getattr(e, k) is not None}
@@ -146,7 +147,8 @@ def _numbers_of(candidate: Candidate, values, V) -> dict[str, EstimatedValue]:
         for name in now:
             slopes.setdefault(name, []).append((then[name] - now[name]) / step)
     std = {k: float(np.sqrt(max(np.array(s) @ V @ np.array(s), 0.0))) for k, s in slopes.items()}
-    return {k: EstimatedValue(v, std[k] if np.any(slopes[k]) else float("nan"), units[k]) for k, v in now.items()}
+    unit = lambda k: unit_at(robot, candidate.joint, units[k])
+    return {k: EstimatedValue(v, std[k] if np.any(slopes[k]) else float("nan"), unit(k)) for k, v in now.items()}
 
 
 def _visible(channel: AbstractChannel, effect: AbstractEffect, joint: str, numbers: dict[str, EstimatedValue]) -> float:
