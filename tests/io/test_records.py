@@ -721,7 +721,8 @@ def test_kuka(measured):
     raw = scipy.io.loadmat(runs[2], simplify_cells=True)["rec"]["act_vel_mot_deg_per_s"]
     np.testing.assert_allclose(data.y[0, 2].T, np.deg2rad(raw[:3]), rtol=1e-14)
     swapped = {"u": "rec.act_torque_abs_nm", "y": "rec.act_vel_mot_deg_per_s"}
-    assert '--map "u=rec.act_torque_abs_nm\'"' in message(runs[0], names=swapped)
+    turned = """--map "u=rec.act_torque_abs_nm',y=rec.act_vel_mot_deg_per_s'\""""
+    assert turned in message(runs[0], names=swapped)
 
 
 # --- tables as people have them
