@@ -23,6 +23,7 @@ _ALIKE = 1.3  # times what the best effect leaves on the held-out part: with les
 _SURE = 3.0  # standard deviations of its largest number from 0
 _EVERY = 3  # line that is held out, where there is one experiment
 _SHAPES = ("smoothing", "width")  # numbers that stay where they start: a record seldom tells them
+_SLOW = 0.02  # of a place's rms speed, within which friction may turn
 _LEAST_FORCE = 0.05  # of the driving force's rms, at which an effect starts
 
 Say = Callable[[str], None]
@@ -82,7 +83,7 @@ def diagnose_machine(
 
     - `machine`: as it is known, with places. `data`: a periodic record of it.
     - `candidates`: by default Coulomb, Stribeck and one-sided friction at every place, and cubic spring, play and
-      hardening where the machine has a spring.
+      hardening where the machine has a spring; friction then turns within 2 % of the slowest place's rms speed or more.
     - `band` (Hz), `settle` (periods), `floor`: as of `fit_machine`. `most`: effects that are added at most.
     - `say`: called with a line on every fit.
 
@@ -98,6 +99,8 @@ def diagnose_machine(
         raise input_error(
             "machine", "no places", "some, where effects can act", 'Name them: places={"spring": [1, -1]}.'
         )
+    if candidates is None:
+        machine = _smoothed(machine, data)
     used = _fitted_lines(measured_lines(machine, data, band, floor)[1])
     fitted = functools.partial(fit_machine, data=data, band=band, settle=settle, floor=floor, used=used)
     before = fit = fitted(machine)
@@ -174,7 +177,7 @@ def _typical(machine: Machine, data: Experiment) -> list[AbstractEffect]:
     for place, p in machine.places.items():
         x, v = (_rms(_seen(machine, p, kind), data) for kind in ("position", "velocity"))
         force = _LEAST_FORCE * float(np.sqrt(np.mean(driving(data) ** 2))) * float(np.abs(machine.inputs).max())
-        slow = max(machine.smoothing, 0.02 * v)
+        slow = max(machine.smoothing, _SLOW * v)
         found += [
             CoulombFriction(place, force),
             StribeckFriction(place, force, 0.2 * v, slow),
@@ -184,6 +187,14 @@ def _typical(machine: Machine, data: Experiment) -> list[AbstractEffect]:
         if p @ K @ p > 0:
             found += [CubicSpring(place, force / x**3), Backlash(place, 0.2 * x), StiffnessHardening(place, 0.8, x)]
     return found
+
+
+def _smoothed(machine: Machine, data: Experiment) -> Machine:
+    """With friction that turns no faster than its fastest place lets see: a step that follows it costs a hundred."""
+    slow = _SLOW * min(_rms(_seen(machine, p, "velocity"), data) for p in machine.places.values())
+    if slow <= machine.smoothing:
+        return machine
+    return machine.with_smoothing(slow)
 
 
 def _seen(machine: Machine, p: Float[np.ndarray, "dof"], quantity: str) -> Machine:

@@ -127,7 +127,13 @@ class Machine(AbstractModel):
         fixed = {n: dataclasses.replace(p, free=False) if n in names else p for n, p in self.parameters.items()}
         return self._changed(fixed, self.effects)
 
-    def _changed(self, parameters: Mapping[str, Parameter], effects: tuple[AbstractEffect, ...]) -> "Machine":
+    def with_smoothing(self, smoothing: float) -> "Machine":
+        """The machine whose Coulomb friction turns within this speed, rad/s or m/s."""
+        return self._changed(self.parameters, self.effects, smoothing)
+
+    def _changed(
+        self, parameters: Mapping[str, Parameter], effects: tuple[AbstractEffect, ...], smoothing: float | None = None
+    ) -> "Machine":
         """With these effects; what `parameters` says of their numbers stays."""
         made = Machine(
             self.matrices,
@@ -137,7 +143,7 @@ class Machine(AbstractModel):
             places=self.places,
             quantity=self.quantity,
             effects=effects,
-            smoothing=self.smoothing,
+            smoothing=self.smoothing if smoothing is None else smoothing,
         )
         return eqx.tree_at(
             lambda m: m.parameters,

@@ -90,7 +90,8 @@ def fine_steps(machine: Machine, values, fs: float) -> int:
     for effect in machine.effects:
         p = machine.places[str(effect.joint)]
         inverse = float(p @ np.linalg.solve(M, p))
-        slope = abs(float(np.asarray(getattr(effect, "level", 0.0)))) / machine.smoothing
+        turning = float(np.asarray(getattr(effect, "smoothing", machine.smoothing)))
+        slope = abs(float(np.asarray(getattr(effect, "level", 0.0)))) / turning
         decay = max(decay, inverse * slope)
     needed = max(rate, decay) / fs / _TURN
     if not needed < 200:

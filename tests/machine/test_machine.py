@@ -8,7 +8,8 @@ import scipy.integrate
 import jaxfrf as jf
 from jaxfrf.effects import Backlash, CoulombFriction, FrictionAsymmetry
 from jaxfrf.machine import CubicSpring, Machine, diagnose_machine, fit_machine, rank_effects, simulate_machine
-from jaxfrf.machine.simulate import settling
+from jaxfrf.machine.diagnose import _smoothed, _typical
+from jaxfrf.machine.simulate import fine_steps, settling
 
 FS, PERIOD = 100.0, 200
 TRUE = {"m": 2.0, "d": 3.0, "k": 2000.0}
@@ -130,3 +131,19 @@ def test_what_a_machine_misses(record):
     assert found.heldout[1] < 0.1 * found.heldout[0]
     assert abs(float(found.effects[0].stiffness) / CUBIC - 1) < 0.02
     assert diagnose_machine(found.fit.machine, record, []).verdict == "sufficient"
+
+
+def test_friction_of_a_fast_record_asks_for_few_steps():
+    """Candidates' friction turns within 2 % of the rms speed, and effects with a smoothing of their own by that."""
+    m = lambda v: (1e-5 * jnp.eye(1), v["d"] * jnp.eye(1), v["k"] * jnp.eye(1))
+    fast = Machine(m, {"d": 1e-4, "k": 1.0}, inputs=[[1.0]], outputs=[[1.0]], places={"spring": [1.0]})
+    t = np.arange(600) / 600.0
+    u = 0.1 * np.cos(2 * np.pi * 50 * t + 0.3) + 0.1 * np.cos(2 * np.pi * 21 * t)
+    data = jf.Experiment(u, np.zeros(600), 600.0, 600, y_quantity="velocity")
+    smoothed = _smoothed(fast, data)
+    assert smoothed.smoothing > fast.smoothing and smoothed.parameters.keys() == fast.parameters.keys()
+    steps = lambda one: fine_steps(one, {n: p.start for n, p in one.parameters.items()}, 600.0)
+    assert max(steps(smoothed.with_effects(e)) for e in _typical(smoothed, data)) <= 3
+    assert steps(fast.with_effects(CoulombFriction("spring", 5e-3))) > 30
+    slow = fast.with_smoothing(1e3)
+    assert _smoothed(slow, data) is slow
