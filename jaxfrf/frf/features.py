@@ -69,7 +69,8 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
     for kind, sign, of_peak, of_base in (("resonance", 1.0, lower, higher), ("antiresonance", -1.0, higher, lower)):
         for i, base in _peaks(sign * level, prominence_db):
             prominence = abs(level[i] - level[base])
-            if prominence <= of_peak[i] + of_base[base] or _turn(G, sign * level, i) <= _TURN:
+            surroundings = _surroundings(sign * level, sign * level + of_base, i)
+            if sign * level[i] - of_peak[i] <= surroundings or _turn(G, sign * level, i) <= _TURN:
                 continue
             value, spread = (G, std) if sign > 0 else (1 / G, std / magnitude**2)
             fitted = _around(np.asarray(frf.frequency, float), value, spread, shared, sign * level, i)
@@ -87,14 +88,26 @@ def _peaks(level, prominence: float) -> list[tuple[int, int]]:
     tops = [(a + 1 + b) // 2 for a, b in itertools.pairwise(steps) if change[a] > 0 > change[b]]
     found = []
     for top in tops:
-        higher = np.flatnonzero(level > level[top])
-        left, right = higher[higher < top], higher[higher > top]
-        first, last = (left[-1] + 1 if left.size else 0), (right[0] if right.size else len(level))
+        first, last = _reach(level, top)
         valleys = first + int(np.argmin(level[first : top + 1])), top + int(np.argmin(level[top:last]))
         base = max(valleys, key=lambda k: level[k])
         if level[top] - level[base] >= prominence:
             found.append((int(top), int(base)))
     return found
+
+
+def _reach(level, top: int) -> tuple[int, int]:
+    """The first of the lines around a peak that are no higher than it, and the one after the last."""
+    higher = np.flatnonzero(level > level[top])
+    left, right = higher[higher < top], higher[higher > top]
+    return (int(left[-1]) + 1 if left.size else 0), (int(right[0]) if right.size else len(level))
+
+
+def _surroundings(level, highest, top: int) -> float:
+    """How high the valleys on both sides of a peak may be, the higher one: each by the line that tells most, which in a
+    record is seldom the lowest one (that is often a line which carries nothing)."""
+    first, last = _reach(level, top)
+    return float(max(highest[first : top + 1].min(), highest[top:last].min()))
 
 
 def _lines(level, at: int) -> slice:

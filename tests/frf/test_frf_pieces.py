@@ -327,6 +327,18 @@ def test_features_that_noise_could_have_made_are_left_out():
     assert abs(found["antiresonance"] - antiresonance) <= 0.2 and abs(found["resonance"] - resonance) <= 0.2
 
 
+def test_lines_that_tell_nothing_hide_no_feature():
+    """Beyond the band of its excitation a record holds noise, whose lowest line is lower than any real valley."""
+    rng = np.random.default_rng(11)
+    f = np.arange(2.0, 60.0, 0.1)
+    G, antiresonance, resonance = two_mass(f)
+    size, known = np.abs(G), (f < 45.0)[:, None, None]
+    sigma = np.where(known, 1e-2 * size.min(), size[f > 8.0].max())
+    noisy = np.where(known, G, 1e-3 * G) + np.where(known, sigma, 0.0) * plants.circular(rng, G.shape)
+    found = {x.kind: x.frequency for x in jf.features(response(noisy, f, std=sigma[..., 0]))}
+    assert abs(found["antiresonance"] - antiresonance) <= 0.2 and abs(found["resonance"] - resonance) <= 0.2
+
+
 def test_features_of_another_position():
     f = np.arange(2.0, 40.0, 0.1)
     G, _, resonance = two_mass(f)
