@@ -87,12 +87,12 @@ def _peaks(level, prominence: float) -> list[tuple[int, int]]:
     steps = np.flatnonzero(change)
     tops = [(a + 1 + b) // 2 for a, b in itertools.pairwise(steps) if change[a] > 0 > change[b]]
     found = []
-    for top in tops:
+    for top in map(int, tops):
         first, last = _reach(level, top)
         valleys = first + int(np.argmin(level[first : top + 1])), top + int(np.argmin(level[top:last]))
         base = max(valleys, key=lambda k: level[k])
         if level[top] - level[base] >= prominence:
-            found.append((int(top), int(base)))
+            found.append((top, base))
     return found
 
 
