@@ -4,8 +4,10 @@ import itertools
 
 import equinox as eqx
 import numpy as np
+import scipy.ndimage
 
 from .._arguments import expect, expect_index
+from .._status import Status
 from .poles import PoleFit, fit_poles
 from .response import FRF
 
@@ -13,6 +15,7 @@ _TURN = np.pi / 4  # least phase across an extremum, between the lines where 3 d
 _AROUND = 3.0  # half widths (3 dB) of lines on each side that tell frequency and damping
 _FEWEST = 4  # lines on each side, at least
 _SIGNIFICANT = 3.0  # standard deviations of the extremum itself, beside its surroundings
+_BESIDE = 10  # lines on either side, over which roughness is taken
 _SURE = 0.5  # relative standard deviation of a damping beyond which it is not told
 
 
@@ -40,8 +43,10 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
     Frequency and damping are those of one pole (of G, or of 1/G for a dip) beside a smooth rest, fitted to the lines
     around the extremum; `jaxfrf.modal` fits all modes of all elements together. What two standard deviations could have
     made, and a pole that is not significant beside the smooth rest, is left out; where the standard deviation is
-    unknown, noise makes more of them. A pole or zero pair turns the phase by 90 degrees within its 3 dB band; a valley
-    between two slopes, as where no zero lies between two resonances, does not, and is left out too.
+    unknown, noise makes more of them. Where it is that of the noise alone (status `NOISE_ONLY`), how rough the
+    response is from line to line counts as well: distortion scatters it. At lines that a taper reaches beyond the band
+    from (`EDGE_WINDOW` of `Welch`) nothing is told. A pole or zero pair turns the phase by 90 degrees within its 3 dB
+    band; a valley between two slopes, as where no zero lies between two resonances, does not, and is left out too.
 
     Biased where two resonances overlap, and by the window of a local method that is wider than the resonance.
 
@@ -62,6 +67,9 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
     std = np.asarray(frf.std)[position, :, out, into]
     shared = np.maximum(np.asarray(frf.window, float)[position], 1.0)
     magnitude = np.maximum(np.abs(G), 1e-300)
+    status = np.asarray(frf.status)[position]
+    std = np.where(status & int(Status.NOISE_ONLY), np.maximum(std, _roughness(G)), std)
+    at_end = ((status & int(Status.EDGE_WINDOW)) != 0) & (shared < _FEWEST)
     level = 20 * np.log10(magnitude)
     doubt = 2 * np.nan_to_num(std) / magnitude
     higher, lower = 20 * np.log10(1 + doubt), -20 * np.log10(np.maximum(1 - doubt, 1e-300))
@@ -70,7 +78,7 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
         for i, base in _peaks(sign * level, prominence_db):
             prominence = abs(level[i] - level[base])
             surroundings = _surroundings(sign * level, sign * level + of_base, i)
-            if sign * level[i] - of_peak[i] <= surroundings or _turn(G, sign * level, i) <= _TURN:
+            if sign * level[i] - of_peak[i] <= surroundings or at_end[i] or _turn(G, sign * level, i) <= _TURN:
                 continue
             value, spread = (G, std) if sign > 0 else (1 / G, std / magnitude**2)
             fitted = _around(np.asarray(frf.frequency, float), value, spread, shared, sign * level, i)
@@ -78,6 +86,18 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
                 at, *intervals = map(float, fitted)
                 found.append(Feature(kind, at, float(level[i]), float(prominence), *intervals))
     return sorted(found, key=lambda x: -x.prominence_db)
+
+
+def _roughness(G) -> np.ndarray:
+    """Standard deviation of a line by how far it lies beside its neighbours, where the covariance holds no distortion:
+    the median over some lines, which one sharp resonance does not move."""
+    if len(G) < 3:
+        return np.zeros(len(G))
+    middle = np.maximum(np.abs(G[1:-1]), 1e-300)
+    beside = np.abs(G[:-2] - 2 * G[1:-1] + G[2:]) / np.sqrt(6) / middle
+    size = min(2 * _BESIDE + 1, len(beside))
+    usual = scipy.ndimage.median_filter(beside, size=size, mode="nearest") / np.sqrt(np.log(2))
+    return np.abs(G) * np.pad(usual, 1, mode="edge")
 
 
 def _peaks(level, prominence: float) -> list[tuple[int, int]]:

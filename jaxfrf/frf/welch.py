@@ -12,6 +12,8 @@ from .covariance import KroneckerSum
 from .joint import JointInputOutput
 from .method import AbstractMethod, Estimate, Signals, flags
 
+_REACH = 4  # lines that a Hann window reaches over
+
 
 class Welch(AbstractMethod):
     """G = S_yu S_uu^-1, cross spectra averaged over windowed, overlapping segments (Welch 1967): any long record.
@@ -91,7 +93,7 @@ class Welch(AbstractMethod):
             cov=KroneckerSum(found.cov.left * repeated, found.cov.right),
             cov_noise=None,
             dof=dof,
-            status=found.status & ~flags(NO_COVARIANCE=dof > 0),
+            status=found.status & ~flags(NO_COVARIANCE=dof > 0) | _first_lines(signals.U.shape[1], lines),
             window=found.window * self.bandwidth,
         )
 
@@ -109,6 +111,12 @@ class Welch(AbstractMethod):
         """Noise bandwidth of the window, in lines."""
         taper = scipy.signal.get_window(self.window, 1024)
         return float(len(taper) * np.sum(taper**2) / np.sum(taper) ** 2)
+
+
+def _first_lines(n: int, lines):
+    """The window reaches below zero there, and over what the mean of a segment takes away."""
+    first = flags(EDGE_WINDOW=np.arange(n) < _REACH)
+    return first if lines is None else first[lines]
 
 
 def _check_window(name: str) -> None:

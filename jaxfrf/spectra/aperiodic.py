@@ -14,6 +14,9 @@ from .spectra import Spectra
 from .steady import at_lines, said_of
 
 _STRONG, _STRONG_IN_BAND = 1e-4, 1e-24  # power, of the strongest line's, from which a line of a whole record counts
+_ENDS = 0.02  # of a record, both ends together, that a taper lets in and out
+_AT_ENDS = 0.01  # power left by the taper, over that of the whole record, below which a line holds ends alone
+_BESIDE = 20  # lines on either side, over which that is looked at
 
 
 def record_spectra(data: Experiment, band: tuple[float, float] | None = None) -> Spectra:
@@ -21,8 +24,10 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
 
     Leakage makes Y = G U + T with a transient T that is smooth in frequency: only estimators with a transient term
     take such spectra. Lines that hold less than 1e-4 of the strongest reference power (input power where there is no
-    reference) are left out: in closed loop the response there would be that of the controller. With `band` all lines in
-    it are taken but those that hold rounding only (1e-24).
+    reference) are left out: in closed loop the response there would be that of the controller. So are lines whose power
+    a taper of 1 % at each end takes away, as beyond the last frequency of a sweep: what is left there is how the record
+    begins and ends, as smooth as T and not to be told from it. With `band` all lines in it are taken but those that
+    hold rounding only (1e-24).
 
     **Arguments:** `data`: of any kind; its period and transient periods are not used. `band`: lowest and highest
     frequency, Hz, both included; the whole range by default.
@@ -41,7 +46,7 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     power = strength(whole, k)
     strong = power >= (_STRONG if band is None else _STRONG_IN_BAND) * power.max()
     if band is None:
-        k = k[strong]
+        k = k[strong & ~_ends_alone(whole, k)]
     else:
         f = k * data.fs / n
         k = k[(f >= band[0]) & (f <= band[1]) & strong]
@@ -56,6 +61,23 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     return dataclasses.replace(
         spectra, periodic=False, noise=None, warnings=(*spectra.warnings, _what_it_can_give(data, spectra))
     )
+
+
+def _ends_alone(whole: Experiment, k) -> np.ndarray:
+    """Lines where every channel of the reference (or input) holds what its ends leak, and nothing else: (freq,)."""
+    x = whole.u if whole.r is None else whole.r
+    x = x - x.mean(axis=2, keepdims=True)
+    taper = scipy.signal.windows.tukey(whole.n_time, _ENDS)[:, None]
+    plain, tapered = (
+        _near(np.sum(np.abs(scipy.fft.rfft(s, axis=2)[:, :, k]) ** 2, axis=(0, 1))) for s in (x, x * taper)
+    )
+    left = tapered / np.maximum(plain, 1e-300)
+    usual = tapered.sum(axis=0) / np.maximum(plain.sum(axis=0), 1e-300)  # an impact at the start is all at an end
+    return np.all(left < _AT_ENDS * usual, axis=-1)
+
+
+def _near(power) -> np.ndarray:
+    return scipy.ndimage.uniform_filter1d(power, 2 * _BESIDE + 1, axis=0, mode="nearest")
 
 
 def segment_spectra(

@@ -31,6 +31,12 @@ def test_welch_is_scipys(noise_record):
     np.testing.assert_allclose(coherence[0, :, 0, 0], scipy.signal.coherence(u, y, **options)[1][1:128], rtol=1e-9)
 
 
+def test_welch_marks_its_first_lines(noise_record):
+    u, y = noise_record
+    frf = jf.estimate(jf.Experiment(u, y, FS), jf.Welch(segment=256))
+    assert list(np.flatnonzero(frf.status[0] & jf.Status.EDGE_WINDOW)) == [0, 1, 2, 3]
+
+
 def test_welch_covers(noise_record):
     """Segments that overlap are not independent: the regions know."""
     rng = np.random.default_rng(1)

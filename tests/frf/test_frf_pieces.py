@@ -13,7 +13,7 @@ import scipy.signal
 
 import jaxfrf as jf
 from jaxfrf.frf.catalogue import METHODS, method
-from jaxfrf.frf.features import _peaks
+from jaxfrf.frf.features import _peaks, _roughness
 from jaxfrf.frf.from_record import spectra_of
 from jaxfrf.pipeline import summary
 
@@ -337,6 +337,33 @@ def test_lines_that_tell_nothing_hide_no_feature():
     noisy = np.where(known, G, 10 * size.min()) + np.where(known, sigma, 0.0) * plants.circular(rng, G.shape)
     found = {x.kind: x.frequency for x in jf.features(response(noisy, f, std=sigma[..., 0]))}
     assert abs(found["antiresonance"] - antiresonance) <= 0.2 and abs(found["resonance"] - resonance) <= 0.2
+
+
+def test_scatter_that_the_noise_does_not_hold():
+    """H1 of one experiment: the covariance is the noise's, distortion scatters the lines a hundred times as far."""
+    rng = np.random.default_rng(12)
+    f = np.arange(2.0, 40.0, 0.1)
+    G, antiresonance, resonance = two_mass(f)
+    smooth = G[:, 0, 0] * (1 + 0.02 * plants.circular(rng, (len(f),)))
+    rough = _roughness(smooth) / np.abs(smooth)
+    assert np.all((rough > 0.01) & (rough < 0.06))  # at resonance and antiresonance, too
+    frf = response(smooth[:, None, None], f, std=1e-3 * np.abs(smooth)[:, None])
+    found = {
+        x.kind: x.frequency for x in jf.features(dataclasses.replace(frf, status=frf.status | jf.Status.NOISE_ONLY))
+    }
+    assert abs(found["antiresonance"] - antiresonance) <= 0.2 and abs(found["resonance"] - resonance) <= 0.2
+    dip = np.where(np.arange(len(f)) == 190, 0.2, 1.0) * (1 + 0.5 * plants.circular(rng, (len(f),)))
+    frf = response(dip[:, None, None], f, std=1e-4 * np.abs(dip)[:, None])
+    assert jf.features(dataclasses.replace(frf, status=frf.status | jf.Status.NOISE_ONLY)) == []
+
+
+def test_nothing_is_told_where_a_taper_reaches_beyond_the_band():
+    f = np.arange(1.0, 40.0)
+    G = (1 / (9.0 - f**2 + 0.6j * f))[:, None, None]
+    frf = response(G, f)
+    marked = dataclasses.replace(frf, status=np.where(np.arange(len(f)) < 4, jf.Status.EDGE_WINDOW, 0)[None])
+    assert len(jf.features(frf)) == 1 and jf.features(marked) == []
+    assert len(jf.features(dataclasses.replace(marked, window=frf.window * 9))) == 1  # of a local method
 
 
 def test_features_of_another_position():

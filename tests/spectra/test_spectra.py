@@ -6,6 +6,7 @@ import re
 import numpy as np
 import plants
 import pytest
+import scipy.signal
 
 import jaxfrf as jf
 
@@ -243,6 +244,25 @@ def test_record_spectra_choose_the_band_with_power():
     r = plants.multisine_record(X, np.arange(1, 100), PERIOD)
     u = rng.standard_normal(r.shape)
     assert list(jf.record_spectra(jf.Experiment(u, u, FS, r=r)).lines) == list(range(40, 61))
+
+
+@pytest.mark.parametrize("kind", ["linear", "logarithmic"])
+def test_record_spectra_end_where_a_sweep_ends(kind):
+    """Beyond its last frequency a sweep leaks from the ends of the record: 40 dB below, and no excitation."""
+    t = np.arange(10_000) / FS
+    u = scipy.signal.chirp(t, 0.5, t[-1], 100.0, method=kind)
+    for signal in (u, u[::-1]):
+        frequency = jf.record_spectra(jf.Experiment(signal, signal, FS)).frequency
+        assert frequency[0] < 0.5 and 99.0 < frequency[-1] < 108.0
+        assert len(frequency) > 0.999 * (frequency[-1] - frequency[0]) * t[-1]
+
+
+def test_record_spectra_of_an_impact():
+    """All of it stands at an end of the record, and is excitation."""
+    u = np.zeros(2000)
+    u[:6] = np.hanning(8)[1:-1]
+    frequency = jf.record_spectra(jf.Experiment(u, u, FS)).frequency
+    assert np.sum(frequency < 60.0) >= 0.95 * 60.0 * len(u) / FS
 
 
 def test_record_spectra_say_where_the_power_is():
