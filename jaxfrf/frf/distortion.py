@@ -4,6 +4,7 @@ import dataclasses
 
 import equinox as eqx
 import numpy as np
+import scipy.ndimage
 from jaxtyping import Bool, Float
 
 from .._arguments import expect
@@ -24,6 +25,8 @@ from .select import Auto
 
 _NEIGHBOURS = 8  # unexcited lines of one kind that the level at an excited line is the mean of
 _FEWEST = 4  # of them, below which nothing is said
+_STANDS_OUT, _USUAL = 10.0, 17  # power of the input over its median over so many unexcited lines of a kind: excited?
+_COMES_NEAR, _BESIDE = 0.1, 5  # of the power of the weakest of so many excited lines around: noise is far below
 
 
 class Distortion(eqx.Module):
@@ -62,8 +65,9 @@ def best_linear_approximation(data: Experiment, method: AbstractMethod | None = 
 
     *Fast* (Pintelon & Schoukens 2012, sec. 4.3), where lines in the band are left unexcited: what Y - G U leaves
     there, G interpolated from the excited lines, so that what the controller of a closed loop plays at these lines is
-    no distortion. Even lines show distortion of even order, odd ones of odd order; of odd excitations only the odd ones
-    fall on excited lines. Too high where G bends between two excited lines, as at a sharp resonance. *Robust*, from
+    no distortion. Where a record lists no lines, those that may be excited are left out, and `frf.warnings` says so.
+    Even lines show distortion of even order, odd ones of odd order; of odd excitations only the odd ones fall on
+    excited lines. Too high where G bends between two excited lines, as at a sharp resonance. *Robust*, from
     two realisations of two periods: `jaxfrf.levels`; even and odd are not told apart. Noise is what changes from period
     to period, and needs two.
 
@@ -129,7 +133,7 @@ def distortion_of(frf: FRF, data: Experiment, spectra: Spectra | None = None) ->
     unknown = np.full(shape, np.nan)
     noise = unknown if spectra.noise is None else np.sqrt(noise_level(frf.G, spectra))
     excited_even = bool(np.any(np.asarray(spectra.lines) % 2 == 0))
-    found = _fast(frf, data, spectra)
+    found, doubted = _fast(frf, data, spectra)
     even, odd, total, way = found["even"], found["odd"], unknown, "noise only"
     if np.isfinite(odd).any() and (np.isfinite(even).any() or not excited_even):
         power = odd**2 + (even**2 if excited_even else 0) + np.nan_to_num(noise) ** 2
@@ -148,6 +152,8 @@ def distortion_of(frf: FRF, data: Experiment, spectra: Spectra | None = None) ->
         )
     output = np.sqrt(np.mean(np.abs(np.asarray(spectra.Y)) ** 2, axis=1))
     frf = _with_total(frf, spectra, total, way)
+    if doubted and way == "fast":
+        frf = dataclasses.replace(frf, warnings=(*frf.warnings, _of_doubted(doubted)))
     return Distortion(frf=frf, output=output, noise=noise, total=total, way=way, **found)
 
 
@@ -157,19 +163,26 @@ def _same_lines(spectra: Spectra, frf: FRF) -> Spectra:
     fits = (at < len(spectra.frequency)).all() and np.allclose(spectra.frequency[at], frf.frequency, rtol=1e-9)
     if not fits or (spectra.n_pos, spectra.n_out, spectra.n_in) != (frf.n_pos, frf.n_out, frf.n_in):
         raise input_error("frf", "other lines, positions or channels", "those of the record", "Take both from one.")
+    return _at(spectra, at)
+
+
+def _at(spectra: Spectra, at) -> Spectra:
     signals = changed_signals(spectra, lambda x: np.asarray(x)[:, :, at])
     return dataclasses.replace(spectra, **signals, lines=spectra.lines[at], frequency=spectra.frequency[at])
 
 
-def _fast(frf: FRF, data: Experiment, spectra: Spectra) -> dict:
-    """Levels at the unexcited lines of the band, and brought to the excited ones; empty where there are none."""
+def _fast(frf: FRF, data: Experiment, spectra: Spectra) -> tuple[dict, int]:
+    """Levels at the unexcited lines of the band, and brought to the excited ones; empty where there are none. How many
+    lines are left out, as they may be excited."""
     shape = (spectra.n_pos, len(spectra.frequency), spectra.n_out)
     try:
         quiet = unexcited_spectra(data, (float(frf.frequency[0]), float(frf.frequency[-1])))
     except InputError:
         none = np.full((shape[0], 0, shape[2]), np.nan)
         nothing = dict(unexcited=np.zeros(0), is_even=np.zeros(0, bool), detected=none, detected_noise=none)
-        return nothing | dict(even=np.full(shape, np.nan), odd=np.full(shape, np.nan))
+        return nothing | dict(even=np.full(shape, np.nan), odd=np.full(shape, np.nan)), 0
+    kept = np.full(len(quiet.lines), True) if data.lines is not None else ~_may_be_excited(quiet, spectra)
+    doubted, quiet = int(np.sum(~kept)), _at(quiet, kept)
     G = _interpolated(quiet.frequency, frf)
     power = _unexplained(quiet, G)
     noise = np.zeros_like(power) if quiet.noise is None else noise_level(G, quiet)
@@ -178,12 +191,36 @@ def _fast(frf: FRF, data: Experiment, spectra: Spectra) -> dict:
         name: _brought(spectra.frequency, np.asarray(quiet.frequency)[of], (power - noise)[:, of])
         for name, of in (("even", is_even), ("odd", ~is_even))
     }
-    return {
+    levels = {
         "unexcited": np.asarray(quiet.frequency),
         "is_even": is_even,
         "detected": np.sqrt(power),
         "detected_noise": np.full_like(power, np.nan) if quiet.noise is None else np.sqrt(noise),
-    } | brought
+    }
+    return levels | brought, doubted
+
+
+def _may_be_excited(quiet: Spectra, excited: Spectra) -> np.ndarray:
+    """Lines that were found unexcited, but where the input stands out of others of their kind and comes near that of an
+    excited line beside, as the lines of a design do where a drive's force drops: (line,)."""
+    power, beside = (np.max(np.mean(np.abs(np.asarray(x.U)) ** 2, axis=1), axis=0) for x in (quiet, excited))
+    least = scipy.ndimage.minimum_filter1d(beside, _BESIDE, axis=0, mode="nearest")
+    nearest = np.clip(np.searchsorted(excited.lines, quiet.lines), 0, len(beside) - 1)
+    found = np.zeros(len(power), bool)
+    for kind in (0, 1):
+        of = np.asarray(quiet.lines) % 2 == kind
+        if of.sum() >= _USUAL:
+            usual = scipy.ndimage.median_filter(power[of], size=(_USUAL, 1), mode="nearest")
+            stands_out = (power[of] > _STANDS_OUT * usual) & (power[of] > _COMES_NEAR * least[nearest[of]])
+            found[of] = np.any(stands_out, axis=1)
+    return found
+
+
+def _of_doubted(count: int) -> str:
+    return (
+        f"distortion: {counted(count, 'line')} that count as unexcited carry ten times as much input as others around, "
+        "and are left out: they may be excited. Give the excited lines (lines=...) if they are known."
+    )
 
 
 def _brought(frequency, known, power) -> np.ndarray:

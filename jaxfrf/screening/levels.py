@@ -24,6 +24,7 @@ _SURROGATES = 8
 _EDGE, _EDGE_SURE = 2.0, 2.5  # at the end over beside it; standard deviations of the count
 _EDGE_FINE = 1.6  # that ratio over the same at four times the scale: 1 for sines, which crowd at every scale
 _EDGE_LEAST = 0.3  # sample in a bin
+_EDGE_VISITS = 6  # of a period: a limit is met again and again, the highest crests stand anywhere
 _TWO_LEVELS = 0.9  # a signal with this share of samples at its extremes is a designed two-level signal
 _CORNER = 0.25  # median step before a clipped stretch, in usual steps: what comes to rest there has none
 
@@ -139,7 +140,7 @@ def _sharp_edge(c: Channel) -> tuple[float, float]:
             low, high = sorted((ends[first], ends[first + 2]))
             stay = _stay((x >= low) & (x <= high))
             sure = _EDGE_SURE * np.sqrt(max(8 / 3 * beside * stay, 4 / 3 * stay**2))
-            if top - 2 * beside > sure:
+            if top - 2 * beside > sure and top >= _EDGE_VISITS * stay:
                 return float(ratio), float(top / max(len(x) / max(c.n_periods, 1), 1))
     return 0.0, 0.0
 

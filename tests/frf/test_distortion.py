@@ -59,6 +59,20 @@ def test_what_a_loop_plays_at_unexcited_lines_is_no_distortion():
     )
 
 
+def test_lines_in_a_dip_of_the_input_are_no_detection_lines(monkeypatch):
+    """Three excited lines that are not found: their input stands out of the unexcited ones, and they are told."""
+    rng = np.random.default_rng(6)
+    whole = record(odd=0.1, noise=1e-4)
+    u = whole.u + 2e-3 * np.tile(rng.standard_normal((PERIOD, 1)), (4, 1))  # what a drive distorts
+    given = dataclasses.replace(whole, u=u)
+    missed = LINES[30:33]
+    monkeypatch.setattr("jaxfrf.spectra.steady.known_lines", lambda data: np.setdiff1d(LINES, missed))
+    found = jf.best_linear_approximation(dataclasses.replace(given, lines=None), jf.H1())
+    (said,) = [x for x in found.frf.warnings if x.startswith("distortion: ")]
+    assert "3 lines that count as unexcited" in said
+    assert not np.isin(missed * FS / PERIOD, found.unexcited).any()
+
+
 def test_robust_way_where_all_lines_are_excited():
     lines = np.arange(5, 150)
     found = jf.best_linear_approximation(record(odd=0.1, noise=1e-3, n_exp=6, lines=lines), jf.H1())

@@ -57,6 +57,14 @@ def test_silent_on_noise_of_few_periods(seed):
     assert screen(experiment(*record(n_pos=2, n_in=3, noise=0.2, n_periods=3, seed=seed))) == ()
 
 
+@pytest.mark.parametrize("seed", [74, 397])
+def test_a_few_high_crests_are_no_limit(seed):
+    u = np.tile(multisine(seed, 1), (4, 1))
+    u = u + 1e-3 * np.random.default_rng(seed).standard_normal(u.shape)
+    y = np.roll(u, 3, axis=0) + 1e-3 * np.random.default_rng(0).standard_normal(u.shape)
+    assert not any("looks limited" in x for x in screen(jf.Experiment(u, y, FS, PERIOD)))
+
+
 def test_silent_on_a_fine_quantiser_and_on_square_waves():
     r, u, y = record(slow=3.0, noise=0.02)
     assert screen(experiment(r, np.round(u * 100) / 100, np.round(y * 50) / 50)) == ()
