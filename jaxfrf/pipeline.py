@@ -21,7 +21,7 @@ class Summary(eqx.Module):
 
     def as_dict(self) -> dict:
         """For `--json`: plain numbers and texts."""
-        frf = self.frf
+        frf, at = self.frf, self._excited()
         return {
             "method": frf.method,
             "positions": frf.n_pos,
@@ -29,10 +29,11 @@ class Summary(eqx.Module):
             "periods": self.spectra.n_periods,
             "lines": len(frf.frequency),
             "band_hz": [float(frf.frequency[0]), float(frf.frequency[-1])],
-            "median_relative_std": _finite(_relative_std(frf)),
-            "median_relative_noise": _finite(_relative_std(frf, frf.cov_noise)),
-            "median_relative_total": _finite(_relative_std(frf, frf.cov_total)),
-            "median_relative_bias": _finite(_relative(frf, frf.bias)),
+            "median_relative_std": _finite(_relative_std(frf, at=at)),
+            "median_relative_noise": _finite(_relative_std(frf, frf.cov_noise, at=at)),
+            "median_relative_total": _finite(_relative_std(frf, frf.cov_total, at=at)),
+            "median_relative_bias": _finite(_relative(frf, frf.bias, at=at)),
+            "median_band_hz": [float(x) for x in frf.frequency[at][[0, -1]]],
             "median_window": _finite(float(np.median(frf.window))),
             "effective_independent_lines": _finite(float(np.median(np.sum(1 / frf.window, axis=1)))),
             "features": [
@@ -51,6 +52,16 @@ class Summary(eqx.Module):
             "status": describe(frf.status),
             "warnings": list(frf.warnings),
         }
+
+    def _excited(self) -> slice:
+        """The lines that medians are of: all; of segments, which go up to half the rate, those that
+        99 % of the input's power lies between."""
+        power = np.sum(np.abs(np.asarray(self.spectra.U)) ** 2, axis=(0, 1))
+        if not self.spectra.segments or len(power) != len(self.frf.frequency):
+            return slice(None)
+        share = np.mean(np.cumsum(power, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300), axis=-1)
+        first, last = np.searchsorted(share, [_EDGE_POWER, 1 - _EDGE_POWER])
+        return slice(int(first), int(last) + 1)
 
     def _data(self) -> str:
         spectra = self.spectra
@@ -73,8 +84,10 @@ class Summary(eqx.Module):
         if about["median_relative_std"] is None:
             text.append("standard deviation: unknown (no residual degree of freedom)")
         else:
+            low, high = (number(x, 3) for x in about["median_band_hz"])
+            where = f", from {low} to {high} Hz, where the input has its power" if self.spectra.segments else ""
             text.append(
-                f"standard deviation: {percent(about['median_relative_std'])} of |G| (median of the diagonal)"
+                f"standard deviation: {percent(about['median_relative_std'])} of |G| (median of the diagonal{where})"
                 f"{_independent(about)}"
             )
             text += _causes(about)
@@ -114,19 +127,22 @@ def _elements(frf: FRF):
     return [(i, i) for i in range(min(frf.n_out, frf.n_in))]
 
 
-def _relative_std(frf: FRF, cov="own") -> float:
+_EDGE_POWER = 0.005  # of the input's, below and above the lines that medians are of
+
+
+def _relative_std(frf: FRF, cov="own", at: slice = slice(None)) -> float:
     """Of the covariance, or of a part of it."""
     if cov is None:
         return np.nan
-    return _relative(frf, frf.std if isinstance(cov, str) else dataclasses.replace(frf, cov=cov).std)
+    return _relative(frf, frf.std if isinstance(cov, str) else dataclasses.replace(frf, cov=cov).std, at)
 
 
-def _relative(frf: FRF, std) -> float:
+def _relative(frf: FRF, std, at: slice = slice(None)) -> float:
     if std is None:
         return np.nan
     n = range(min(frf.n_out, frf.n_in))
     with np.errstate(invalid="ignore", divide="ignore"):
-        relative = np.asarray(std)[..., n, n] / np.abs(np.asarray(frf.G)[..., n, n])
+        relative = np.asarray(std)[:, at][..., n, n] / np.abs(np.asarray(frf.G)[:, at][..., n, n])
     return float(np.nanmedian(relative)) if np.isfinite(relative).any() else np.nan
 
 

@@ -7,6 +7,7 @@ import scipy.signal
 
 import jaxfrf as jf
 from jaxfrf.frf import adapted
+from jaxfrf.pipeline import summary
 
 FS = 500.0
 
@@ -35,6 +36,17 @@ def test_welch_marks_its_first_lines(noise_record):
     u, y = noise_record
     frf = jf.estimate(jf.Experiment(u, y, FS), jf.Welch(segment=256))
     assert list(np.flatnonzero(frf.status[0] & jf.Status.EDGE_WINDOW)) == [0, 1, 2, 3]
+
+
+def test_the_summary_of_welch_is_of_the_excited_band():
+    rng = np.random.default_rng(2)
+    u = scipy.signal.lfilter(*scipy.signal.butter(6, 0.2), rng.standard_normal(20_000))
+    data = jf.Experiment(u, u + 0.01 * rng.standard_normal(u.size), FS)
+    method = jf.Welch(segment=256)
+    about = summary(jf.segment_spectra(data, 256), jf.estimate(data, method))
+    low, high = about.as_dict()["median_band_hz"]
+    assert low < 5.0 and 45.0 < high < 70.0 and about.as_dict()["median_relative_std"] < 0.01
+    assert "where the input has its power" in about.lines()[2]
 
 
 def test_welch_covers(noise_record):
