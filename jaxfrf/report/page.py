@@ -60,6 +60,7 @@ dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }
   main { max-width: none; padding: 0; }
   .tabs > div { display: block !important; } .tabs > label { display: none; }
   .wide, table, figure { overflow: visible; } th, td { white-space: normal; padding-right: 8px; }
+  .wrapped td:last-child { min-width: 0; }
   table { font-size: 12px; max-width: 100%; } thead { display: table-header-group; }
   figure, tr, dl, .verdict { break-inside: avoid; } h2, h3 { break-after: avoid; }
   details::details-content { content-visibility: visible; block-size: auto; }
