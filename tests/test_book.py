@@ -110,6 +110,7 @@ def test_notebooks_run_and_print_what_they_hold(path, tmp_path, monkeypatch):
     if "JAXFRF_DATA" in str(kept.cells) and "JAXFRF_DATA" not in os.environ:
         pytest.skip("JAXFRF_DATA is not set: `python tests/data.py` says where its data are to be had.")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # pictures stand in the page
     made, where = copy.deepcopy(kept), {"metadata": {"path": str(tmp_path)}}
     nbclient.NotebookClient(made, timeout=1500, kernel_name="python3", resources=where).execute()
     for number, (then, now) in enumerate(zip(kept.cells, made.cells, strict=True)):
