@@ -10,8 +10,8 @@ from .._errors import input_error
 from ..effects import FrictionAsymmetry, Payload, TorqueConstant, TorqueDelay, WristCoupling
 from ..experiment import Experiment
 from ..robot import Friction, Robot
+from ..robot.equations import gear_coupling
 from ..robot.regressor import link_parameters, link_regressor
-from ..robot.robot import gear_coupling
 from ..trajectory.evidence import Gram
 from ..trajectory.rigid_motion import MeasuredMotion, check_rigid, chosen_cutoff, measured_motions, thinned
 from .columns import OF_LINKS, link_slopes

@@ -29,6 +29,23 @@ from .drive import (
     ViscousFrictionLaw as ViscousFrictionLaw,
     effective_friction as effective_friction,
 )
+from .equations import (
+    arm_inertia as arm_inertia,
+    arm_inertia_and_bias as arm_inertia_and_bias,
+    arm_inertia_and_bias_columns as arm_inertia_and_bias_columns,
+    chain_angles as chain_angles,
+    deflections as deflections,
+    drive_forces as drive_forces,
+    energy as energy,
+    forward_dynamics as forward_dynamics,
+    friction_effects as friction_effects,
+    generalised_forces as generalised_forces,
+    inertia as inertia,
+    motor_directions as motor_directions,
+    motor_inertia as motor_inertia,
+    motor_values as motor_values,
+    spring_directions as spring_directions,
+)
 from .jacobian import (
     ParametricResponse as ParametricResponse,
     frf_and_jacobian as frf_and_jacobian,
@@ -55,24 +72,7 @@ from .response import (
     frf as frf,
     hold_remainder as hold_remainder,
 )
-from .robot import (
-    Robot as Robot,
-    arm_inertia as arm_inertia,
-    arm_inertia_and_bias as arm_inertia_and_bias,
-    arm_inertia_and_bias_columns as arm_inertia_and_bias_columns,
-    chain_angles as chain_angles,
-    deflections as deflections,
-    drive_forces as drive_forces,
-    energy as energy,
-    forward_dynamics as forward_dynamics,
-    friction_effects as friction_effects,
-    generalised_forces as generalised_forces,
-    inertia as inertia,
-    motor_directions as motor_directions,
-    motor_inertia as motor_inertia,
-    motor_values as motor_values,
-    spring_directions as spring_directions,
-)
+from .robot import Robot as Robot
 from .schema import (
     robot_from_table as robot_from_table,
     table_from_robot as table_from_robot,

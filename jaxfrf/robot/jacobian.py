@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from .._types import Array
+from .equations import arm_inertia, spring_directions
 from .linearise import GearLoss, LinearRobot, gravity_stiffness, linearise, local_stiffness, operating_point
 from .response import ZeroOrderHold, actuated_sampling, aliases, high_frequency, motion
-from .robot import Robot, arm_inertia, spring_directions
+from .robot import Robot
 
 
 class ParametricResponse(eqx.Module):

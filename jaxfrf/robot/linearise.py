@@ -23,8 +23,7 @@ from ..effects._place import spring_of
 from ..effects.acting import Group, groups
 from .chain import gravity_forces
 from .drive import ViscousFrictionLaw, effective_friction
-from .robot import (
-    Robot,
+from .equations import (
     arm_torques,
     chain_angles,
     drive_forces,
@@ -34,6 +33,7 @@ from .robot import (
     motor_directions,
     spring_directions,
 )
+from .robot import Robot
 from .tolerances import Tolerances
 
 _NEWTON_STEPS = 50

@@ -17,7 +17,7 @@ from .._types import Array
 from ..effects import AbstractArmTorque, AbstractFriction, AbstractGearError, AbstractGearTorque, AbstractMotorTorque
 from ..effects.acting import Group, groups
 from ..robot import AbstractFrictionLaw, AbstractSpring, Robot, arm_inertia_and_bias_columns
-from ..robot.robot import gear_coupling
+from ..robot.equations import gear_coupling
 
 Columns = Float[Array, "row run"]
 

@@ -20,7 +20,7 @@ from ..effects import (
 )
 from ..effects._place import axis_of
 from ..robot import Robot, arm_inertia_and_bias
-from ..robot.robot import gear_coupling
+from ..robot.equations import gear_coupling
 from .rigid_motion import MeasuredMotion, check_rigid, smooth
 
 Torque = Float[np.ndarray, "time axis"]
