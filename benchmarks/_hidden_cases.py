@@ -48,8 +48,8 @@ def can_be_made(case: Case) -> bool:
     return all(hidden.name not in MAIN or hidden.name in library() for hidden in case.hidden)
 
 
-def make(case: Case, folder, processes: int = 2) -> None:
-    """Write data and truth of a case unless they are there. `processes`: of MuJoCo.
+def make(case: Case, folder, processes: int = 2, plant: Plant | None = None) -> None:
+    """Write data and truth of a case unless they are there. `processes`: of MuJoCo; `plant`: instead of the case's.
 
     A level at which the closed loop fails is lowered by steps of .7; the truth states the one that was played.
     """
@@ -59,7 +59,7 @@ def make(case: Case, folder, processes: int = 2) -> None:
         return
     place.parent.mkdir(parents=True, exist_ok=True)
     truth.parent.mkdir(parents=True, exist_ok=True)
-    data, known, described = played(case, case.plant, processes)
+    data, known, described = played(case, plant or case.plant, processes)
     draft = pathlib.Path(tempfile.mkdtemp(prefix=f".{case.name}-", dir=place.parent))
     try:
         write(draft / "data.nc", data)

@@ -3,6 +3,7 @@
     python benchmarks/bench_gap.py --part report -o report [--cases 0-63] [--robots small] [--make-only] [--no-refits]
     python benchmarks/bench_gap.py --again -o report
     python benchmarks/bench_gap.py --score -o report [tune ...]
+    python benchmarks/bench_gap.py --cost -o cost
 
 Every case (`_hidden_plan.py`) is a simulated machine that differs from the robot that the diagnosis is given: in every
 number, as `_hidden_robots.py` says, and by one effect of the library, two, one that the library does not hold, or none.
@@ -12,18 +13,25 @@ and the shrink of the gap on the held-out positions if the true effect is refitt
 ("placebo"). `FOLDER/extended/NNN.toml` is the robot that it wrote; `--again` diagnoses the record once more with it.
 
 Data and results that are there are kept, so an interrupted run goes on; a diagnosis that ended in an error is made
-again. `--make-only` makes the data. The cases stand in an order in which the first few, or every second or third one
-(`--cases 0-251/3`), are a fair sample. `--score` prints the tables, and writes `score.json`, `score.txt` and
-`confusion.png` into the (first) folder. Tune on "tune", report on "report".
+again. Every diagnosis runs in a process of its own, so that its time and its memory are those of a user's call, with
+programs kept from earlier runs. `--make-only` makes the data. The cases stand in an order in which the first few, or
+every second or third one (`--cases 0-251/3`), are a fair sample. `--score` prints the tables, and writes `score.json`,
+`score.txt` and `confusion.png` into the (first) folder. Tune on "tune", report on "report".
+
+`--cost` diagnoses one R3X with 12 positions, 6 experiments and 8 s each by `jaxfrf diagnose`, twice, and prints the
+time and the memory of both runs.
 """
 
 import argparse
+import concurrent.futures
 import contextlib
+import dataclasses
 import functools
-import gc
 import json
+import multiprocessing
 import os
 import pathlib
+import sys
 import time
 import traceback
 
@@ -32,7 +40,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
-import jax
 import numpy as np
 from _gap_picture import draw
 from _gap_score import NAMING, load, report, score
@@ -56,7 +63,7 @@ from jaxfrf.io.robots import read_robot, write_robot
 from jaxfrf.trajectory.measured import fewer, measured
 
 _ROUNDS = 8  # of an oracle's fit
-_FORGET = 10  # cases after which compiled programs are dropped: they keep memory
+_COST_POSITIONS = 12
 
 
 class Diagnosed:
@@ -101,8 +108,11 @@ def main() -> None:
     parser.add_argument("--no-refits", action="store_true", help="neither oracle nor placebo: a third of the time")
     parser.add_argument("--again", action="store_true", help="diagnose the robots that were written, too")
     parser.add_argument("--jobs", type=int, default=1, help="processes of MuJoCo")
+    parser.add_argument("--cost", action="store_true", help="time and memory of one large case only")
     options = parser.parse_args()
     folder = options.output[0]
+    if options.cost:
+        return cost(folder, options.jobs)
     if not options.score:
         chosen = [c for c in cases(options.part) if c.robot in options.robots]
         chosen = [c for c in chosen if options.cases is None or c.number in options.cases]
@@ -125,9 +135,8 @@ def run(chosen: list[Case], folder: pathlib.Path, make_only: bool = False, jobs:
             continue
         start = time.monotonic()
         make(case, folder, jobs)
-        said = "made" if make_only else _diagnosed(case, folder, result, refits)
+        said = "made" if make_only else _alone(_diagnosed, case, folder, result, refits)
         done += 1
-        _forget(done)
         now = time.monotonic()
         left = (now - began) / done * (len(chosen) - k - 1)
         print(f"{case.name}: {said}, {now - start:.0f} s; {_duration(left)} left", flush=True)
@@ -135,29 +144,52 @@ def run(chosen: list[Case], folder: pathlib.Path, make_only: bool = False, jobs:
 
 def diagnose_again(chosen: list[Case], folder: pathlib.Path) -> None:
     """Of every case in which something was named: the verdict on the robot that was written, for the same record."""
-    for done, case in enumerate(chosen, 1):
+    for case in chosen:
         result, written_to = folder / "results" / f"{case.name}.json", folder / "extended" / f"{case.name}.toml"
         found = json.loads(result.read_text()) if result.exists() and written_to.exists() else {}
         if not _names(found) or "again" in found:
             continue
         try:
-            found["again"] = diagnose(read_robot(written_to), read(folder / "cases" / case.name / "data.nc")).verdict
+            found["again"] = _alone(_verdict, written_to, folder / "cases" / case.name / "data.nc")
         except Exception as error:  # as below
             found["again"], found["again_error"] = "failed", traceback.format_exc()
             print(f"{case.name}: {error}", flush=True)
         write_json(result, found)
-        _forget(done)
         print(f"{case.name}: {found['again']} with the robot that was written", flush=True)
+
+
+def cost(folder: pathlib.Path, jobs: int) -> None:
+    """Time and memory of `jaxfrf diagnose` on the report part's first single effect of R3X, with more positions."""
+    case = next(c for c in cases("report") if (c.robot, c.kind, c.simulator) == ("r3x", "single", "mujoco"))
+    make(case, folder, jobs, dataclasses.replace(case.plant, positions=_COST_POSITIONS))
+    place = folder / "cases" / case.name
+    shape = read(place / "data.nc").y.shape
+    print(f"{case.name}: {', '.join(h.name for h in case.hidden)}; {shape} samples of positions, experiments, axes")
+    call = ["-m", "jaxfrf", "diagnose", str(place / "data.nc"), "--robot", str(place / "robot.toml")]
+    for run in ("first", "second"):
+        start = time.monotonic()
+        child = os.posix_spawn(sys.executable, [sys.executable, *call, "-o", str(folder / f"{run}.json")], os.environ)
+        _, status, used = os.wait4(child, 0)
+        print(
+            f"{run} run: {time.monotonic() - start:.0f} s, {used.ru_utime + used.ru_stime:.0f} s of processor, "
+            f"{used.ru_maxrss / 1024:.0f} MB, ended with {os.waitstatus_to_exitcode(status)}",
+            flush=True,
+        )
 
 
 def _names(found: dict) -> bool:
     return found.get("verdict") in NAMING and bool(found.get("effects"))
 
 
-def _forget(done: int) -> None:
-    if done % _FORGET == 0:
-        jax.clear_caches()
-        gc.collect()
+def _alone(function, *arguments):
+    """Its value, from a process of its own."""
+    own = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(1, own) as pool:
+        return pool.submit(function, *arguments).result()
+
+
+def _verdict(robot: pathlib.Path, record: pathlib.Path) -> str:
+    return diagnose(read_robot(robot), read(record)).verdict
 
 
 def _finished(result: pathlib.Path) -> bool:
@@ -169,7 +201,6 @@ def _diagnosed(case: Case, folder: pathlib.Path, result: pathlib.Path, refits: b
     place = folder / "cases" / case.name
     start = time.monotonic()
     diagnosed = None
-    _reset_peak()
     try:
         diagnosed = Diagnosed(place)
         found = gap_contents(diagnosed.found)
@@ -206,14 +237,8 @@ def _others(case: Case, robot) -> list[AbstractEffect]:
     return [kind_of(name).typical(robot, str(rng.choice(case.plant.joints_of(name)))) for name in names]
 
 
-def _reset_peak() -> None:
-    """So that the peak of memory is that of one case; where the system does not allow it, of all so far."""
-    with contextlib.suppress(OSError):
-        pathlib.Path("/proc/self/clear_refs").write_text("5")
-
-
 def _peak_mb() -> float | None:
-    """Largest memory of this process since the reset, MB; `None` where the system does not say."""
+    """Largest memory of this process so far, MB; `None` where the system does not say."""
     with contextlib.suppress(OSError, StopIteration):
         lines = pathlib.Path("/proc/self/status").read_text().splitlines()
         return float(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1024

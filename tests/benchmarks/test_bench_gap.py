@@ -469,6 +469,7 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
         linear_shrink = shrink
 
     monkeypatch.setattr(bench_gap, "make", made)
+    monkeypatch.setattr(bench_gap, "_alone", lambda function, *arguments: function(*arguments))
     monkeypatch.setattr(bench_gap, "Diagnosed", Diagnosed)
     monkeypatch.setattr(bench_gap, "gap_contents", lambda found: {"verdict": "sufficient", "effects": []})
     monkeypatch.setattr(bench_gap, "_hidden", lambda effect: None)
