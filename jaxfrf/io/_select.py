@@ -11,6 +11,7 @@ from ._container import Leaf, Unreadable
 from .record_arguments import nearest, split
 
 _EXPRESSION = re.compile(r"(?P<name>.+?)(?P<transposed>')?(?:\[(?P<pick>[^\[\]]*)\])?")
+_COLUMNS = re.compile(r"(?P<file>(?:.+:)?)(?P<first>\d+):(?P<last>\d+)")  # of one of several files: `a.csv:2:4`
 _LISTED = 20  # names in a message
 NOT_THERE = "no such variable"
 
@@ -34,8 +35,9 @@ def select(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, expressi
     if expression.startswith("[") and expression.endswith("]"):
         parts = [select(path, variables, key, part) for part in split(expression[1:-1], ";")]
         return _stack(path, key, expression, parts)
-    if re.fullmatch(r"\d+:\d+", expression) and "1" in variables:
-        return _columns(path, variables, key, expression)
+    columns = _COLUMNS.fullmatch(expression)
+    if columns and f"{columns['file']}1" in variables:
+        return _columns(path, variables, key, columns)
     match = _EXPRESSION.fullmatch(expression)
     name = match["name"].strip() if match else expression
     if match is None or name not in variables:
@@ -48,18 +50,21 @@ def select(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, expressi
     return x if match["pick"] is None else _pick(path, key, expression, x, match["pick"])
 
 
-def _columns(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, expression: str) -> np.ndarray:
+def _columns(
+    path: pathlib.Path, variables: Mapping[str, Leaf], key: str, columns: re.Match[str]
+) -> np.ndarray:
     """Columns `2:4` of a table without headings: the second to the fourth, as people count."""
-    first, last = (int(x) for x in expression.split(":"))
-    if not 1 <= first <= last or str(last) not in variables:
+    file, first, last = columns["file"], int(columns["first"]), int(columns["last"])
+    if not 1 <= first <= last or f"{file}{last}" not in variables:
+        count = sum(name.startswith(file) and name.removeprefix(file).isdigit() for name in variables)
         raise input_error(
-            f"{path}: {_label(key, expression)}",
-            f"columns {expression}",
-            f"a part of 1:{len(variables)}, the last included",
+            f"{path}: {_label(key, columns[0])}",
+            f"columns {first}:{last}",
+            f"a part of 1:{count}, the last included",
             "Columns of a table without headings are counted from 1.",
         )
-    parts = [_usable(path, key, str(i), variables[str(i)]) for i in range(first, last + 1)]
-    return _stack(path, key, expression, parts)
+    parts = [_usable(path, key, name, variables[name]) for name in (f"{file}{i}" for i in range(first, last + 1))]
+    return _stack(path, key, columns[0], parts)
 
 
 def missing(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, name: str) -> InputError:

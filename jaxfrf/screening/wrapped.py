@@ -36,6 +36,12 @@ _SHARE = 0.2  # of the samples turned back: more are two levels exchanged
 _EDGE = 0.15  # of the range: beside either end stand ...
 _BESIDE = 0.6  # ... so many turned back for each of the others at most, as tails thin out
 
+# What so much better tells the samples by their neighbours needs neither tails nor few of them: a range of half the
+# signal's. Designed signals (several levels, chirps, limits) gain .43 with that hump, tanh(3 x) .7 with one of .15.
+_MUCH = 0.8  # log of power
+_WIDE = 0.25  # of the samples in the middle half: two levels have 0
+_EXACT = 0.08, 0.16  # as _LEFT; two levels reach .02 and .11
+
 _FAR = 0.25  # of the range: differences of two periods that are neither near 0 nor near a whole turn ...
 _FAR_SHARE = 0.1  # ... are this many of those that are a turn
 _FEW_DIFFER = 3  # differences that are a turn
@@ -125,21 +131,16 @@ def _folded(c: Channel) -> list[Finding]:
     first, x = _stretch(c)
     turn = (high - low) * (1 + 1 / len(c.x))
     hump = np.mean(np.abs(x - (low + high) / 2) < (high - low) / 4)
-    if len(x) < _SHORTEST or hump <= _HUMP or np.median(np.abs(np.diff(x))) < _MOVES * turn:
+    if len(x) < _SHORTEST or hump <= _WIDE or np.median(np.abs(np.diff(x))) < _MOVES * turn:
         return []
     plain = _between(x)[1]
     best = min((_unfolded(x, turn, start) for start in (np.zeros(len(x)), _by_steps(x, turn))), key=lambda z: z.unknown)
     moved = best.turns != 0
-    if moved.sum() < _FEW or moved.mean() > _SHARE or plain - best.unknown < _GAIN:
+    gain = plain - best.unknown
+    if moved.sum() < _FEW or gain < _GAIN or turn < 2 * _CLEAR * 1.4826 * np.median(np.abs(best.off[~moved])):
         return []
-    off = np.abs(best.off)
-    left = np.quantile(off[moved], (0.5, 0.9)) / turn
-    scatter = 1.4826 * np.median(off[~moved])
-    tails = all(
-        np.count_nonzero(end & moved) <= _BESIDE * np.count_nonzero(end & ~moved)
-        for end in (x > high - _EDGE * turn, x < low + _EDGE * turn)
-    )
-    if not tails or left[0] > _LEFT[0] or left[1] > _LEFT[1] or turn < 2 * _CLEAR * scatter:
+    few = hump > _HUMP and moved.mean() <= _SHARE and _within(best, turn, _LEFT) and _in_tails(x, moved, turn)
+    if not few and not (gain > _MUCH and _within(best, turn, _EXACT)):
         return []
     at = first + np.flatnonzero(moved)
     return _says(
@@ -150,6 +151,20 @@ def _folded(c: Channel) -> list[Finding]:
         f"one end of its range of {number(turn, 4)} where their neighbours tell the other",
         Severity.WARNED,
         "The FRF means little: log it with a wider range, or take that of the range from these samples.",
+    )
+
+
+def _within(found: _Unfolded, turn: float, parts: tuple[float, float]) -> bool:
+    """Median and 90 % of the samples turned back stand within these parts of a turn of what their neighbours tell."""
+    left = np.quantile(np.abs(found.off[found.turns != 0]), (0.5, 0.9)) / turn
+    return bool(left[0] <= parts[0] and left[1] <= parts[1])
+
+
+def _in_tails(x: np.ndarray, moved: np.ndarray, turn: float) -> bool:
+    """Beside either end fewer samples come from beyond it than stand there, as tails thin out."""
+    return all(
+        np.count_nonzero(end & moved) <= _BESIDE * np.count_nonzero(end & ~moved)
+        for end in (x > x.max() - _EDGE * turn, x < x.min() + _EDGE * turn)
     )
 
 

@@ -164,6 +164,18 @@ def test_columns_are_counted_from_one(tmp_path):
             jf.io.read(path, names=names)
 
 
+def test_columns_of_one_of_several_files(tmp_path):
+    u, y = table(tmp_path / "u.csv", None, T, U, Y, U), table(tmp_path / "y.csv", None, T, Y)
+    asked = {**PERIOD, "y_quantity": "velocity", "fs": 1000.0}
+    data = jf.io.read(u, y, names={"u": "u.csv:2:3", "y": "y.csv:2"}, values=asked)
+    np.testing.assert_array_equal(data.u[0, 0], np.stack([U, Y], axis=1))
+    data = jf.io.read(u, y, names={"u": "u.csv:[2:3;4]", "y": "y.csv:2:2"}, values=asked)
+    np.testing.assert_array_equal(data.u[0, 0], np.stack([U, Y, U], axis=1))
+    for wrong in ("0:2", "3:2", "2:5"):
+        with pytest.raises(jf.InputError, match=f"columns {wrong}; expected a part of 1:4, the last included"):
+            jf.io.read(u, y, names={"u": f"u.csv:{wrong}", "y": "y.csv:2"}, values=asked)
+
+
 def test_structs_of_dspace(tmp_path):
     rows = np.zeros((1, 2), dtype=[("Name", object), ("Data", object)])
     rows[0, 0], rows[0, 1] = ("Model Root/torque", U[None]), ("Model Root/speed", Y[None])
