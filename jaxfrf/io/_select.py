@@ -50,9 +50,7 @@ def select(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, expressi
     return x if match["pick"] is None else _pick(path, key, expression, x, match["pick"])
 
 
-def _columns(
-    path: pathlib.Path, variables: Mapping[str, Leaf], key: str, columns: re.Match[str]
-) -> np.ndarray:
+def _columns(path: pathlib.Path, variables: Mapping[str, Leaf], key: str, columns: re.Match[str]) -> np.ndarray:
     """Columns `2:4` of a table without headings: the second to the fourth, as people count."""
     file, first, last = columns["file"], int(columns["first"]), int(columns["last"])
     if not 1 <= first <= last or f"{file}{last}" not in variables:

@@ -202,6 +202,7 @@ def _phases(Z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     mean = Z.mean(axis=1)
     power = np.maximum(np.abs(mean) ** 2, 1e-300)
     scatter = scipy.ndimage.uniform_filter1d(Z.var(axis=1, ddof=1), _SMOOTH, axis=1, mode="nearest")
+    scatter = np.maximum(scatter, 0.0)  # running sums of large and small ones end a little below
     return Z.conj() * mean[:, None] / power[:, None], scatter / power, np.sqrt(power)
 
 

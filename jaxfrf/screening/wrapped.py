@@ -55,7 +55,7 @@ def wrapped(c: Channel) -> Iterator[Finding]:
     the range is added or taken; the same place of two periods at opposite ends.
 
     What cannot be told from a clean record: a signal without hump (white and evenly spread, of two levels), a
-    saw-tooth, one that is white up to half the sampling frequency and repeats exactly.
+    saw-tooth, one that is white up to half the sampling frequency and repeats exactly, one most of which is noise.
     """
     size, (low, high) = c.steps, c.ends
     if np.any(size > _RANGE * (high - low)):
@@ -91,6 +91,7 @@ def _jumping(c: Channel) -> list[Finding]:
         return []
     if turn < high - low - _REACHES * usual:
         return []
+    turn = _without_steps(c.x, jumps, high - low)
     return _says(
         c,
         turn,
@@ -100,6 +101,16 @@ def _jumping(c: Channel) -> list[Finding]:
         Severity.REFUSED,
         f"Unwrap it before it is used (numpy.unwrap(x, period={number(turn, 6)})).",
     )
+
+
+def _without_steps(x: np.ndarray, jumps: np.ndarray, reach: float) -> float:
+    """The turn of jumps, what they are more than the steps around them; no less than the range that x reaches."""
+    apart = np.diff(jumps, prepend=-2, append=len(x) + 2) > 1
+    at = jumps[apart[:-1] & apart[1:]]  # not there and back in two samples
+    if not at.size:
+        return reach
+    by, around = x[at + 1] - x[at], (x[at] - x[at - 1] + x[at + 2] - x[at + 1]) / 2
+    return max(float(np.median(np.abs(by - around))), reach)
 
 
 def _is_saw(c: Channel, jumps: np.ndarray) -> bool:
