@@ -29,8 +29,8 @@ def parse_map(text: str) -> dict[str, str]:
     on the right one of the user's file: a variable, a field of a struct (`y=rec.act_vel`), a column of a
     table (its heading, or its number, counted from 1, where there are no headings; `u=1:3` are the first three),
     several of them stacked as channels (`u=[tau1;tau2]`), one of several files of one record (`u=currents.csv:tau1`,
-    `u=currents.csv:[tau1;tau2]`, `u=currents.csv:1:6`), some channels of one (`u=log[3]`, `y=log[0:3]`, counted from 0, the stop
-    not included), or one transposed (`u=torque'`).
+    `u=currents.csv:[tau1;tau2]`, `u=currents.csv:1:6`), some channels of one (`u=log[3]`, `y=log[0:3]`, counted from
+    0, the stop not included), or one transposed (`u=torque'`).
 
     **Arguments:** `text`: as behind `--map`.
 
