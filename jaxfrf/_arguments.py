@@ -49,12 +49,12 @@ def expect_each(name: str, values: Any, kind: type) -> None:
 def expect_path(name: str, value: Any) -> None:
     """Refuse what names no file."""
     if not isinstance(value, str | os.PathLike):
-        raise input_error(name, _said(value), "the name of a file", "Give it as text or a pathlib.Path.")
+        raise input_error(name, said(value), "the name of a file", "Give it as text or a pathlib.Path.")
 
 
 def expect_text(name: str, value: Any) -> None:
     if not isinstance(value, str):
-        raise input_error(name, _said(value), "text", "Give it in quotes.")
+        raise input_error(name, said(value), "text", "Give it in quotes.")
 
 
 def expect_whole(name: str, value: Any, least: int | None = 0) -> None:
@@ -65,7 +65,7 @@ def expect_whole(name: str, value: Any, least: int | None = 0) -> None:
         whole = False
     if not whole or abs(value) > _LARGEST or (least is not None and value < least):
         size = "" if least is None else f", {least} or more"
-        raise input_error(name, _said(value), f"a whole number{size}", "Choose another.")
+        raise input_error(name, said(value), f"a whole number{size}", "Choose another.")
 
 
 def expect_real(name: str, value: Any) -> None:
@@ -76,7 +76,7 @@ def expect_real(name: str, value: Any) -> None:
     except (TypeError, ValueError):
         real = False
     if not real:
-        raise input_error(name, _said(value), "finite real numbers", "Check it.")
+        raise input_error(name, said(value), "finite real numbers", "Check it.")
 
 
 def expect_index(name: str, value: Any, count: int) -> None:
@@ -92,7 +92,7 @@ def wrong_kind(name: str, value: Any, expected: str, *kinds: type) -> InputError
     makes = (_MADE.get((kind.__name__, found)) for kind in kinds)
     written = value.__name__ if found == "class" else repr(str(value)) if found == "path" else ""
     do = next((text.format(value=written) for text in makes if text), "Check the order of the arguments.")
-    return input_error(name, _said(value), expected, do)
+    return input_error(name, said(value), expected, do)
 
 
 def _kind(value: Any) -> str:
@@ -105,8 +105,9 @@ def _kind(value: Any) -> str:
     return "array" if isinstance(value, np.ndarray) or hasattr(value, "__jax_array__") else type(value).__name__
 
 
-def _said(value: Any) -> str:
-    if isinstance(value, np.ndarray):
+def said(value: Any) -> str:
+    """A value in a message."""
+    if hasattr(value, "shape") and hasattr(value, "dtype"):
         return f"an array of shape {value.shape}"
     if value is None or isinstance(value, str | int | float):
         return shortened(value)

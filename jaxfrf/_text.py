@@ -44,7 +44,7 @@ def plus_minus(value: SupportsFloat, half: SupportsFloat, sign: str = "+-") -> s
 
 def shortened(value: object) -> str:
     """What was given, in messages: as Python writes it, the end of what is long left out."""
-    text = repr(value)
+    text = " ".join(repr(value).split())
     return text if len(text) <= _LONG else f"{text[: _LONG - 3]}..."
 
 

@@ -274,6 +274,7 @@ BASE = LOWEST | {
     "environment",
     "files",
     "arguments",
+    "annotated",
     "memory",
     "compile",
     "threads",
@@ -293,6 +294,7 @@ WHOLE = IO | {"trajectory", "calibration", "pipeline"}
 MAY_IMPORT = {
     **{name: set() for name in LOWEST},
     **{name: LOWEST for name in BASE - LOWEST},
+    "annotated": LOWEST | {"arguments"},
     "parts": LOWEST | {"files", "parts"},
     "excitation": BASE | {"excitation"},
     "periodic": BASE | {"periodic"},

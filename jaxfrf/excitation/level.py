@@ -5,6 +5,7 @@ import numpy as np
 import scipy.fft
 from jaxtyping import Complex, Float
 
+from .._annotated import checked
 from .._types import Array
 from .signals import Reference, one_period
 
@@ -24,6 +25,7 @@ class ExcitationLevels(eqx.Module):
     acceleration: Float[np.ndarray, "exp in"]
 
 
+@checked
 def rms(x: Float[Array, "*batch time channel"]) -> Float[np.ndarray, "*batch channel"]:
     """Root mean square over time, in the unit of x.
 
@@ -36,6 +38,7 @@ def rms(x: Float[Array, "*batch time channel"]) -> Float[np.ndarray, "*batch cha
     return np.sqrt(np.mean(np.square(x), axis=-2))
 
 
+@checked
 def crest_factor(x: Float[Array, "*batch time channel"]) -> Float[np.ndarray, "*batch channel"]:
     """Highest absolute value over rms, over whole periods: sqrt(2) for a sine, 3 to 4 for random phases.
 
@@ -51,6 +54,7 @@ def crest_factor(x: Float[Array, "*batch time channel"]) -> Float[np.ndarray, "*
     return np.max(np.abs(x), axis=-2) / rms(x)
 
 
+@checked
 def line_power(R: Complex[Array, "*batch freq channel"]) -> Float[np.ndarray, "*batch freq channel"]:
     """Mean square that each line carries, 2 |R(k)|^2, R Fourier coefficients; the sum over lines is rms^2.
 
@@ -63,6 +67,7 @@ def line_power(R: Complex[Array, "*batch freq channel"]) -> Float[np.ndarray, "*
     return 2 * np.abs(R) ** 2
 
 
+@checked
 def reference_levels(reference: Reference) -> ExcitationLevels:
     """The levels of every experiment and channel of a reference.
 

@@ -9,6 +9,7 @@ import math
 import numpy as np
 from jaxtyping import Int, PRNGKeyArray
 
+from .._annotated import checked
 from .._arguments import expect_real, expect_whole
 from .._errors import input_error
 from .._memory import check_memory
@@ -19,6 +20,7 @@ from ._draw import uniform
 Grid = Int[np.ndarray, "freq"]
 
 
+@checked
 def band_lines(low: float, high: float, fs: float, period: int) -> tuple[int, int]:
     """The first and the last line inside the band from `low` to `high` (Hz, both included).
 
@@ -149,6 +151,7 @@ def log_odd_lines(first: int, last: int, points: int) -> Grid:
     return _some(lines[lines <= last], first, last)
 
 
+@checked
 def detection_lines(lines: Int[Array, "freq"], first: int | None = None, last: int | None = None) -> tuple[Grid, Grid]:
     """The unexcited lines (odd, even) of the band: odd and even nonlinear distortion show there.
 

@@ -7,6 +7,8 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Complex, Float, Int, PRNGKeyArray
 
+from .._annotated import checked
+from .._arguments import expect
 from .._errors import input_error
 from .._memory import check_memory
 from .._text import shortened
@@ -38,7 +40,7 @@ class SlowSine(eqx.Module):
     amplitude: Float[np.ndarray, "in"]
 
     def __init__(self, lines, amplitude):
-        self.lines = _whole_numbers("slow sine lines", np.atleast_1d(lines))
+        self.lines = np.atleast_1d(_whole_numbers("slow sine lines", lines))
         self.amplitude = _numbers("slow sine amplitude", amplitude, least=0.0)
         if self.lines.ndim != 1 or self.amplitude.shape != self.lines.shape:
             raise input_error(
@@ -114,7 +116,7 @@ class Multisine(eqx.Module):
     ):
         self.fs = _number("fs", fs, positive=True)
         self.period = _whole_number("period", period, least=3)
-        self.lines = _whole_numbers("lines", np.atleast_1d(lines))
+        self.lines = np.atleast_1d(_whole_numbers("lines", lines))
         self.blocks = _whole_number("blocks", blocks, least=1)
         self.periods = _whole_number("periods", periods, least=1)
         self.transient_periods = _whole_number("transient_periods", transient_periods, least=0)
@@ -122,6 +124,8 @@ class Multisine(eqx.Module):
         self.seed = _whole_number("seed", seed, least=0, most=_LARGEST_SEED)
         self.phases = phases
         self.slow = slow
+        if slow is not None:
+            expect("slow", slow, SlowSine)
         rms = None if rms is None else _numbers("rms", rms)
         amplitude = None if amplitude is None else _numbers("amplitude", amplitude)
         velocity_limit = None if velocity_limit is None else _numbers("velocity_limit", velocity_limit)
@@ -190,6 +194,7 @@ class Multisine(eqx.Module):
         return np.sqrt(np.sum(self.amplitude**2, axis=0) / 2)
 
 
+@checked
 def reference_spectra(design: Multisine, *, key: PRNGKeyArray | None = None) -> Complex[np.ndarray, "exp freq in"]:
     """Fourier coefficients of the multisine references at the excited lines, block after block.
 
@@ -221,6 +226,7 @@ def _block(design: Multisine, key) -> Complex[np.ndarray, "exp freq in"]:
     return design.amplitude / 2 * np.exp(1j * angle).transpose(1, 2, 0)
 
 
+@checked
 def shaped_amplitude(
     frequency: Float[Array, "freq"],
     corners: Sequence[float] | Float[Array, "corner"],
@@ -340,14 +346,14 @@ def _numbers(name: str, value, least: float = -np.inf) -> np.ndarray:
 def _number(name: str, value, positive: bool = False) -> float:
     x = _numbers(name, value)
     if x.size != 1 or (positive and x <= 0):
-        raise input_error(name, f"{value!r}", f"one {'positive ' if positive else ''}number", "Correct it.")
+        raise input_error(name, shortened(value), f"one {'positive ' if positive else ''}number", "Correct it.")
     return float(x.item())
 
 
 def _whole_numbers(name: str, value) -> np.ndarray:
     x = _numbers(name, value)
     if np.any(x != np.round(x)):
-        raise input_error(name, f"{value!r}", "whole numbers", "Line k is k*fs/period Hz.")
+        raise input_error(name, shortened(value), "whole numbers", "Line k is k*fs/period Hz.")
     return x.astype(np.int64)
 
 

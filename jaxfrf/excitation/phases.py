@@ -13,6 +13,7 @@ import scipy  # its modules load when they are used: scipy.optimize is not there
 from equinox import AbstractClassVar
 from jaxtyping import Float, Int, PRNGKeyArray
 
+from .._annotated import checked
 from .._types import Array
 from ._draw import uniform
 
@@ -95,6 +96,7 @@ PHASES: dict[str, type[AbstractPhases]] = {
 """The choices by the name that files use."""
 
 
+@checked
 def random_phases(shape: tuple[int, ...], key: PRNGKeyArray) -> Float[np.ndarray, "..."]:
     """Independent phases of this shape, uniform on [0, 2 pi), rad.
 
@@ -107,6 +109,7 @@ def random_phases(shape: tuple[int, ...], key: PRNGKeyArray) -> Float[np.ndarray
     return 2 * np.pi * uniform(key, shape)
 
 
+@checked
 def schroeder_phases(amplitude: Float[Array, "freq"], lines: Int[Array, "freq"]) -> Float[np.ndarray, "freq"]:
     """Phases that make the signal a sweep which stays at each frequency in proportion to its power.
 
@@ -131,6 +134,7 @@ def schroeder_phases(amplitude: Float[Array, "freq"], lines: Int[Array, "freq"])
     return np.concatenate([[0.0], -2 * np.pi * np.cumsum(steps / np.gcd.reduce(steps) * delay)])
 
 
+@checked
 def optimise_crest(
     amplitude: Float[Array, "freq in"], lines: Int[Array, "freq"], phi: Phases, psi: Phases
 ) -> tuple[Phases, Phases]:

@@ -5,6 +5,7 @@ import numpy as np
 import scipy.fft
 from jaxtyping import Complex, Float, Int, PRNGKeyArray
 
+from .._annotated import check_fields, checked
 from .._arguments import expect
 from .._errors import input_error
 from .._memory import check_memory
@@ -28,6 +29,7 @@ class Reference(eqx.Module):
     design: Multisine
 
     def __check_init__(self):
+        check_fields(self)
         design = self.design
         n_time = (design.transient_periods + design.periods) * design.period
         expected = (design.n_exp, n_time, design.n_in)
@@ -117,6 +119,7 @@ def _reference(design: Multisine, R) -> Reference:
     return Reference(r=r, position=position, design=design)
 
 
+@checked
 def one_period(
     design: Multisine, R: Complex[np.ndarray, "freq in"]
 ) -> tuple[Float[np.ndarray, "time in"], Float[np.ndarray, "time in"]]:

@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._annotated import check_fields, checked
+from .._errors import input_error
 from .._types import Array
 
 Angles = Float[Array, "*batch joint"]
@@ -47,20 +49,16 @@ class Chain(eqx.Module):
     slides: tuple[bool, ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
-        n = np.shape(self.axis)[0]
-        shapes = {
-            "axis": (n, 3),
-            "offset": (n, 3),
-            "mass": (n,),
-            "com": (n, 3),
-            "inertia": (n, 6),
-            "gravity": (3,),
-        }
-        for name, shape in shapes.items():
-            if np.shape(getattr(self, name)) != shape:
-                raise ValueError(f"{name} has shape {np.shape(getattr(self, name))}; expected {shape}.")
-        if len(self.slides) not in (0, n):
-            raise ValueError(f"slides has {len(self.slides)} entries; expected one for each of {n} joints.")
+        check_fields(self)
+        if len(self.slides) not in (0, self.n_joints):
+            raise input_error(
+                "slides", f"{len(self.slides)} entries", f"one for each of {self.n_joints} joints", "Complete it."
+            )
+
+    @property
+    def axis_lengths(self) -> dict[str, int]:
+        """How long axes of arrays are that are named for parts of the chain."""
+        return {"joint": self.n_joints}
 
     @property
     def n_joints(self) -> int:
@@ -97,6 +95,7 @@ class Frames(eqx.Module):
     position: Float[Array, "*batch joint 3"]
 
 
+@checked
 @eqx.filter_jit
 def forward_kinematics(chain: Chain, q: Angles) -> Frames:
     """Orientation and origin of every joint's frame in the world.
@@ -108,7 +107,7 @@ def forward_kinematics(chain: Chain, q: Angles) -> Frames:
 
     **Returns:** `Frames` in the base frame: rotations, (*batch, joint, 3, 3), and positions, (*batch, joint, 3), m.
 
-    **Raises:** `ValueError` for another number of angles than joints.
+    **Raises:** `jaxfrf.InputError` for another number of angles than joints.
 
     **Source:** the equations above; the turns by Rodrigues' formula.
     """
@@ -120,6 +119,7 @@ def forward_kinematics(chain: Chain, q: Angles) -> Frames:
     )
 
 
+@checked
 @eqx.filter_jit
 def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
     """Joint-space inertia by composite bodies (CRBA), M_ij = s_i . I_c(max(i, j)) s_j; kg m^2.
@@ -128,7 +128,7 @@ def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
 
     **Returns:** M(q), (*batch, joint, joint), kg m^2.
 
-    **Raises:** `ValueError` for another number of angles than joints.
+    **Raises:** `jaxfrf.InputError` for another number of angles than joints.
 
     **Source:** Featherstone, Rigid Body Dynamics Algorithms, 2008, section 6.2, here in world axes.
     """
@@ -137,6 +137,7 @@ def mass_matrix(chain: Chain, q: Angles) -> Float[Array, "*batch joint joint"]:
     return jnp.moveaxis(matrix, -1, 0).reshape(*batch, chain.n_joints, chain.n_joints)
 
 
+@checked
 @eqx.filter_jit
 def inverse_dynamics(chain: Chain, q: Angles, rate: Angles, acceleration: Angles) -> Angles:
     """Joint torque of a motion, tau = M(q) q'' + c(q, q') + g(q), by recursive Newton-Euler (RNEA); N m.
@@ -146,7 +147,7 @@ def inverse_dynamics(chain: Chain, q: Angles, rate: Angles, acceleration: Angles
 
     **Returns:** (*batch, joint), N m.
 
-    **Raises:** `ValueError` for another number of angles, rates or accelerations than joints.
+    **Raises:** `jaxfrf.InputError` for another number of angles, rates or accelerations than joints.
 
     **Source:** Featherstone, Rigid Body Dynamics Algorithms, 2008, section 5.3, here in world axes.
     """
@@ -154,6 +155,7 @@ def inverse_dynamics(chain: Chain, q: Angles, rate: Angles, acceleration: Angles
     return _rows(_newton_euler(chain, _bodies(chain, angles), rates, accelerations), batch)
 
 
+@checked
 @eqx.filter_jit
 def bias_forces(chain: Chain, q: Angles, rate: Angles) -> Angles:
     """Torque at zero acceleration, c(q, q') + g(q); (*batch, joint), N m.
@@ -162,7 +164,7 @@ def bias_forces(chain: Chain, q: Angles, rate: Angles) -> Angles:
 
     **Returns:** (*batch, joint), N m.
 
-    **Raises:** `ValueError` for another number of angles or rates than joints.
+    **Raises:** `jaxfrf.InputError` for another number of angles or rates than joints.
 
     **Source:** as of `inverse_dynamics`.
     """
@@ -170,6 +172,7 @@ def bias_forces(chain: Chain, q: Angles, rate: Angles) -> Angles:
     return _rows(_newton_euler(chain, _bodies(chain, angles), rates, jnp.zeros_like(angles)), batch)
 
 
+@checked
 @eqx.filter_jit
 def gravity_forces(chain: Chain, q: Angles) -> Angles:
     """Torque that holds the chain at rest, g(q) = d potential_energy / dq; (*batch, joint), N m.
@@ -178,7 +181,7 @@ def gravity_forces(chain: Chain, q: Angles) -> Angles:
 
     **Returns:** (*batch, joint), N m.
 
-    **Raises:** `ValueError` for another number of angles than joints.
+    **Raises:** `jaxfrf.InputError` for another number of angles than joints.
 
     **Source:** as of `inverse_dynamics`, at rest.
     """
@@ -186,6 +189,7 @@ def gravity_forces(chain: Chain, q: Angles) -> Angles:
     return _rows(_gravity(chain, _bodies(chain, angles)), batch)
 
 
+@checked
 @eqx.filter_jit
 def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "*batch joint joint"], Angles]:
     """Both `mass_matrix`, kg m^2, and `bias_forces`, N m, from one pass over the kinematics: what a time step needs.
@@ -194,7 +198,7 @@ def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "
 
     **Returns:** (*batch, joint, joint), kg m^2, and (*batch, joint), N m.
 
-    **Raises:** `ValueError` for another number of angles or rates than joints.
+    **Raises:** `jaxfrf.InputError` for another number of angles or rates than joints.
 
     **Source:** as of `mass_matrix` and `inverse_dynamics`.
     """
@@ -204,6 +208,7 @@ def mass_and_bias(chain: Chain, q: Angles, rate: Angles) -> tuple[Float[Array, "
     return matrix, _rows(_newton_euler(chain, bodies, rates, jnp.zeros_like(angles)), batch)
 
 
+@checked
 def mass_and_bias_columns(
     chain: Chain, q: Float[Array, "joint run"], rate: Float[Array, "joint run"]
 ) -> tuple[Float[Array, "joint joint run"], Float[Array, "joint run"]]:
@@ -219,6 +224,7 @@ def mass_and_bias_columns(
     return _mass_matrix(bodies), _newton_euler(chain, bodies, rate, jnp.zeros_like(q))
 
 
+@checked
 @eqx.filter_jit
 def potential_energy(chain: Chain, q: Angles) -> Float[Array, "*batch"]:
     """Energy of the links in gravity, -sum_i m_i gravity . c_i(q); (*batch,), J.
@@ -227,7 +233,7 @@ def potential_energy(chain: Chain, q: Angles) -> Float[Array, "*batch"]:
 
     **Returns:** (*batch,), J; 0 with every centre of mass at the height of the base frame's origin.
 
-    **Raises:** `ValueError` for another number of angles than joints.
+    **Raises:** `jaxfrf.InputError` for another number of angles than joints.
 
     **Source:** the equation above.
     """
@@ -253,9 +259,6 @@ class _Bodies(eqx.Module):
 
 def _columns(chain: Chain, *angles):
     """Angles (*batch, joint) as (joint, flat batch), and the batch shape they share."""
-    for x in angles:
-        if jnp.shape(x)[-1:] != (chain.n_joints,):
-            raise ValueError(f"Angles have shape {jnp.shape(x)}; expected (*batch, {chain.n_joints}).")
     batch = jnp.broadcast_shapes(*(jnp.shape(x)[:-1] for x in angles))
     flat = (jnp.broadcast_to(x, (*batch, chain.n_joints)).reshape(-1, chain.n_joints) for x in angles)
     return tuple(x.T for x in flat), batch

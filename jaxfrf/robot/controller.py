@@ -4,6 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Complex, Float
 
+from .._annotated import check_fields
 from .._types import Array
 
 
@@ -32,6 +33,9 @@ class Controller(eqx.Module):
     speed_filter: Float[Array, "..."] | None = None
     anti_windup: bool = eqx.field(static=True, default=False)
     speed_sensor: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        check_fields(self)
 
     def command(
         self,

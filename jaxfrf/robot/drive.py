@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from .._annotated import check_fields, checked
 from .._types import Array
 
 
@@ -60,6 +61,9 @@ class Spring(AbstractSpring):
     stiffness_ratio: Float[Array, "spring"]
     stiffness_knee: Float[Array, "spring"]
     backlash: Float[Array, "spring"] | None = None
+
+    def __check_init__(self):
+        check_fields(self)
 
     def torque(self, deflection, rate):
         if self.backlash is not None:
@@ -127,6 +131,9 @@ class Friction(AbstractFrictionLaw):
     coulomb: Float[Array, "axis"]
     smoothing: Float[Array, ""]
 
+    def __check_init__(self):
+        check_fields(self)
+
     def torque(self, speed):
         return self.viscous * speed + self.coulomb * jnp.tanh(speed / self.smoothing)
 
@@ -139,10 +146,14 @@ class ViscousFrictionLaw(AbstractFrictionLaw):
 
     viscous: Float[Array, "axis"]
 
+    def __check_init__(self):
+        check_fields(self)
+
     def torque(self, speed):
         return self.viscous * speed
 
 
+@checked
 def effective_friction(friction: AbstractFrictionLaw, amplitude: Float[Array, "axis"] | float) -> Float[Array, "axis"]:
     """Gain of the friction for small motion on top of a slow sine of this speed: f + 2 c/(pi A), N m s/rad.
 
@@ -178,3 +189,6 @@ class Drives(eqx.Module):
     torque_limit: Float[Array, "axis"]
     friction: AbstractFrictionLaw
     zero: Float[Array, "axis"] | None = None
+
+    def __check_init__(self):
+        check_fields(self)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._annotated import checked
 from .._types import Array
 from ..effects import AbstractArmTorque, AbstractFriction, AbstractGearCoupling
 from ..effects.acting import groups
@@ -20,6 +21,7 @@ from .chain import mass_and_bias, mass_and_bias_columns, mass_matrix, potential_
 from .robot import Robot
 
 
+@checked
 def chain_angles(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch joint"]:
     """Angles of all joints in chain order, from [q_a, q_e], rad; a locked joint stands at zero.
 
@@ -49,6 +51,7 @@ def _reflected_rotors(robot: Robot):
     return jnp.concatenate([rotor, jnp.zeros(robot.n_elastic)])
 
 
+@checked
 @eqx.filter_jit
 def arm_inertia(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:
     """M_ae(q_a, q_e), with the rotors of rigid transmissions.
@@ -62,6 +65,7 @@ def arm_inertia(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "
     return _arm_matrix(robot, mass_matrix(robot.chain, chain_angles(robot, arm)))
 
 
+@checked
 @eqx.filter_jit
 def arm_inertia_and_bias(
     robot: Robot, arm: Float[Array, "*batch arm"], rate: Float[Array, "*batch arm"]
@@ -79,6 +83,7 @@ def arm_inertia_and_bias(
     return _arm_matrix(robot, matrix), bias[..., np.array(robot.arm_joints)]
 
 
+@checked
 def arm_inertia_and_bias_columns(
     robot: Robot, arm: Float[Array, "arm run"], rate: Float[Array, "arm run"]
 ) -> tuple[Float[Array, "arm arm run"], Float[Array, "arm run"]]:
@@ -98,6 +103,7 @@ def arm_inertia_and_bias_columns(
     return (matrix if rotor is None else matrix + jnp.diag(rotor)[..., None]), bias[order]
 
 
+@checked
 def motor_inertia(robot: Robot) -> Float[Array, "motor"]:
     """Inertia of the motors that have a coordinate of their own, kg m^2.
 
@@ -108,6 +114,7 @@ def motor_inertia(robot: Robot) -> Float[Array, "motor"]:
     return robot.drives.motor_inertia[np.array(robot.flexible_axes, int)]
 
 
+@checked
 @eqx.filter_jit
 def inertia(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch dof dof"]:
     """Inertia in the coordinates z: motors and arm are coupled by springs only, so it is block diagonal.
@@ -131,6 +138,7 @@ def inertia(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch
     )
 
 
+@checked
 def deflections(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch spring"]:
     """Deflection of every spring, arm side, rad: q_m/n - q_a of flexible transmissions, then -q_e; linear in z.
 
@@ -170,6 +178,7 @@ def gear_angles(robot: Robot, arm: Float[Array, "*batch axis"]) -> Float[Array, 
     return arm if coupling is None else arm @ coupling.T
 
 
+@checked
 def spring_directions(robot: Robot) -> Float[Array, "dof spring"]:
     """W with deflections(z) = W^T z, rad; a spring torque tau acts on the coordinates as -W tau.
 
@@ -180,6 +189,7 @@ def spring_directions(robot: Robot) -> Float[Array, "dof spring"]:
     return deflections(robot, jnp.eye(robot.dof))
 
 
+@checked
 def motor_directions(robot: Robot) -> Float[Array, "dof axis"]:
     """B with motor angles = B^T z (all axes, motor side, rad); a motor torque u acts on the coordinates as B u.
 
@@ -197,6 +207,7 @@ def motor_directions(robot: Robot) -> Float[Array, "dof axis"]:
     return direct + geared * robot.drives.gear_ratio
 
 
+@checked
 def motor_values(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*batch axis"]:
     """Motor angles of all axes from the coordinates z, or motor speeds from z'; motor side.
 
@@ -207,6 +218,7 @@ def motor_values(robot: Robot, z: Float[Array, "*batch dof"]) -> Float[Array, "*
     return z @ motor_directions(robot)
 
 
+@checked
 def drive_forces(
     robot: Robot,
     z: Float[Array, "*batch dof"],
@@ -240,6 +252,7 @@ def gear_load(robot: Robot, spring, torque) -> Float[Array, "*batch axis"]:
     return torque.at[..., flexible].set(spring[..., : robot.n_motors] / robot.drives.gear_ratio[flexible])
 
 
+@checked
 def friction_effects(
     robot: Robot, speed: Float[Array, "*batch axis"], load: Float[Array, "*batch axis"]
 ) -> Float[Array, "*batch axis"]:
@@ -268,6 +281,7 @@ def _effects_torque(robot: Robot, kind, *signals):
     return jnp.moveaxis(total, 0, -1)
 
 
+@checked
 @eqx.filter_jit
 def generalised_forces(
     robot: Robot,
@@ -289,6 +303,7 @@ def generalised_forces(
     return drive_forces(robot, z, rate, torque) - jnp.concatenate([jnp.zeros_like(z[..., :motors]), bias], axis=-1)
 
 
+@checked
 @eqx.filter_jit
 def forward_dynamics(
     robot: Robot, state: Float[Array, "*batch state"], torque: Float[Array, "*batch axis"]
@@ -315,6 +330,7 @@ def forward_dynamics(
     return jnp.concatenate([rate, forces[..., :motors] / motor_inertia(robot), arm], axis=-1)
 
 
+@checked
 @eqx.filter_jit
 def energy(robot: Robot, state: Float[Array, "*batch state"]) -> Float[Array, "*batch"]:
     """Kinetic energy of rotors and links, springs and gravity; (*batch,), J.

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from .._annotated import checked
 from .._types import Array
 from .equations import arm_inertia, spring_directions
 from .linearise import GearLoss, LinearRobot, gravity_stiffness, linearise, local_stiffness, operating_point
@@ -25,6 +26,7 @@ class ParametricResponse(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
 
+@checked
 def frf_and_jacobian(
     robot: Robot,
     arm_angles: Float[Array, "*batch axis"],
@@ -58,7 +60,7 @@ def frf_and_jacobian(
     **Returns:** a `ParametricResponse`: G, (*batch, freq, axis, axis), and its derivative by each of
     `parameter_names`, in the unit of G over that of the parameter.
 
-    **Raises:** `jaxfrf.InputError` for another quantity; `ValueError` for another number of angles than driven joints.
+    **Raises:** `jaxfrf.InputError` for another quantity, and for another number of angles than driven joints.
 
     **Source:** the equation above, the derivative of an inverse; the equilibrium's part by the implicit function
     theorem.
@@ -101,6 +103,7 @@ def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quan
     )
 
 
+@checked
 def parameter_names(robot: Robot) -> tuple[str, ...]:
     """Names of the parameters of `frf_and_jacobian`: stiffnesses, then dampings, then effective frictions.
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from .._annotated import checked
 from .._types import Array, arrays, traced
 from ..effects import (
     AbstractActuator,
@@ -90,6 +91,7 @@ class LinearRobot(eqx.Module):
     losses: tuple[GearLoss, ...] = ()
 
 
+@checked
 def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> OperatingPoint:
     """The equilibrium with the driven joints at these angles (arm side): spring torque = gravity torque.
 
@@ -102,16 +104,14 @@ def operating_point(robot: Robot, arm_angles: Float[Array, "*batch axis"]) -> Op
 
     **Returns:** an `OperatingPoint`: coordinates and deflections in rad, torques of the motors in N m.
 
-    **Raises:** `ValueError` for another number of angles than driven joints; `jaxfrf.InputError` where effects couple
-    gears that have no spring.
+    **Raises:** `jaxfrf.InputError` for another number of angles than driven joints, and where effects couple gears that
+    have no spring.
 
     **Source:** the equations of motion at rest (Moberg, Wernholt, Hanssen & Brogardh, J. Dyn. Sys. Meas. Control 136,
     2014); Newton's method.
     """
     _check_coupling(robot)
     arm_angles = jnp.asarray(arm_angles)
-    if arm_angles.shape[-1:] != (robot.n_axes,):
-        raise ValueError(f"arm_angles have shape {arm_angles.shape}; expected (*batch, {robot.n_axes}).")
     robot = _at_rest(robot, (*_NOT_AT_REST, AbstractActuator))
     if traced((robot, arm_angles)):
         return _operating_point(robot, arm_angles)
@@ -249,6 +249,7 @@ def _solve_tangent(linear, y):
     return jnp.linalg.solve(_jacobian(linear, jnp.zeros_like(y)), y[..., None])[..., 0]
 
 
+@checked
 def linearise(
     robot: Robot,
     point: OperatingPoint,
@@ -325,6 +326,7 @@ def _losses(robot: Robot, tangent) -> tuple[GearLoss, ...]:
     return tuple(loss(group) for group in found)
 
 
+@checked
 def describing_friction(
     robot: Robot,
     amplitude: Float[Array, "axis"] | float,
@@ -349,6 +351,7 @@ def describing_friction(
     return total
 
 
+@checked
 def gravity_stiffness(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Array, "*batch arm arm"]:
     """Change of the gravity torque with the arm's angles, dg_ae/d arm.
 
@@ -361,6 +364,7 @@ def gravity_stiffness(robot: Robot, arm: Float[Array, "*batch arm"]) -> Float[Ar
     return _jacobian(lambda x: _gravity(robot, x), arm)
 
 
+@checked
 def local_stiffness(
     robot: Robot, point: OperatingPoint, deflections: Float[Array, "sample spring"] | None = None
 ) -> Float[Array, "*batch spring"]:

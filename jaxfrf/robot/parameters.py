@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from .._annotated import checked
 from .._errors import input_error
 from .drive import Friction, Spring
 from .robot import Robot
@@ -32,6 +33,7 @@ _MOTOR_SIDE = ("motor_inertia", "viscous_friction", "coulomb_friction")
 _ARM_SIDE = ("stiffness", "damping", "stiffness_knee")
 
 
+@checked
 def parameter_unit(robot: Robot, joint: str, kind: str) -> str:
     """Unit of a kind of parameter of this joint, which may slide. Its motor slides, too, where the gear ratio is 1 (a
     linear motor, or a drive that is referred to the slide); else kinds on the motor's side are those of one that turns.
@@ -63,6 +65,7 @@ def unit_at(robot: Robot, joint: str, unit: str) -> str:
     return sliding_unit(unit) if joints and all(motor_slides(robot, name) for name in joints) else unit
 
 
+@checked
 def parameters(robot: Robot, kinds: Iterable[str] = ("stiffness", "damping")) -> dict[str, jax.Array]:
     """The robot's parameters of these kinds as {"joint.kind": value}, kind by kind, base to tip.
 
@@ -83,6 +86,7 @@ def parameters(robot: Robot, kinds: Iterable[str] = ("stiffness", "damping")) ->
     }
 
 
+@checked
 def with_parameters(robot: Robot, values: Mapping[str, jax.Array | float]) -> Robot:
     """The same robot with these parameters changed, in their units (`parameter_unit`); differentiable in the values.
 

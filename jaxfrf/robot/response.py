@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from .._annotated import check_fields, checked
 from .._errors import input_error
 from .._types import Array
 from .linearise import LinearRobot
@@ -41,6 +42,7 @@ class ZeroOrderHold(eqx.Module):
     order: int = eqx.field(static=True, default=4)
 
     def __check_init__(self):
+        check_fields(self)
         if self.measured not in ("position", "velocity"):
             raise input_error(
                 "measured",
@@ -50,6 +52,7 @@ class ZeroOrderHold(eqx.Module):
             )
 
 
+@checked
 def frf(
     model: LinearRobot,
     frequency: Float[Array, "freq"],
@@ -82,6 +85,7 @@ def _frf(model: LinearRobot, frequency, quantity: str, hold: ZeroOrderHold | Non
     return position * factor + aliases(model, hold, corrections)
 
 
+@checked
 def hold_remainder(
     model: LinearRobot, frequency: Float[Array, "freq"], hold: ZeroOrderHold
 ) -> Float[Array, "*batch freq"]:

@@ -5,6 +5,8 @@ import dataclasses
 import equinox as eqx
 import numpy as np
 
+from .._annotated import check_fields
+from .._errors import input_error
 from ..effects import AbstractEffect, AbstractStructure
 from .chain import Chain
 from .controller import Controller
@@ -30,7 +32,7 @@ class Robot(eqx.Module):
     - `effects`: that act beside the robot's own laws; see `with_effects`.
     - `name`: in messages and reports. `tolerances`: how well its numbers are known.
 
-    **Raises:** `ValueError` where names, joints and motors differ in number.
+    **Raises:** `jaxfrf.InputError` where names, joints and motors differ in number.
 
     **Source:** Moberg, Wernholt, Hanssen & Brogardh, J. Dyn. Sys. Meas. Control 136, 2014 (extended flexible joint
     model).
@@ -49,16 +51,19 @@ class Robot(eqx.Module):
     tolerances: Tolerances = eqx.field(static=True, default=Tolerances())
 
     def __check_init__(self):
+        check_fields(self)
         n = self.chain.n_joints
         for field in ("joint_names", "driven", "stiff"):
             if len(getattr(self, field)) != n:
-                raise ValueError(
-                    f"{field} has {len(getattr(self, field))} entries; expected one for each of {n} joints."
+                raise input_error(
+                    field, f"{len(getattr(self, field))} entries", f"one for each of {n} joints", "Complete it."
                 )
-        if np.shape(self.drives.motor_inertia) != (self.n_axes,):
-            raise ValueError(
-                f"motor_inertia has shape {np.shape(self.drives.motor_inertia)}; expected ({self.n_axes},)."
-            )
+        for field, count, of in (
+            ("motor_inertia", self.n_axes, self.drives.motor_inertia),
+            ("stiffness", len(self.spring_names), self.springs.stiffness),
+        ):
+            if np.shape(of) != (count,):
+                raise input_error(field, f"shape {np.shape(of)}", f"({count},)", "Give one for each axis or spring.")
 
     def with_effects(self, *effects: AbstractEffect) -> "Robot":
         """The same robot with more effects (`jaxfrf.effects`), in the simulation and in the linearisation.
@@ -81,6 +86,13 @@ class Robot(eqx.Module):
     def with_tolerances(self, tolerances: Tolerances) -> "Robot":
         """The same robot, its numbers known better or worse: what is stated here goes before what was."""
         return dataclasses.replace(self, tolerances=self.tolerances.updated(tolerances))
+
+    @property
+    def axis_lengths(self) -> dict[str, int]:
+        """How long axes of arrays are that are named for parts of the robot: {"axis": 6, "joint": 8, ...}."""
+        arm = len(self.arm_joints)
+        lengths = {"axis": self.n_axes, "arm": arm, "dof": self.dof, "state": 2 * self.dof}
+        return lengths | {"motor": self.n_motors, "spring": len(self.spring_names), "joint": self.chain.n_joints}
 
     @property
     def n_axes(self) -> int:

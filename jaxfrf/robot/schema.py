@@ -13,6 +13,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from .._annotated import checked
 from .._errors import InputError, input_error
 from .._text import shortened
 from ..effects import AbstractEffect, Backlash, effect_from_table, effect_to_table
@@ -50,6 +51,7 @@ _CONTROLLER_KEYS = (
 )
 
 
+@checked
 def robot_from_table(
     table: Mapping[str, Any], source: str = "robot", own: Sequence[type[AbstractEffect]] = ()
 ) -> Robot:
@@ -104,6 +106,7 @@ def robot_from_table(
     ).with_effects(*_effects(top, names, own))
 
 
+@checked
 def table_from_robot(robot: Robot) -> dict[str, Any]:
     """The table of a robot: `robot_from_table` of it gives the same robot.
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from .._annotated import checked
 from .._errors import input_error
 from .._types import Array
 from .linearise import LinearRobot
@@ -28,6 +29,7 @@ class StateSpace(eqx.Module):
     sample_time: float = eqx.field(static=True, default=0.0)
 
 
+@checked
 @eqx.filter_jit
 def state_space(model: LinearRobot, quantity: str = "velocity") -> StateSpace:
     """State space from motor torque to motor position, velocity or acceleration; the state is [dz, dz'].
@@ -61,6 +63,7 @@ def state_space(model: LinearRobot, quantity: str = "velocity") -> StateSpace:
     return StateSpace(A, B, C, D)
 
 
+@checked
 @eqx.filter_jit
 def discretise(system: StateSpace, sampling_frequency: float) -> StateSpace:
     """The same system between samples with its input held (zero-order hold), by a matrix exponential.
@@ -82,6 +85,7 @@ def discretise(system: StateSpace, sampling_frequency: float) -> StateSpace:
     return StateSpace(step[..., :n, :n], step[..., :n, n:], system.C, system.D, 1.0 / sampling_frequency)
 
 
+@checked
 @eqx.filter_jit
 def state_space_frf(system: StateSpace, frequency: Float[Array, "freq"]) -> Complex[Array, "*batch freq out in"]:
     """C (s - A)^{-1} B + D at s = j w, or at z = e^{j w T} of a sampled system; (*batch, freq, out, in).
@@ -103,6 +107,7 @@ def state_space_frf(system: StateSpace, frequency: Float[Array, "freq"]) -> Comp
     )
 
 
+@checked
 def to_control(system: StateSpace) -> Any:
     """The system as a `control.StateSpace` of python-control; one operating point (no batch axes).
 

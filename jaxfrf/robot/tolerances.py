@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .._annotated import check_fields, checked
 from .._errors import input_error
 from ..effects import AbstractStructure, library
 from .sliding import sliding_unit
@@ -59,6 +60,7 @@ class Tolerance:
     relative: bool = True
 
     def __post_init__(self):
+        check_fields(self)
         if not self.std >= 0:
             raise input_error(
                 "tolerance", f"{self.std!r}", "a standard deviation of 0 or more", "0 says exact, inf unknown."
@@ -139,6 +141,7 @@ def kind_of(name: str) -> str:
     return next((part for part in reversed(name.split(".")) if part in KINDS), "effect")
 
 
+@checked
 def tolerances_from(table: Mapping[str, Any], names: Iterable[str], where: str = "tolerance") -> Tolerances:
     """Tolerances as a file or the command line states them: numbers are relative, "0.2 kg" is absolute.
 
