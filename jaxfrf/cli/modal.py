@@ -85,12 +85,8 @@ def _lines(found) -> list[str]:
     ]
     if found.delay_std:
         lines.append(f"  a delay of {plus_minus(1e3 * found.delay, 1960 * found.delay_std)} ms")
-    if found.misfit > 2:
-        lines.append(
-            f"the modes leave {number(found.misfit, 2)} times the FRF's standard deviation (or a hundredth of it): "
-            "a mode is missing (--near, --order), channels are delayed by different times, which shows towards high "
-            "lines (--band), or the machine is not linear"
-        )
+    if found.doubt:
+        lines.append(found.doubt)
     return lines
 
 

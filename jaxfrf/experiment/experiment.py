@@ -10,8 +10,13 @@ from .._errors import input_error
 from .._text import number
 from .._types import Array
 from ..periodic import FoundPeriod, find_period, mismatch
+from ..units import quantity_of
 from .arguments import as_configurations, as_count, as_line_numbers, as_positive, as_quantity, as_signal
 
+_NOBODY_SAYS = (
+    "nothing says what y is; it was taken as a velocity. Say it: y_quantity='position' (or velocity, acceleration), "
+    "or its unit, y_unit='rad'."
+)
 _NOT_AFTER = 0.8  # mismatch of reference or input, from which they do not repeat after a lag (1: chance)
 
 
@@ -35,7 +40,8 @@ class Experiment(eqx.Module):
     - `q`: arm configuration of every operating point, (pos, joint), rad; `None` where there is none.
     - `lines`: excited DFT lines of one period; `None` = to be found in `r` (or `u`).
     - `transient_periods`: leading periods that are not steady and are dropped by `jaxfrf.dft`.
-    - `r_quantity`, `y_quantity`: `position`, `velocity` or `acceleration`.
+    - `r_quantity`, `y_quantity`: `position`, `velocity` or `acceleration`. Where neither `y_quantity` nor `y_unit` says
+      what y is, it is taken as a velocity, and `warnings` say so, as for files.
     - `u_unit`, `y_unit`: SI units for pictures and files, where they are not those above (a force in N, a current in A,
       a position in m). The numbers are not converted: `jaxfrf.io.read` does that.
     - `sources`: `Source`s of the data. `warnings`: sentences on what the record is not good for.
@@ -73,7 +79,7 @@ class Experiment(eqx.Module):
         lines=None,
         transient_periods: float = 0,
         r_quantity: str = "velocity",
-        y_quantity: str = "velocity",
+        y_quantity: str | None = None,
         u_unit: str = "",
         y_unit: str = "",
         sources: Sequence[Source] = (),
@@ -88,11 +94,12 @@ class Experiment(eqx.Module):
         self.period = as_count("period", period)
         self.transient_periods = as_count("transient_periods", transient_periods)
         self.r_quantity = as_quantity("r_quantity", r_quantity)
-        self.y_quantity = as_quantity("y_quantity", y_quantity)
+        stated = quantity_of(str(y_unit)) if y_quantity is None else y_quantity
+        self.y_quantity = as_quantity("y_quantity", "velocity" if stated is None else stated)
         self.u_unit = str(u_unit)
         self.y_unit = str(y_unit)
         self.sources = tuple(sources)
-        self.warnings = tuple(warnings)
+        self.warnings = (*warnings, *(() if stated is not None else (_NOBODY_SAYS,)))
 
     def __check_init__(self):
         for name in ("y", "r"):

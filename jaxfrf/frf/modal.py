@@ -8,6 +8,7 @@ from jaxtyping import Bool, Complex, Float, Int
 
 from .._arguments import expect
 from .._errors import input_error
+from .._text import number
 from .._types import Array
 from ..experiment import QUANTITIES
 from .poles import PoleFit, fit_poles
@@ -67,10 +68,10 @@ class ModalModel(eqx.Module):
     **Fields:** `modes`: by frequency, those that are significant. `background`: what the modes outside the band and the
     rigid motion amount to: coefficients of s^(q-2), s^(q-1), s^q, (3, out, in), q the derivative that y is. `misfit`:
     root mean square of the residual over its standard deviation; far above 1 the standard deviations, which are widened
-    by it, are lower limits. `delay`: s, of all elements alike, and `delay_std`, its standard deviation; 0 where none is
-    significant or it was given. `stabilisation`: see there. `dropped`: frequencies, Hz, of stable poles that turned
-    out not significant. `frequency`, `measured`: the FRF that was fitted, (freq,), Hz, and (freq, out, in).
-    `y_quantity`, `u_unit`, `y_unit`: as in `FRF`.
+    by it, are lower limits, and `doubt` says what may be the cause. `delay`: s, of all elements alike, and `delay_std`,
+    its standard deviation; 0 where none is significant or it was given. `stabilisation`: see there. `dropped`:
+    frequencies, Hz, of stable poles that turned out not significant. `frequency`, `measured`: the FRF that was fitted,
+    (freq,), Hz, and (freq, out, in). `y_quantity`, `u_unit`, `y_unit`: as in `FRF`.
     """
 
     modes: tuple[Mode, ...]
@@ -85,6 +86,18 @@ class ModalModel(eqx.Module):
     y_quantity: str = eqx.field(static=True)
     u_unit: str = eqx.field(static=True, default="")
     y_unit: str = eqx.field(static=True, default="")
+
+    @property
+    def doubt(self) -> str:
+        """Why these modes may not be the machine's, in one sentence; "" where `misfit` is up to 2."""
+        if not self.misfit > _MISSED:
+            return ""
+        return (
+            f"the modes leave {number(self.misfit, 2)} times the FRF's standard deviation (or a hundredth of it), and "
+            "their intervals may be too small: a mode is missing (--near, --order), the drive has a lag or a filter in "
+            "the band (--band around one mode), channels are delayed by different times, which shows towards high "
+            "lines (--band), or the machine is not linear"
+        )
 
     def response(self, frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "freq out in"]:
         """G of the modes, the background and the delay, (freq, out, in)."""

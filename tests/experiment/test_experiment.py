@@ -1,5 +1,6 @@
 """The container of records: shapes that mean the same, what it refuses, periods, and joining."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -130,7 +131,8 @@ def test_select_periods():
 
 def joined(n_exp=2, q=None, n_pos=1, name="a", **fields):
     u, y = signal(n_pos, n_exp, 20, 2), signal(n_pos, n_exp, 20, 1)
-    return jf.Experiment(u, y, **({"fs": 10.0, "period": 10, "q": q, "sources": [jf.Source(name)]} | fields))
+    given = {"fs": 10.0, "period": 10, "q": q, "sources": [jf.Source(name)], "y_quantity": "velocity"}
+    return jf.Experiment(u, y, **(given | fields))
 
 
 def test_concatenate_experiments_of_one_place():
@@ -192,3 +194,13 @@ def test_the_period_of_an_output_counts_where_the_input_repeats_with_it():
     u = y + 1.3 * rng.standard_normal(len(y))
     _, found = seen_period(None, u[None, None, :, None], y[None, None, :, None])
     assert found.period == 500
+
+
+def test_a_quantity_that_nobody_states():
+    x = np.random.default_rng(1).standard_normal((20, 1))
+    silent = jf.Experiment(x, x, 100.0)
+    assert silent.y_quantity == "velocity" and "nothing says what y is" in silent.warnings[0]
+    assert dataclasses.replace(silent, fs=50.0).warnings == silent.warnings
+    assert jf.Experiment(x, x, 100.0, y_quantity="position").warnings == ()
+    by_unit = jf.Experiment(x, x, 100.0, y_unit="m/s^2")
+    assert by_unit.y_quantity == "acceleration" and by_unit.warnings == ()

@@ -154,6 +154,24 @@ def drive(f, seed, lagging):
     return square(low) / square(high) / s * np.exp(-1e-3 * s) / lag, high / (2 * np.pi), damping, rng
 
 
+def test_what_is_no_mode_is_told():
+    f = np.arange(1.0, 241.0)
+    for lagging in (False, True):
+        G, *_ = drive(f, 3, 4.0 * lagging)
+        found = jf.modal(
+            jf.FRF(
+                G=G[None, :, None, None],
+                frequency=f,
+                cov=(0.004 * np.abs(G[None, :, None, None])) ** 2 + 0j,
+                dof=np.full((1, len(f)), 1e3),
+                status=np.zeros((1, len(f)), int),
+                window=np.ones((1, len(f))),
+                y_quantity="velocity",
+            )
+        )
+        assert ("a lag or a filter" in found.doubt) == lagging == (found.misfit > 2)
+
+
 @pytest.mark.parametrize("seeds", [range(5), pytest.param(range(100, 160), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("lagging", [False, True])
 def test_intervals_hold_beside_what_is_no_mode(seeds, lagging):
