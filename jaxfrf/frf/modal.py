@@ -293,7 +293,7 @@ def _roots(alpha) -> np.ndarray:
 
 
 def _in_band(z: np.ndarray, period: float, shift: float, frequency) -> np.ndarray:
-    poles = -np.log(z) / period + 1j * shift
+    poles = -np.log(z.astype(complex)) / period + 1j * shift
     w = np.abs(poles)
     low, high = 2 * np.pi * frequency[0], 2 * np.pi * frequency[-1]
     with np.errstate(divide="ignore", invalid="ignore"):

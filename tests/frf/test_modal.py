@@ -199,3 +199,11 @@ def test_intervals_hold_beside_what_is_no_mode(seeds, lagging):
     assert len(covered) > 0.85 * len(seeds)
     assert np.min(np.mean(covered, axis=0)) > (0.85 if len(seeds) > 10 else 0.5)
     assert len(seeds) < 10 or np.mean(covered) > 0.9
+
+
+def test_poles_that_are_all_real_leak_no_warning(recwarn):
+    f = np.arange(5.0, 200.0, 2.0)
+    G = (0.1 / (1 - 0.9 * np.exp(-2j * np.pi * f / 1000.0)))[None, :, None, None]
+    known = {"dof": np.full((1, len(f)), 9.0), "status": np.zeros((1, len(f)), int), "window": np.ones((1, len(f)))}
+    found = jf.modal(jf.FRF(G=G, frequency=f, cov=(1e-3 * np.abs(G)) ** 2 + 0j, y_quantity="velocity", **known))
+    assert not found.modes and not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]

@@ -268,7 +268,7 @@ def test_record_spectra_of_an_impact():
 def test_record_spectra_say_where_the_power_is():
     t = time(5)[:, None]
     u = np.sin(2 * np.pi * 11.0 * t) + 0.02 * np.sin(2 * np.pi * 99.3 * t)
-    (warning,) = jf.record_spectra(jf.Experiment(u, u, FS), (0.0, 250.0)).warnings
+    (warning,) = jf.record_spectra(jf.Experiment(u, u, FS, y_quantity="velocity"), (0.0, 250.0)).warnings
     assert "not periodic" in warning and "lies below 11 Hz" in warning
 
 
