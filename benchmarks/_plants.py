@@ -103,5 +103,16 @@ def experiment(
     return jf.Spectra(U=U, Y=Y, R=R, lines=lines, frequency=frequency, noise=None, fs=FS, period=PERIOD), G
 
 
+def record(spectra: jf.Spectra) -> jf.Experiment:
+    """The samples of spectra of one period, as a record that has none."""
+
+    def samples(X):
+        whole = np.zeros((*X.shape[:2], PERIOD // 2 + 1, X.shape[-1]), complex)
+        whole[:, :, spectra.lines] = X
+        return np.fft.irfft(whole, PERIOD, axis=2) * PERIOD
+
+    return jf.Experiment(samples(spectra.U), samples(spectra.Y), FS, r=samples(spectra.R), y_quantity="velocity")
+
+
 def _apply(G, X):
     return np.einsum("pfab,pefb->pefa", G, X)

@@ -1,11 +1,12 @@
 """Whether the intervals hold: the share of 95 % regions that contain the true FRF, for every method.
 
-    python benchmarks/bench_coverage.py [--tuning] [--methods auto jio] [--seeds 8] [--disturbance-at input]
+    python benchmarks/bench_coverage.py [--tuning] [--methods auto jio] [--seeds 8] [--disturbance-at input] [--write FILE]
 
 Three simulated closed loops (one axis with three flexible modes, two coupled axes, six coupled axes), 1, 6 and 24
 experiments, on plants, lines and seeds on which nothing was chosen; `--tuning` shows those on which it was. Counted are
 elements and lines with a finite region, all of them and those *at resonances*: within two relative dampings of a
-maximum or minimum of a diagonal element of the true G. `error`: median of |G_hat - G| / |G|. `width`: median radius of
+maximum or minimum of a diagonal element of the true G. Welch's method takes a record of the same length, loop and
+disturbance, excited at every line between, and is counted there. `error`: median of |G_hat - G| / |G|. `width`: median radius of
 the regions over the median distance to the truth (2.1 for circular Gaussian errors and many degrees of freedom).
 """
 
@@ -27,8 +28,8 @@ from jaxfrf._environment import prepare
 from jaxfrf.frf.catalogue import METHODS
 from jaxfrf.plot.bode import confidence_radius
 
-SEEDS = 8
 EXPERIMENTS = (1, 6, 24)
+BAND = (112, 2241)  # lines of a record, 4 to 80 Hz
 CHUNK = 4  # seeds estimated at once: dense covariances of 6 x 6 responses are large
 
 
@@ -65,6 +66,7 @@ class Case:
     disturbance: float
     lines: str
     start: int
+    seeds: int  # that are averaged by default: fewer where there are more elements
 
     def plant(self, rng):
         if self.n > 1 or "mode" not in self.name:
@@ -80,16 +82,23 @@ class Case:
         spectra, G = _plants.experiment([plant], n_exp, self.disturbance, rng, lines, at)
         return spectra, G, at_resonances(plant, spectra.frequency, self.damping)
 
+    def record(self, seed: int, n_exp: int, at: str):
+        """A record without a period, steady, and its plant."""
+        rng = np.random.default_rng([self.start, seed])
+        plant = self.plant(rng)
+        spectra, _ = _plants.experiment([plant], n_exp, self.disturbance, rng, np.arange(*BAND), at)
+        return _plants.record(spectra), plant
+
 
 CASES = (
-    Case("one axis, three modes", 1, 0.01, 0.03, "linear", 7001),
-    Case("two axes", 2, 0.02, 0.03, "linear", 7002),
-    Case("six axes", 6, 0.03, 0.03, "log", 7003),
+    Case("one axis, three modes", 1, 0.01, 0.03, "linear", 7001, 6),
+    Case("two axes", 2, 0.02, 0.03, "linear", 7002, 4),
+    Case("six axes", 6, 0.03, 0.03, "log", 7003, 2),
 )
 TUNING = (
-    Case("one axis", 1, 0.02, 0.01, "log", 8001),
-    Case("two axes, softly damped", 2, 0.01, 0.1, "log", 8002),
-    Case("four axes", 4, 0.04, 0.02, "linear", 8003),
+    Case("one axis", 1, 0.02, 0.01, "log", 8001, 8),
+    Case("two axes, softly damped", 2, 0.01, 0.1, "log", 8002, 8),
+    Case("four axes", 4, 0.04, 0.02, "linear", 8003, 4),
 )
 
 
@@ -110,26 +119,46 @@ def at_resonances(plant, frequency, damping: float) -> np.ndarray:
 def methods(n_exp: int, n: int) -> dict:
     """Every method of the command line that can be used, with its defaults."""
     whole = {"h1", "h2", "hv", "arithmetic", "log", "jio"}
-    of_records = {"welch"}  # takes records, not spectra of periods
     return {
         k: m
         for k, (_, m) in METHODS.items()
-        if k not in of_records and (k not in whole or n_exp > n) and (not k.startswith("robust") or n_exp >= 3 * n)
+        if (k not in whole or n_exp > n) and (not k.startswith("robust") or n_exp >= 3 * n)
     }
+
+
+def of_periods(case: Case, n_exp: int, method, seeds, at: str):
+    """The FRF of spectra of periods, the true one, and what is at resonances."""
+    parts = [case.data(seed, n_exp, at) for seed in seeds]
+    join = lambda name: np.concatenate([getattr(p[0], name) for p in parts])
+    spectra = dataclasses.replace(parts[0][0], U=join("U"), Y=join("Y"), R=join("R"))
+    frf = jf.estimate(spectra, method)
+    return (
+        np.asarray(frf.G),
+        confidence_radius(frf),
+        np.concatenate([p[1] for p in parts]),
+        np.stack([p[2] for p in parts]),
+    )
+
+
+def of_records(case: Case, n_exp: int, method, seeds, at: str):
+    """The same of records without a period, inside the band that is excited."""
+    found = []
+    for data, plant in (case.record(seed, n_exp, at) for seed in seeds):
+        frf = jf.estimate(data, method)
+        low, high = (line * _plants.FS / _plants.PERIOD for line in BAND)
+        inside = (frf.frequency > low) & (frf.frequency < high)
+        frequency = frf.frequency[inside]
+        near = at_resonances(plant, frequency, case.damping)
+        found.append((frf.G[0, inside], confidence_radius(frf)[0, inside], plant.response(frequency), near))
+    return tuple(np.stack(x) for x in zip(*found, strict=True))
 
 
 def evaluate(case: Case, n_exp: int, method, seeds, at: str) -> dict[str, float]:
     found = []
     for chunk in (list(seeds)[i : i + CHUNK] for i in range(0, len(seeds), CHUNK)):
-        parts = [case.data(seed, n_exp, at) for seed in chunk]
-        join = lambda name, parts=parts: np.concatenate([getattr(p[0], name) for p in parts])
-        spectra = dataclasses.replace(parts[0][0], U=join("U"), Y=join("Y"), R=join("R"))
-        frf = jf.estimate(spectra, method)
-        radius = confidence_radius(frf)
-        truth = np.concatenate([p[1] for p in parts])
-        near = np.stack([p[2] for p in parts])
-        error = np.abs(np.asarray(frf.G) - truth)
-        found.append([x.ravel() for x in (error, radius, near, np.abs(truth))])
+        make = of_records if isinstance(method, jf.Welch) else of_periods
+        G, radius, truth, near = make(case, n_exp, method, chunk, at)
+        found.append([x.ravel() for x in (np.abs(G - truth), radius, near, np.abs(truth))])
     error, radius, near, size = (np.concatenate(x) for x in zip(*found, strict=True))
     known = np.isfinite(radius)
     inside = error <= radius
@@ -152,11 +181,12 @@ def main() -> None:
         for n_exp in arguments.experiments:
             disturbance = f"disturbance {100 * case.disturbance:g} % at the {arguments.at}"
             head = f"{case.name}, damping {case.damping:g}, {disturbance}, n_e = {n_exp}"
-            _say(text, f"\n{head}, {arguments.seeds} seeds")
+            seeds = arguments.seeds or case.seeds
+            _say(text, f"\n{head}, {seeds} seeds")
             _say(text, f"  {'':20}{'all':>8}{'at resonances':>15}{'error':>9}{'at res.':>9}{'width':>7}{'s':>7}")
             for name, method in methods(n_exp, case.n).items():
                 if not arguments.methods or name in arguments.methods:
-                    _say(text, _row(case, n_exp, name, method, range(arguments.seeds), arguments.at))
+                    _say(text, _row(case, n_exp, name, method, range(seeds), arguments.at))
     _say(text, f"\n{time.perf_counter() - began:.0f} s")
     if arguments.write:
         temporary = arguments.write.with_name(arguments.write.name + ".part")
@@ -195,7 +225,7 @@ def _arguments():
     parser.add_argument("--experiments", nargs="+", type=int, default=EXPERIMENTS)
     where = "white noise of the output, or of a torque beside the input"
     parser.add_argument("--disturbance-at", dest="at", choices=("output", "input"), default="output", help=where)
-    parser.add_argument("--seeds", type=int, default=SEEDS)
+    parser.add_argument("--seeds", type=int, help="by default 6, 4 and 2 of one, two and six axes")
     parser.add_argument("--write", type=pathlib.Path, help="also write the table to this file")
     return parser.parse_args()
 
