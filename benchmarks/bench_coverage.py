@@ -1,13 +1,13 @@
 """Whether the intervals hold: the share of 95 % regions that contain the true FRF, for every method.
 
-    python benchmarks/bench_coverage.py [--tuning] [--methods auto jio] [--seeds 8] [--disturbance-at input] [--write FILE]
+    python benchmarks/bench_coverage.py [--tuning] [--methods auto jio] [--seeds 8] [--disturbance-at input]
 
 Three simulated closed loops (one axis with three flexible modes, two coupled axes, six coupled axes), 1, 6 and 24
 experiments, on plants, lines and seeds on which nothing was chosen; `--tuning` shows those on which it was. Counted are
 elements and lines with a finite region, all of them and those *at resonances*: within two relative dampings of a
 maximum or minimum of a diagonal element of the true G. Welch's method takes a record of the same length, loop and
-disturbance, excited at every line between, and is counted there. `error`: median of |G_hat - G| / |G|. `width`: median radius of
-the regions over the median distance to the truth (2.1 for circular Gaussian errors and many degrees of freedom).
+disturbance, excited at every line between, and is counted there. `error`: median of |G_hat - G| / |G|. `width`: median
+radius of the regions over the median distance to the truth (2.1 for circular Gaussian errors, many degrees of freedom).
 """
 
 import argparse

@@ -62,7 +62,9 @@ class AbstractLeastSquares(AbstractMethod):
         )
 
     def shared_parameters(self, n_target: int) -> float:
-        """Unknowns per target that the equations do not count, because all targets share them."""
+        """Unknowns per target that the equations do not count, because all targets share them.
+
+        Targets are those with a noise of their own: in closed loop that of u is that of y, fed back."""
         return 0.0
 
     def residual_dof(self, signals: Signals) -> float:
@@ -106,7 +108,7 @@ class AbstractLeastSquares(AbstractMethod):
         n_targets = [data.n_out, data.n_in] if joint else [data.n_out]
         columns, equations = self.model(data.n_exp, data.n_in, n_targets)
         windows = self.windows(data, equations.n_regressor)
-        spent = equations.n_regressor + self.shared_parameters(sum(n_targets))
+        spent = equations.n_regressor + self.shared_parameters(data.n_out)
         return Plan(columns, equations, windows, spent, float(data.n_exp * windows.width - spent))
 
     def combined(self, joint: bool):

@@ -141,6 +141,13 @@ def test_jio_lrm(n, n_exp, width):
     assert_covers(estimate_at_centre(spectra, method), G[CENTRE])
 
 
+def test_common_denominator_of_a_loop():
+    """The loop's noise is in y and u, and counts once."""
+    spectra, G = closed_loop(1, 1, 1e-3)
+    method = jf.JointInputOutput(jf.CommonDenominatorLRM(order=2, width=8, variable="index"))
+    assert_covers(estimate_at_centre(spectra, method), G[CENTRE])
+
+
 def test_common_denominator_of_small_noise():
     """[y; u] share their denominator, and so some of the error: the covariance knows."""
     rng, n, n_pos = np.random.default_rng(9), 2, 1000

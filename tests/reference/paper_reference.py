@@ -313,8 +313,8 @@ def through_jio(joint, n_out):
     return Estimate(np.array(G), np.array(cov), joint.dof)
 
 
-def common_denominator(X, Z, order, width, variable="index", frequency=None):
-    """Z = N X / d with one scalar polynomial d shared by every channel of Z.
+def common_denominator(X, Z, order, width, variable="index", frequency=None, n_noises=None):
+    """Z = N X / d with one scalar polynomial d shared by every channel of Z, of which `n_noises` have one of their own.
 
     The channels share unknowns, so that their units matter: each is divided by its rms over the window.
     Covariance: independent lines, covariance C between the channels of one line.
@@ -341,7 +341,7 @@ def common_denominator(X, Z, order, width, variable="index", frequency=None):
         fit = least_squares(K, Zw.T.reshape(-1, 1), K.shape[1])
         theta, e = fit.GT[:, 0], fit.residual[:, 0].reshape(n_z, rows)
         centre = [i * p + j for j in range(n_in) for i in range(n_z)]
-        q = fit.q / n_z
+        q = (fit.q + order) / n_z - order / (n_noises or n_z)
         C = e @ e.conj().T / q if q > 0 else np.full((n_z, n_z), np.nan)
         A = fit.pinv[centre]
         unit = np.tile(rms, n_in)
@@ -352,8 +352,8 @@ def common_denominator(X, Z, order, width, variable="index", frequency=None):
 
 
 def common_denominator_jio(U, Y, R, order, width, variable="index", frequency=None):
-    """[y; u] on r with one denominator; it cancels in the ratio N_y N_u^-1."""
-    joint = common_denominator(R, np.concatenate([Y, U], axis=-1), order, width, variable, frequency)
+    """[y; u] on r with one denominator; it cancels in the ratio N_y N_u^-1. The noise of u is that of y, fed back."""
+    joint = common_denominator(R, np.concatenate([Y, U], axis=-1), order, width, variable, frequency, Y.shape[-1])
     return through_jio(joint, Y.shape[-1])
 
 
