@@ -70,6 +70,7 @@ def _contents(found, source: str) -> dict:
             }
             for m in found.modes
         ],
+        "lags": [{"frequency_hz": m.frequency, "damping": m.damping} for m in found.lags],
         "dropped_hz": found.dropped,
     }
 
@@ -83,6 +84,7 @@ def _lines(found) -> list[str]:
         f"{plus_minus(100 * m.damping, 196 * m.damping_std)} %"
         for m in found.modes
     ]
+    lines += [f"  a lag at {number(m.frequency, 2)} Hz, damped too much to be a mode" for m in found.lags]
     if found.delay_std:
         lines.append(f"  a delay of {plus_minus(1e3 * found.delay, 1960 * found.delay_std)} ms")
     if found.doubt:

@@ -23,6 +23,10 @@ _OFTEN = 0.4  # of the orders above the one where it came up first that a mode i
 _LARGEST_DAMPING = 0.5  # more is no resonance
 _SIGNIFICANT = 4.0  # standard deviations of its residues, root mean square over the elements
 _MISSED = 2.0  # misfit from which a mode is fitted to the lines around it, too, to see what the others do to it
+_LAG_DAMPING = (0.7, 0.999)  # that a lag is looked for with, of a second and of a first order, ...
+_LAG_AT = (0.15, 0.4, 1.0)  # ... at these parts of the highest frequency
+_LAG_EXPLAINS = 1.2  # misfit, at most, beside a lag that is one; 1 but for noise, more where its fit did not end
+_MISSED_BY_LAG = 1.07  # the same beside a lag, which leaves nothing where it is one
 _AROUND, _FEWEST = 8.0, 16  # half widths of the resonance on either side; lines
 _SURE = 0.5  # relative standard deviation of a damping beyond which nothing is known of it
 
@@ -70,8 +74,10 @@ class ModalModel(eqx.Module):
     root mean square of the residual over its standard deviation; far above 1 the standard deviations, which are widened
     by it, are lower limits, and `doubt` says what may be the cause. `delay`: s, of all elements alike, and `delay_std`,
     its standard deviation; 0 where none is significant or it was given. `stabilisation`: see there. `dropped`:
-    frequencies, Hz, of stable poles that turned out not significant. `frequency`, `measured`: the FRF that was fitted,
-    (freq,), Hz, and (freq, out, in). `y_quantity`, `u_unit`, `y_unit`: as in `FRF`.
+    frequencies, Hz, of stable poles that turned out not significant. `lags`: pairs of poles that were fitted with the
+    modes and are none, as they are damped by more than .5: what a drive or a filter does; empty where the modes alone
+    are enough. `frequency`, `measured`: the FRF that was fitted, (freq,), Hz, and (freq, out, in). `y_quantity`,
+    `u_unit`, `y_unit`: as in `FRF`.
     """
 
     modes: tuple[Mode, ...]
@@ -81,6 +87,7 @@ class ModalModel(eqx.Module):
     delay_std: float
     stabilisation: Stabilisation
     dropped: Float[np.ndarray, "mode"]
+    lags: tuple[Mode, ...]
     frequency: Float[np.ndarray, "freq"]
     measured: Complex[np.ndarray, "freq out in"]
     y_quantity: str = eqx.field(static=True)
@@ -94,16 +101,16 @@ class ModalModel(eqx.Module):
             return ""
         return (
             f"the modes leave {number(self.misfit, 2)} times the FRF's standard deviation (or a hundredth of it), and "
-            "their intervals may be too small: a mode is missing (--near, --order), the drive has a lag or a filter in "
-            "the band (--band around one mode), channels are delayed by different times, which shows towards high "
+            "their intervals may be too small: a mode is missing (--near, --order), drives have several lags or filters "
+            "in the band (--band around one mode), channels are delayed by different times, which shows towards high "
             "lines (--band), or the machine is not linear"
         )
 
     def response(self, frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "freq out in"]:
-        """G of the modes, the background and the delay, (freq, out, in)."""
+        """G of the modes, the lags, the background and the delay, (freq, out, in)."""
         s = 2j * np.pi * np.asarray(frequency, float)
         G = np.einsum("ft,toi->foi", _background(s, self.y_quantity), self.background)
-        for mode in self.modes:
+        for mode in (*self.modes, *self.lags):
             R, pole = mode.residue, mode.pole
             G = G + R / (s - pole)[:, None, None] + R.conj() / (s - np.conj(pole))[:, None, None]
         return G * np.exp(-s * self.delay)[:, None, None]
@@ -129,17 +136,18 @@ def modal(
         q = 0, 1, 2 as y is
 
     An input that is held between samples acts half a sample late, a filter or a bus later still: one delay of all
-    elements is fitted with the modes, and left out where it is not significant.
+    elements is fitted with the modes, and left out where it is not significant. A drive's lag or a filter is a pair of
+    strongly damped poles more: it is fitted where it explains what is left, and is no mode (`lags`).
 
     Standard deviations are those of this fit (Cramer-Rao), with the misfit, and with lines that share data (`window`)
-    counted as fewer. Where much is left (`misfit` above 2: dynamics that are no modes, such as a drive's lag), every
-    mode is fitted once more to the lines around it alone, with a background and a delay of its own, and how far its
-    frequency and damping move widens their standard deviations: the 95 % interval reaches where they move to. Where no
-    mode at all is found and much is left, a hundredth of |G| stands in the place of smaller standard deviations, for
-    `misfit` too. Biased: modes smoothed by a window wider than their resonance look more damped, and closely spaced
-    modes of a record with few lines may be taken as one; delays that differ between channels misfit towards high lines;
-    lags within the band pull modes by more than the widened interval now and then: choose a `band` around the mode.
-    Fails where fewer than three lines lie in a resonance.
+    counted as fewer. Where much is left (`misfit` above 2: dynamics that are no modes, as several lags), every mode is
+    fitted once more to the lines around it alone, with a background and a delay of its own, and how far its frequency
+    and damping move widens their standard deviations: the 95 % interval reaches where they move to. Where no mode at
+    all is found and much is left, a hundredth of |G| stands in the place of smaller standard deviations, for `misfit`
+    too. Biased: modes smoothed by a window wider than their resonance look more damped, and closely spaced modes of a
+    record with few lines may be taken as one; delays that differ between channels misfit towards high lines; lags
+    within the band pull modes by more than the widened interval now and then: choose a `band` around the mode. Fails
+    where fewer than three lines lie in a resonance.
 
     **Arguments:**
 
@@ -165,23 +173,28 @@ def modal(
     def found(std):
         table = _stabilisation(frequency, G, std, order)
         start = _clusters(table) if near is None else _nearest(table, near)
-        return table, *_significant(s, G, std, start, background, shared, near is not None, delay)
+        fit = lambda lags: _significant(s, G, std, start, background, shared, near is not None, delay, lags)
+        plain = fit(())
+        return table, *(plain if std is None or plain[0].misfit <= _MISSED else _with_lag(fit, s, plain))
 
     table, fitted, dropped = found(std)
     if not len(fitted.poles) and std is not None and fitted.misfit > _HOPELESS:
         table, fitted, dropped = found(np.maximum(std, _LINEAR * np.abs(G)))
-    if fitted.misfit > _MISSED:
+    lagging = np.any(fitted.damping > _LARGEST_DAMPING)
+    if fitted.misfit > (_MISSED_BY_LAG if lagging else _MISSED):
         fitted = _widened(fitted, s, G, std, background, shared)
     n_out, n_in = G.shape[1:]
+    every = _modes(fitted, n_out, n_in)
     scale = fitted.misfit if np.isfinite(fitted.misfit) else 1.0
     return ModalModel(
-        modes=_modes(fitted, n_out, n_in),
+        modes=tuple(x for x in every if x.damping <= _LARGEST_DAMPING),
         background=fitted.coefficients[:, 2 * len(fitted.poles) :].T.reshape(-1, n_out, n_in),
         misfit=float(scale),
         delay=fitted.delay,
         delay_std=fitted.delay_std,
         stabilisation=table,
         dropped=np.sort(np.abs(dropped)) / (2 * np.pi),
+        lags=tuple(x for x in every if x.damping > _LARGEST_DAMPING),
         frequency=frequency,
         measured=G,
         y_quantity=frf.y_quantity,
@@ -293,10 +306,10 @@ def _roots(alpha) -> np.ndarray:
 
 
 def _in_band(z: np.ndarray, period: float, shift: float, frequency) -> np.ndarray:
-    poles = -np.log(z.astype(complex)) / period + 1j * shift
-    w = np.abs(poles)
     low, high = 2 * np.pi * frequency[0], 2 * np.pi * frequency[-1]
     with np.errstate(divide="ignore", invalid="ignore"):
+        poles = -np.log(z.astype(complex)) / period + 1j * shift
+        w = np.abs(poles)
         damping = -poles.real / w
     wanted = (poles.imag > 0) & (w >= low) & (w <= high) & (damping > 1e-5) & (damping < _LARGEST_DAMPING)
     return poles[wanted][np.argsort(w[wanted])]
@@ -340,39 +353,52 @@ def _pole(frequency: float, damping: float) -> complex:
     return 2 * np.pi * frequency * complex(-damping, np.sqrt(1 - damping**2))
 
 
-def _significant(s, G, std, poles, background, shared: float, keep: bool, delay) -> tuple[PoleFit, np.ndarray]:
-    """Fit all, leave out the least significant, until all that is left is significant."""
+def _significant(s, G, std, poles, background, shared: float, keep: bool, delay, lags=()) -> tuple[PoleFit, np.ndarray]:
+    """Fit all, leave out the least significant, until all that is left is significant; `lags` stay."""
     g = G.reshape(len(s), -1)
     sigma = None if std is None else std.reshape(len(s), -1)
     dropped: list[float] = []
+    poles = np.append(poles, lags)
+    lag = np.arange(len(poles)) >= len(poles) - len(lags)
     while True:
         if not len(poles):
             delay = delay or 0.0  # a delay of nothing
         fitted = fit_poles(s, g, sigma, poles, background, shared=shared, delay=delay)
-        bad = np.zeros(len(poles), bool) if keep or not len(poles) else _doubtful(fitted)
+        lag = lag[fitted.began]
+        bad = np.zeros(len(poles), bool) if keep or not len(poles) else _doubtful(fitted, lag)
         if not bad.any():
             if delay is None and not abs(fitted.delay) > _SIGNIFICANT * fitted.delay_std:
                 delay = 0.0
                 continue
             return fitted, np.array(dropped)
-        strength = _strength(fitted)
+        strength = fitted.strength
         # Those without any significance at once, the doubtful ones one by one: they may gain by what went.
         gone = bad & (strength <= max(_SIGNIFICANT / 2, np.min(np.where(bad, strength, np.inf))))
         dropped += list(fitted.poles[gone])
-        poles = fitted.poles[~gone]
+        poles, lag = fitted.poles[~gone], lag[~gone]
 
 
-def _doubtful(fitted: PoleFit) -> np.ndarray:
+def _with_lag(fit, s, plain: tuple[PoleFit, np.ndarray]) -> tuple[PoleFit, np.ndarray]:
+    """The same with a strongly damped pair of poles more, where that leaves nothing but noise, or finds the modes."""
+    top = np.abs(s).max() / (2 * np.pi)
+    tried = [fit((_pole(part * top, damping),)) for damping in _LAG_DAMPING for part in _LAG_AT]
+    best = min(tried, key=lambda found: found[0].misfit)
+    lost = not len(plain[0].poles) and best[0].misfit < plain[0].misfit / 2
+    return best if best[0].misfit < _LAG_EXPLAINS or lost else plain
+
+
+def _doubtful(fitted: PoleFit, lag: np.ndarray) -> np.ndarray:
+    """Which poles say too little; a lag may: its residues cancel where one real pole is enough."""
     loose = fitted.damping_std / np.abs(fitted.damping)
     unlikely = (fitted.damping <= 0) | (fitted.damping > _LARGEST_DAMPING)
-    return (_strength(fitted) < _SIGNIFICANT) | ~(loose < _SURE) | unlikely
+    doubtful = (fitted.strength < _SIGNIFICANT) | ~(loose < _SURE) | unlikely
+    return doubtful & ~(lag & (fitted.damping > _LARGEST_DAMPING))
 
 
 def _widened(fitted: PoleFit, s, G, std, background, shared: float) -> PoleFit:
     """Standard deviations with how far each mode moves where lines far from it do not count."""
-    moved = np.array([_moved(fitted, i, s, G, std, background, shared) for i in range(len(fitted.poles))]).reshape(
-        -1, 2
-    )
+    each = range(len(fitted.poles))
+    moved = np.array([_moved(fitted, i, s, G, std, background, shared) for i in each]).reshape(-1, 2)
     return fitted._replace(
         frequency_std=np.hypot(fitted.frequency_std, moved[:, 0] / 1.96),
         damping_std=np.hypot(fitted.damping_std, moved[:, 1] / 1.96),

@@ -3,18 +3,20 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 
 _STEPS = 60
 _ENOUGH = 1e-10  # relative change of the cost
-_LEAST = 1e-6  # damping ratio
+_LEAST, _MOST = 1e-6, 0.9999  # damping ratio
 
 
 class PoleFit(NamedTuple):
     """`poles`: rad/s, by frequency. `frequency_std`: Hz. `coefficients`: (element, 2 poles + terms), real: real and
     imaginary part of every residue, then the background; `coefficient_std` likewise. `misfit`: root mean square of the
     residual over its standard deviation; 1 by definition where that is not known. `delay`: s, with its standard
-    deviation, 0 where it was given."""
+    deviation, 0 where it was given. `began`: which of the given poles each began as. `strength`: residues over their
+    standard deviation at this delay, root mean square over the elements: a delay beside a lag is loose, and residues
+    turn with it."""
 
     poles: Complex[np.ndarray, "pole"]
     damping: Float[np.ndarray, "pole"]
@@ -25,6 +27,8 @@ class PoleFit(NamedTuple):
     misfit: float
     delay: float
     delay_std: float
+    began: Int[np.ndarray, "pole"]
+    strength: Float[np.ndarray, "pole"]
 
     @property
     def residues(self) -> tuple[Complex[np.ndarray, "element pole"], Float[np.ndarray, "element pole"]]:
@@ -102,7 +106,7 @@ def _relative(G) -> np.ndarray:
 
 
 def _coordinates(poles, middle: float) -> np.ndarray:
-    """ln of frequency over the middle one, and ln of damping, by turns."""
+    """ln of frequency over the middle one, and ln of damping, by turns; one real pole is the most damped pair."""
     w = np.abs(poles)
     return np.stack([np.log(w / middle), np.log(np.maximum(-poles.real / w, _LEAST))], axis=1).ravel()
 
@@ -110,7 +114,7 @@ def _coordinates(poles, middle: float) -> np.ndarray:
 def _poles(x, middle: float) -> np.ndarray:
     """Of the coordinates; one that is left over is the angle that a delay turns the highest line by."""
     pairs = x[: len(x) // 2 * 2]
-    w, damping = middle * np.exp(pairs[::2]), np.minimum(np.exp(pairs[1::2]), 0.999)
+    w, damping = middle * np.exp(pairs[::2]), np.minimum(np.exp(pairs[1::2]), _MOST)
     return w * (-damping + 1j * np.sqrt(1 - damping**2))
 
 
@@ -160,10 +164,16 @@ def _slopes(s, poles) -> Complex[np.ndarray, "freq pole 2 2"]:
     w = np.abs(poles)
     damping = -poles.real / w
     root = np.sqrt(np.maximum(1 - damping**2, 1e-12))
-    by = np.stack([poles, w * damping * (-1 - 1j * damping / root)], axis=-1)  # d pole
+    by_damping = np.where(damping < _MOST, w * damping * (-1 - 1j * damping / root), 0.0)
+    by = np.stack([poles, by_damping], axis=-1)  # d pole
     a, b = 1 / (s[:, None] - poles) ** 2, 1 / (s[:, None] - poles.conj()) ** 2
     up, down = a[..., None] * by, b[..., None] * by.conj()
     return np.stack([up + down, 1j * (up - down)], axis=-1)
+
+
+def _strength(coefficients, variance, n_poles: int) -> Float[np.ndarray, "pole"]:
+    size, its = (x[:, : 2 * n_poles].reshape(len(x), n_poles, 2).sum(axis=-1) for x in (coefficients**2, variance))
+    return np.sqrt(np.mean(size / (its + 1e-300), axis=0))
 
 
 def _result(s, x, state: _State, middle: float, shared: float, known: bool, delay: float | None) -> PoleFit:
@@ -173,6 +183,9 @@ def _result(s, x, state: _State, middle: float, shared: float, known: bool, dela
     covariance = np.linalg.pinv(state.gram) if len(x) else np.zeros((0, 0))
     std = np.sqrt(np.maximum(np.diag(covariance), 0) * widened)
     through = np.einsum("ecp,pq,ecq->ec", state.change, covariance, state.change)
+    n = len(x) // 2 * 2
+    change, known_delay = state.change[..., :n], np.linalg.pinv(state.gram[:n, :n])
+    at_delay = np.einsum("ecp,pq,ecq->ec", change, known_delay, change)
     poles, top = _poles(x, middle), np.abs(s).max()
     order = np.argsort(np.abs(poles))
     of_poles = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
@@ -188,4 +201,6 @@ def _result(s, x, state: _State, middle: float, shared: float, known: bool, dela
         misfit=float(misfit) if known else 1.0,
         delay=float(x[-1] / top) if delay is None else delay,
         delay_std=float(std[-1] / top) if delay is None else 0.0,
+        began=order,
+        strength=_strength(state.coefficients, (state.spread + at_delay) * widened, n // 2)[order],
     )
