@@ -149,7 +149,7 @@ def coverage() -> str:
         if this := title.match(line):
             name = f"{this[1]}, {this[2]}"
             now = plants.setdefault(name, {}) if name not in plants else None
-        elif (cells := line.split()) and now is not None and len(cells) == 6 and line.startswith("  "):
+        elif (cells := line.split()) and now is not None and len(cells) == 7 and line.startswith("  "):
             now[cells[0]] = f"{float(cells[1]):.2f} / {float(cells[2]):.2f}".replace("0.", ".")
         elif not cells:
             now = None

@@ -172,7 +172,7 @@ def test_what_is_no_mode_is_told():
                 y_quantity="velocity",
             )
         )
-        assert ("several lags or filters" in found.doubt) == wavy == (found.misfit > 2)
+        assert ("several lags" in found.doubt) == wavy == (found.misfit > 2)
         assert wavy or (len(found.lags) == len(found.modes) == 1)
 
 
