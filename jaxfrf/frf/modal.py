@@ -102,8 +102,8 @@ class ModalModel(eqx.Module):
         return (
             f"the modes leave {number(self.misfit, 2)} times the FRF's standard deviation (or a hundredth of it), and "
             "their intervals may be too small: a mode is missing (--near, --order), drives have several lags or "
-            "filters in the band (--band around one mode), channels are delayed by different times, which shows towards high "
-            "lines (--band), or the machine is not linear"
+            "filters in the band (--band around one mode), channels are delayed by different times, which shows "
+            "towards high lines (--band), or the machine is not linear"
         )
 
     def response(self, frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "freq out in"]:
