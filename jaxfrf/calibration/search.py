@@ -116,6 +116,7 @@ class Search:
         if not has_few_runs(weighed.parts):
             posterior = with_bands(posterior, weighed, _FINE_BANDS)
         self.floor = evidence.floor
+        evidence.forget()
         left = remainder(evidence, weighed, posterior.change)
         left_square = mean_square(left / evidence.plain)
         return Iterate(np.asarray(x, float), evidence, weighed, orders, posterior, misfit, left_square, start_floor)

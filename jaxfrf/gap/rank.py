@@ -54,6 +54,7 @@ def ranked(
     cost = view.iterate.posterior.left + view.prior_cost
     numbers = _set_free(view, record, cost)
     terms = _columns(view, record, own) if misses or not numbers else []
+    view.iterate.evidence.forget()
     return sorted([*terms, *numbers], key=lambda s: -s.part)
 
 

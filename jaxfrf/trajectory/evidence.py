@@ -62,6 +62,11 @@ class Evidence:
             reading = mean_period(data, p, data.y) if seen else None
             scenes[int(at)] = Scene(robot, motion, p, s, mean_period(data, p), reading)
 
+    def forget(self) -> None:
+        """Free the signals of the scenes but the motion, of which they are made again: they are most of the memory."""
+        for scene in self.scenes:
+            scene.forget()
+
 
 def _lines(x, count):
     return np.stack([np.fft.rfft(run, axis=1)[:, :count] / run.shape[1] for run in x])

@@ -38,7 +38,7 @@ class Scene:
     """Signals of all experiments at one position, with what the effects' laws ask for.
 
     Those of the motors are (exp, time, axis); those of springs and arm, which move slowly, have fewer samples.
-    Quantities are computed when they are first needed and kept.
+    Quantities are computed when they are first needed and kept until `forget`.
     """
 
     def __init__(self, robot: Robot, motion: Motion, pos: int, still: Frozen, command=None, reading=None):
@@ -51,6 +51,11 @@ class Scene:
         self.lines = len(still.command)
         self.gear = np.asarray(robot.drives.gear_ratio)
         self._hinges: dict = {}
+
+    def forget(self) -> None:
+        """Free what was computed; it is computed again where it is needed."""
+        for name in [name for name in vars(self) if isinstance(getattr(type(self), name, None), cached_property)]:
+            del self.__dict__[name]
 
     @cached_property
     def _Z(self):
