@@ -29,7 +29,7 @@ class Posterior:
     as one. `normal`: the normal matrix A/effect + P. `by_cluster`: estimates of the change without each cluster,
     (cluster, column). `prior`: P's diagonal. `left`: squares that are left behind the step, over the effect. `scores`:
     of every position and band of lines, (pos, band, column), where they are known: an error of the model that is the
-    same at all positions shows between bands only.
+    same at all positions shows between bands only. `beyond`: covariance beside all this, `with_column_errors`.
     """
 
     change: Float[np.ndarray, "column"]
@@ -39,12 +39,13 @@ class Posterior:
     prior: Float[np.ndarray, "column"]
     left: float = np.inf
     scores: Float[np.ndarray, "pos band column"] | None = None
+    beyond: Float[np.ndarray, "column column"] | float = 0.0
 
     @property
     def covariance(self) -> Float[np.ndarray, "column column"]:
         """Of the estimates: of what the data say, from the scatter of the clusters, and of what was known before, so
         far as the estimates lean on it."""
-        return self._from_data + np.diag(self._from_bands) + self._from_prior
+        return self._from_data + np.diag(self._from_bands) + self._from_prior + self.beyond
 
     @property
     def _from_data(self):
@@ -77,7 +78,8 @@ class Posterior:
         t = scipy.stats.t.ppf(0.5 + level / 2, len(self.by_cluster) - 1)
         z = scipy.stats.norm.ppf(0.5 + level / 2)
         bands = 0.0 if self.scores is None else scipy.stats.t.ppf(0.5 + level / 2, self.scores.shape[1] - 1) ** 2
-        return np.sqrt(t**2 * np.diag(self._from_data) + bands * self._from_bands + z**2 * np.diag(self._from_prior))
+        told = t**2 * np.diag(self._from_data) + bands * self._from_bands
+        return np.sqrt(told + z**2 * np.diag(self._from_prior + self.beyond))
 
     @property
     def data_share(self) -> Float[np.ndarray, "column"]:
@@ -131,11 +133,19 @@ def with_bands(posterior: Posterior, weighed: Weighed, bands: int) -> Posterior:
     return dataclasses.replace(posterior, scores=scores)
 
 
-def _information(A):
+def with_column_errors(posterior: Posterior, gram: Gram, errors: Float[np.ndarray, "column"]) -> Posterior:
+    """The same, where each column has an error of its own, up to this part of its size: a difference of columns that is
+    smaller tells nothing (errors in variables: Fuller, Measurement Error Models, 1987, 1.2)."""
+    A = gram.A.sum(axis=0)
+    deflated = _information(A, errors) / posterior.effect + np.diag(posterior.prior)
+    return dataclasses.replace(posterior, beyond=np.linalg.inv(deflated) - np.linalg.inv(posterior.normal))
+
+
+def _information(A, errors: Float[np.ndarray, "column"] | float = 0.0):
     """Products of columns as a matrix that has an inverse beside any prior: those made in single precision may have
-    slightly negative eigenvalues, and a column that is nothing has none."""
+    slightly negative eigenvalues, and a column that is nothing has none. `errors`: of `with_column_errors`."""
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    values, vectors = np.linalg.eigh(A / np.outer(size, size))
+    values, vectors = np.linalg.eigh(A / np.outer(size, size) - np.diag(np.broadcast_to(errors, len(A)) ** 2))
     root = vectors * np.sqrt(np.maximum(values, _RIDGE))
     whole = (root @ root.T) * np.outer(size, size)
     return whole + np.diag(np.where(np.diag(A) > 0, 0.0, 1e-12))

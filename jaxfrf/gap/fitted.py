@@ -12,7 +12,9 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Bool, Float
 
+from ..calibration.columns import OF_LINKS
 from ..calibration.descent import Descent
+from ..calibration.least_squares import with_column_errors
 from ..calibration.numbers import Number, numbers, with_numbers
 from ..calibration.result import Round
 from ..calibration.ripple import TRIED, found_waves
@@ -22,7 +24,7 @@ from ..robot import Robot, Tolerances
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import excess, remainder
 from ..trajectory.ripple import Order, Wave, with_ripple
-from .settings import FAR, FLOOR, OTHERS, OUT_OF_TOLERANCE, ROUNDS, SLOW
+from .settings import FAR, FLOOR, LINK_ERROR, OTHERS, OUT_OF_TOLERANCE, ROUNDS, SLOW
 
 Say = Callable[[str], None]
 
@@ -198,6 +200,15 @@ def at(robot: Robot, unknown: Tolerances, record: Measured, values, orders, floo
     x = np.array([n.coordinate(values[n.name]) if n.name in values else 0.0 for n in fit.numbers])
     fit.begin(_kept(x, orders, floor, near, inside))
     return fit.found
+
+
+def with_link_errors(found: Fitted) -> Fitted:
+    """The same, links being what their masses, centres and inertias say to `LINK_ERROR` only: where those of one give
+    way to one another and to those of the next, what is left of their torques tells nothing."""
+    errors = np.zeros(len(found.iterate.posterior.change))
+    errors[: len(found.numbers)] = [LINK_ERROR * (n.kind in OF_LINKS) for n in found.numbers]
+    posterior = with_column_errors(found.iterate.posterior, found.iterate.weighed.gram, errors)
+    return dataclasses.replace(found, iterate=dataclasses.replace(found.iterate, posterior=posterior))
 
 
 class RobotFit:

@@ -19,7 +19,7 @@ from ..parts import Parts
 from ..robot import Robot, Tolerances
 from ..trajectory.evidence import by_band
 from ..trajectory.measured import Measured
-from .fitted import Fitted, RobotFit, Say, as_given, at, fitted, further
+from .fitted import Fitted, RobotFit, Say, as_given, at, fitted, further, with_link_errors
 from .hypothesis import Hypothesis, hypothesis, one_class
 from .judge import (
     COMPARED,
@@ -134,7 +134,8 @@ def select_effects(
         steps.append(step)
         now = step.found
         done(0.3 + 0.6 * len(steps) / MOST)
-    return Selection(base, tuple(steps), _on_all(now, records, say) if steps else now, first, refused)
+    last = with_link_errors(_on_all(now, records, say)) if steps else now
+    return Selection(base, tuple(steps), last, first, refused)
 
 
 def _misses(now: Fitted, records: Records, say: Say) -> bool:

@@ -1,0 +1,47 @@
+"""A step of all numbers at once, where the columns are not exact."""
+
+import types
+
+import numpy as np
+
+from jaxfrf.calibration.least_squares import solve, with_column_errors
+from jaxfrf.trajectory.evidence import Gram
+
+ERROR, RUNS, ROWS = 0.01, 8, 200
+
+
+def _record(rng):
+    """Two columns that are the same, each seen with an error of less than a hundredth, about the noise, and the
+    numbers that are true: one of which nothing is known, and one that is known to a standard deviation of 1."""
+    shape, true = rng.standard_normal((RUNS, ROWS)) / ERROR, np.array([rng.normal(), rng.normal()])
+    exact = np.stack([shape, shape], axis=1)
+    seen = exact + 0.7 * rng.standard_normal(exact.shape)
+    right = np.einsum("rjn,j->rn", exact, true) + rng.standard_normal(shape.shape)
+    products = np.einsum("rjn,rkn->rjk", seen, seen)
+    b = np.einsum("rjn,rn->rj", seen, right)
+    return Gram(products, b, np.sum(right**2, axis=1), np.arange(RUNS), ROWS), true
+
+
+def test_what_cancels_is_told_by_what_was_known_where_columns_have_errors():
+    """Without, what is left of the columns, their error, passes for knowledge."""
+    rng, numbers = np.random.default_rng(5), [types.SimpleNamespace(prior=p) for p in (0.0, 1.0)]
+    held, naive = [], []
+    for _ in range(100):
+        gram, true = _record(rng)
+        posterior = solve(gram, numbers, np.zeros(2))
+        off = np.abs(posterior.change - true)
+        naive.append(off < posterior.half_width())
+        held.append(off < with_column_errors(posterior, gram, np.full(2, ERROR)).half_width())
+    assert np.mean(naive) < 0.6
+    assert 0.9 <= np.mean(held) <= 1.0
+
+
+def test_columns_that_do_not_cancel_are_told_as_before():
+    rng = np.random.default_rng(6)
+    X, y = rng.standard_normal((RUNS, 2, ROWS)), rng.standard_normal((RUNS, ROWS))
+    products, b = X @ X.swapaxes(1, 2), np.einsum("rjn,rn->rj", X, y)
+    gram = Gram(products, b, np.sum(y**2, axis=1), np.arange(RUNS), ROWS)
+    numbers = [types.SimpleNamespace(prior=1.0)] * 2
+    posterior = solve(gram, numbers, np.zeros(2))
+    widened = with_column_errors(posterior, gram, np.full(2, ERROR))
+    np.testing.assert_allclose(widened.half_width(), posterior.half_width(), rtol=1e-3)
