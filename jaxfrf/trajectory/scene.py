@@ -19,7 +19,7 @@ from ..robot import (
     motor_values,
     spring_directions,
 )
-from ..robot.drive import Spring
+from ..robot.drive import Friction, Spring
 from ..robot.regressor import link_regressor
 from ..simulation import Motion
 from ..simulation.plant import product
@@ -257,14 +257,17 @@ class Scene:
             raise ValueError("The changed robot has other coordinates.")
         total = np.zeros((*self.u.shape[:1], self.lines, self.robot.n_axes), complex)
         own = self.robot
-        if _differ(changed.springs, own.springs):
-            more = np.asarray(changed.springs.torque(self.deflection, self.deflection_rate)) - self.spring_torque
-            for spring in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
-                total += self.by_spring(int(spring), more[..., spring])
-        if _differ(changed.drives.friction, own.drives.friction):
-            more = np.asarray(changed.drives.friction.torque(self.speed)) - self._friction
-            for axis in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
-                total += self.by_motor(int(axis), more[..., axis])
+        springs, law = _where_another(changed.springs, own.springs, self._springs.shape[1])
+        if len(springs):
+            more = np.asarray(law.torque(self.deflection[..., springs], self.deflection_rate[..., springs]))
+            more = more - self.spring_torque[..., springs]
+            for i in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
+                total += self.by_spring(int(springs[i]), more[..., i])
+        axes, law = _where_another(changed.drives.friction, own.drives.friction, own.n_axes)
+        if len(axes):
+            more = np.asarray(law.torque(self.speed[..., axes])) - self._friction[..., axes]
+            for i in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
+                total += self.by_motor(int(axes[i]), more[..., i])
         inertia = np.asarray(changed.drives.motor_inertia) - np.asarray(own.drives.motor_inertia)
         for axis in np.flatnonzero(inertia):
             total += self.by_motor(int(axis), inertia[axis] * self.acceleration[..., axis])
@@ -339,6 +342,19 @@ def _hinge_inertia(robot: Robot, q, axis: int, direction):
     coupling = np.zeros(robot.dof)
     coupling[robot.n_motors :] = M[at, arm + (arm >= at)]
     return coupling, M[at, at]
+
+
+def _where_another(law, own, count: int):
+    """Joints at which a law is another than the own one, and the law of these alone; of all joints, unless both are
+    laws whose numbers stand joint by joint."""
+    if not _differ(law, own):
+        return np.arange(0), law
+    values, before = jax.tree.leaves(law), jax.tree.leaves(own)
+    if type(law) not in (Spring, Friction) or type(law) is not type(own) or len(values) != len(before):
+        return np.arange(count), law
+    differs = [np.broadcast_to(np.asarray(a) != np.asarray(b), count) for a, b in zip(values, before, strict=True)]
+    places = np.flatnonzero(np.any(differs, axis=0))
+    return places, jax.tree.map(lambda x: np.asarray(x)[places] if np.ndim(x) else x, law)
 
 
 def _differ(one, other) -> bool:
