@@ -70,7 +70,10 @@ def _expected(kind: Any, value: Any, lengths: dict[str, int]) -> list[str]:
     base = typing.get_origin(kind) or kind
     if base is types.NoneType or kind is None:
         return [] if value is None else ["None"]
-    if not isinstance(base, type) or base is bool:
+    if base is bool:
+        shape, numbers = _shape(value)
+        return [] if shape == () and numbers in "biu" else ["True or False"]
+    if not isinstance(base, type):
         return []
     lies = base in (collections.abc.Iterable, collections.abc.Sequence) and isinstance(value, str | bytes)
     return [] if isinstance(value, base) and not lies else [_called(base)]
@@ -80,7 +83,7 @@ def _called(base: type) -> str:
     plain: dict[Any, str] = {str: "text", tuple: "a tuple", collections.abc.Mapping: "a table {name: value}"}
     listed = dict.fromkeys((collections.abc.Iterable, collections.abc.Sequence), "a list")
     room = ".".join(base.__module__.split(".")[:2])
-    return (plain | listed).get(base, f"{'an' if base.__name__[0] in 'AEIOU' else 'a'} {room}.{base.__name__}")
+    return (plain | listed).get(base, f"a {room}.{base.__name__}")
 
 
 def _expected_array(kind: Any, value: Any, lengths: dict[str, int]) -> list[str]:

@@ -35,7 +35,7 @@ def expect(name: str, value: Any, *kinds: type) -> None:
     **Raises:** `jaxfrf.InputError` naming the argument, what was found, what was expected and how to make it.
     """
     if not isinstance(value, kinds):
-        raise wrong_kind(name, value, " or ".join(f"{_article(k.__name__)} jaxfrf.{k.__name__}" for k in kinds), *kinds)
+        raise wrong_kind(name, value, " or ".join(f"a jaxfrf.{k.__name__}" for k in kinds), *kinds)
 
 
 def expect_each(name: str, values: Any, kind: type) -> None:

@@ -1,5 +1,6 @@
 """Robots and excitation: public functions and constructors refuse what they are not annotated with, in one sentence."""
 
+import dataclasses
 import inspect
 
 import equinox as eqx
@@ -103,3 +104,22 @@ def test_fields_of_a_module():
     assert Pair(np.ones(2), np.ones(2)).a.size == 2 and Pair([1.0]).b is None
     with pytest.raises(jf.InputError, match=r"b: .+ x = 2"):
         Pair(np.ones(2), np.ones(3))
+
+
+METHODS = [
+    cls
+    for cls in (getattr(jf, name) for name in dir(jf))
+    if inspect.isclass(cls) and issubclass(cls, jf.AbstractMethod) and not inspect.isabstract(cls)
+]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_options_of_methods(method):
+    for field in dataclasses.fields(method):
+        for wrong in (*WRONG.values(), float("nan"), int):
+            try:
+                method(**{field.name: wrong})
+            except jf.InputError as error:
+                assert str(error).startswith(field.name)
+            else:
+                assert wrong is None or (field.type is str and wrong == "abc")

@@ -15,6 +15,7 @@ import numbers
 
 import numpy as np
 
+from .._annotated import check_fields
 from .._errors import input_error
 from .._text import counted
 from ..spectra import Spectra
@@ -39,6 +40,7 @@ class AbstractLocal(AbstractLeastSquares):
     transient: int | None = None
 
     def __check_init__(self):
+        check_fields(self)
         for name in ("order", "width", "transient"):
             value = getattr(self, name)
             least = 1 if name == "width" else 0

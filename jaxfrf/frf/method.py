@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
+from .._annotated import check_fields
 from .._compile import compiled
 from .._status import Status
 from .._types import Array
@@ -68,6 +69,9 @@ class AbstractMethod(eqx.Module):
 
     A method of one's own defines `at_point`, `check`, `block_size` and `residual_dof`.
     """
+
+    def __check_init__(self):
+        check_fields(self)
 
     @abc.abstractmethod
     def at_point(self, signals: Signals, lines: Int[Array, "line"] | None = None) -> Estimate:

@@ -2,12 +2,14 @@
 
 import dataclasses
 import math
+import numbers
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._annotated import check_fields
 from .._compile import after, compiled
 from .._errors import input_error
 from .._types import Array
@@ -75,6 +77,9 @@ class Auto(AbstractMethod):
     stages: int = 2
 
     def __check_init__(self):
+        check_fields(self)
+        if self.widths is not None and not (self.widths and all(isinstance(w, numbers.Integral) for w in self.widths)):
+            raise input_error("widths", repr(self.widths), "whole numbers, one or more", "Give e.g. (12, 24, 48).")
         if self.stages not in (1, 2):
             raise input_error("stages", repr(self.stages), "1 or 2", "Leave it out for 2.")
         if self.method.width is not None:

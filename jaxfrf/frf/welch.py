@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import scipy  # not scipy.signal, which takes a second to import: it loads when a window is asked for
 
+from .._annotated import check_fields
 from .._errors import input_error
 from ..spectra import Spectra
 from .classical import H1
@@ -48,6 +49,7 @@ class Welch(AbstractMethod):
     use_reference: bool = False
 
     def __check_init__(self):
+        check_fields(self)
         if self.segment is not None and (self.segment != int(self.segment) or self.segment < 8):
             raise input_error("segment", repr(self.segment), "a whole number of samples, 8 or more", "Give e.g. 4096.")
         if not 0 <= self.overlap < 1:
