@@ -106,10 +106,15 @@ def as_positive(name: str, value) -> float:
     return x
 
 
+_SAMPLE = {"period": 2500}
+
+
 def as_count(name: str, value) -> int:
     x = _number(name, value)
     if not (np.isfinite(x) and x >= 0 and x == round(x)):
-        raise input_error(name, f"{x:g}", "a whole number, 0 or more", f"Set it, e.g. --set {name}=2500.")
+        raise input_error(
+            name, f"{x:g}", "a whole number, 0 or more", f"Set it, e.g. --set {name}={_SAMPLE.get(name, 1)}."
+        )
     return int(x)
 
 

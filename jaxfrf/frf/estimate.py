@@ -54,6 +54,9 @@ def estimate(
     **Source:** as of the method; the default's is that of `jaxfrf.Auto`.
     """
     require_x64("estimate")
+    if not isinstance(data, Experiment | Spectra):
+        found, do = _instead(data)
+        raise input_error("data", found, "jaxfrf.Spectra or a jaxfrf.Experiment", do)
     if not isinstance(method, AbstractMethod):
         raise wrong_kind("method", method, "a method, e.g. jaxfrf.LRM(order=2)", AbstractMethod)
     spectra = _spectra(data, method)
@@ -92,13 +95,10 @@ def estimate(
     )
 
 
-def _spectra(data, method: AbstractMethod) -> Spectra:
+def _spectra(data: Experiment | Spectra, method: AbstractMethod) -> Spectra:
     if isinstance(data, Experiment):
         return spectra_of(data, method)
-    if isinstance(data, Spectra):
-        return data
-    found, do = _instead(data)
-    raise input_error("data", found, "jaxfrf.Spectra or a jaxfrf.Experiment", do)
+    return data
 
 
 def _instead(data) -> tuple[str, str]:

@@ -246,6 +246,22 @@ def twice(record: Record) -> Iterator[Finding]:
     yield from halves(record)
 
 
+def copied(record: Record) -> Iterator[Finding]:
+    """Positions of which all experiments are one: nothing differs between them, and their FRF would look exact."""
+    data = record.data
+    for pos in range(data.n_pos if data.n_exp > 1 else 0):
+        moves = record.moving["u"][pos].any() and record.moving["y"][pos].any()
+        if moves and all(np.array_equal(x[pos, 0], one) for x in (data.u, data.y) for one in x[pos, 1:]):
+            yield Finding(
+                "copied",
+                Severity.REFUSED,
+                data.n_exp,
+                f"experiments: found that all {data.n_exp} (position {pos}) are the same samples; expected records "
+                "that differ: nothing between these tells the noise, and their FRF would look exact. Give it once.",
+                pos=pos,
+            )
+
+
 def marks(data: Experiment) -> list[list[str]]:
     """A digest of the samples of every experiment, (pos, exp): the same for the same samples."""
     signals = (np.asarray(data.y), np.asarray(data.u))

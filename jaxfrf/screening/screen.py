@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from .._arguments import expect
 from .._errors import InputError
 from ..experiment import Experiment
-from .belongs import foreign, halves, marked_twice, marks, twice
+from .belongs import copied, foreign, halves, marked_twice, marks, twice
 from .clock import clock
 from .finding import Finding, Severity, shifted
 from .gain import gain_drift
@@ -43,7 +43,7 @@ CHECKS: tuple[Check, ...] = (
     quiet_lines,
     noncausal,
 )
-ACROSS: tuple[Check, ...] = (twice, foreign)
+ACROSS: tuple[Check, ...] = (copied, twice, foreign)
 """Checks that compare experiments, which may come from several files."""
 
 _OF_ALL = (contradicted, quiet_lines)  # look at the record as a whole: its first part speaks for it
@@ -77,6 +77,7 @@ _EXPLAINS = {
     "coarse": {"jitter", "foreign"},
     "clipped": {"saturated", "noncausal", "jitter", "foreign"},
     "saturated": {"noncausal", "jitter", "foreign"},
+    "copied": {"twice", "foreign"},
     "dead": {"foreign", "noise", "noncausal"},
 }
 
@@ -158,7 +159,7 @@ def screen_part(files: Sequence[tuple[Experiment, int]], whole: Experiment, firs
         checks = CHECKS if start == 0 else tuple(x for x in CHECKS if x not in _OF_ALL)
         record = joined if data is whole else Record(data)
         found.append(tuple(shifted(f, start) for f in _examined(record, checks)))
-    across = tuple(shifted(f, first) for f in _examined(joined, (halves, foreign)))
+    across = tuple(shifted(f, first) for f in _examined(joined, (copied, halves, foreign)))
     return ScreenedPart(tuple(found), across, marks(whole))
 
 

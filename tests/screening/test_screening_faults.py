@@ -231,6 +231,13 @@ def test_two_experiments_contradict_each_other(record):
     assert "contradict each other" in the_one(examine(two), "foreign").says
 
 
+def test_one_record_as_all_experiments(record):
+    """Its FRF would look exact: nothing differs between them."""
+    copies = {k: np.concatenate([x[1:2]] * 3) for k, x in record.items()}
+    finding = the_one(examine(copies), "copied")
+    assert finding.severity is Severity.REFUSED and "same samples" in finding.says
+
+
 def test_the_same_data_twice(record):
     twice = {k: np.concatenate([x, x[1:2]]) for k, x in record.items()}
     assert "once more" in the_one(examine(twice), "twice", exp=4).says
