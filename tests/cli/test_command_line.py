@@ -547,7 +547,7 @@ BAD = {
     "all transient": (None, {"transient_periods": 2}, [], r"transient_periods: found 2 of 2"),
     "too few experiments": (_one_experiment, {}, ["--method", "h1"], r"experiments: found 1 .*at least 2.*local"),
     "rank-deficient excitation": (_copied_input, {}, [], r"u: found 2 inputs of which only 1 .*independent"),
-    "repeated experiment": (_repeated_experiment, {}, ["--method", "h1"], r"experiments: found that all 4 .*same samples"),
+    "repeated experiment": (_repeated_experiment, {}, ["--method", "h1"], r"experiments: found that all 4 .*same"),
     "other lines": (None, {"lines": np.arange(6, 101, 2)}, [], r"r: found no power in channel \d at 48 of the 48"),
     "a line without power": (None, {"lines": [5, 7, 8, 9]}, [], r"at 1 of the 4 .* line 8 \(4 Hz\)"),
     "no power anywhere": (_silent, {"lines": None}, [], r"r: found no power at any line"),
