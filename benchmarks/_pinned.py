@@ -49,6 +49,12 @@ def machine() -> dict:
     }
 
 
+def commit() -> str:
+    """That a result is made with, as its short name; empty outside a clone."""
+    call = ["git", "rev-parse", "--short", "HEAD"]
+    return subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+
+
 def _processor() -> str:
     info = pathlib.Path("/proc/cpuinfo")
     if not info.exists():

@@ -14,7 +14,6 @@ import argparse
 import dataclasses
 import os
 import pathlib
-import subprocess
 import time
 
 os.environ.setdefault("JAX_ENABLE_X64", "1")
@@ -22,6 +21,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import _plants
 import numpy as np
+from _pinned import commit
 
 import jaxfrf as jf
 from jaxfrf._environment import prepare
@@ -175,7 +175,7 @@ def main() -> None:
     prepare()
     arguments = _arguments()
     began, text = time.perf_counter(), [__doc__.partition("\n")[0]]
-    _say(text, f"jaxfrf {jf.__version__}, commit {_commit()}")
+    _say(text, f"jaxfrf {jf.__version__}, commit {commit()}")
     cases = [case for case in (TUNING if arguments.tuning else CASES) if arguments.case in case.name]
     for case in cases:
         for n_exp in arguments.experiments:
@@ -204,12 +204,6 @@ def _row(case: Case, n_exp: int, name: str, method, seeds, at: str) -> str:
         f"  {name:20}{x['all']:8.3f}{x['at resonances']:15.3f}{x['error']:9.4f}{x['error at resonances']:9.4f}"
         f"{x['width']:7.2f}{time.perf_counter() - start:7.1f}"
     )
-
-
-def _commit() -> str:
-    return subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
-    ).stdout.strip()
 
 
 def _say(text: list[str], line: str) -> None:

@@ -13,7 +13,6 @@ import argparse
 import collections
 import os
 import pathlib
-import subprocess
 import tempfile
 import time
 
@@ -22,6 +21,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import _faults as f
 import numpy as np
+from _pinned import commit
 
 import jaxfrf as jf
 
@@ -131,9 +131,8 @@ def main() -> None:
         lines.append(text)
 
     start = time.monotonic()
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout
     seeds = TUNE if given.tune else REPORT
-    say(f"jaxfrf {jf.__version__}, commit {commit.strip()}; machines {seeds}, method auto")
+    say(f"jaxfrf {jf.__version__}, commit {commit()}; machines {seeds}, method auto")
     say(f"{'record':16}{'fault':42}{'done':9}{'moved %':>9}{'outside %':>11}{'radii':>8}  findings")
     rows = []
     with tempfile.TemporaryDirectory() as folder:

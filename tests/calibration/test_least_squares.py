@@ -33,7 +33,7 @@ def test_what_cancels_is_told_by_what_was_known_where_columns_have_errors():
         naive.append(off < posterior.half_width())
         held.append(off < with_column_errors(posterior, gram, np.full(2, ERROR)).half_width())
     assert np.mean(naive) < 0.6
-    assert 0.9 <= np.mean(held) <= 1.0
+    assert np.mean(held) >= 0.9
 
 
 def test_columns_that_do_not_cancel_are_told_as_before():
