@@ -1,6 +1,8 @@
-"""Numbers as people write them, in messages, summaries and pages."""
+"""Numbers and names as people write them, in messages, summaries and pages."""
 
+import difflib
 import math
+from collections.abc import Iterable
 from typing import SupportsFloat
 
 _WHOLE = 7  # digits before the point that are written out
@@ -51,6 +53,12 @@ def shortened(value: object) -> str:
 def counted(n: int, noun: str) -> str:
     """`1 period`, `6 periods`."""
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def nearest(name: object, known: Iterable[str]) -> str:
+    """The known name that is most like what was given, by letters; the first where none is."""
+    known = list(known)
+    return (difflib.get_close_matches(str(name), known, n=1, cutoff=0.0) or known)[0]
 
 
 def _short(text: str) -> str:

@@ -1,10 +1,11 @@
 """One robot on its way by Gauss-Newton: simulated, differentiated, moved."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from .._errors import InputError
 from .._threads import lapack_threads, shared
@@ -40,7 +41,8 @@ Say = Callable[[str], None]
 class Iterate(eqx.Module):
     """A point x of the Gauss-Newton search: the robot simulated there, and the step that follows.
 
-    **Fields:** `misfit`: mean square over the plain floor that ripple alone leaves. `left`: what all columns leave.
+    **Fields:** `misfit`: mean square over the plain floor that ripple alone leaves. `left`: what all columns leave;
+    `rest`: that itself, N m.
     `start_floor`: the floor that it began with, and with which it can be made again; `None`: the plain one.
     """
 
@@ -51,7 +53,12 @@ class Iterate(eqx.Module):
     posterior: Posterior = eqx.field(static=True)
     misfit: float
     left: float
+    rest: Complex[np.ndarray, "pos exp line axis"]
     start_floor: Float[np.ndarray, "line axis"] | None
+
+    def without_columns(self) -> "Iterate":
+        """The same with the columns' products alone: columns are most of the memory."""
+        return dataclasses.replace(self, weighed=Weighed((), self.weighed.gram))
 
 
 class Search:
@@ -106,8 +113,7 @@ class Search:
         free = np.arange(len(self.numbers), weighed.gram.b.shape[1])
         misfit = _misfit(evidence, weighed, np.concatenate([self._at_bound(x), free]))
         for _ in range(_REWEIGHED):
-            left = remainder(evidence, weighed, posterior.change)
-            floor = usual_size(left, evidence.noise)
+            floor = usual_size(remainder(evidence, weighed, posterior.change), evidence.noise)
             weighed = refloored(weighed, evidence.floor, floor)
             evidence.floor = floor
             posterior = solve(weighed.gram, self.numbers, x)
@@ -117,9 +123,9 @@ class Search:
             posterior = with_bands(posterior, weighed, _FINE_BANDS)
         self.floor = evidence.floor
         evidence.forget()
-        left = remainder(evidence, weighed, posterior.change)
-        left_square = mean_square(left / evidence.plain)
-        return Iterate(np.asarray(x, float), evidence, weighed, orders, posterior, misfit, left_square, start_floor)
+        rest = remainder(evidence, weighed, posterior.change)
+        left = mean_square(rest / evidence.plain)
+        return Iterate(np.asarray(x, float), evidence, weighed, orders, posterior, misfit, left, rest, start_floor)
 
     def further(self, iterate: Iterate, more: bool) -> Iterate | None:
         """The next robot, by a step that is short enough to leave less."""

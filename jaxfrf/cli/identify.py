@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .._errors import InputError, input_error
+from .._text import nearest
 from ..io._formats import FRFS, RECORDS
 from . import own_effects
 from .arguments import (
@@ -342,7 +343,6 @@ def _numbers(text: str | None) -> list[int]:
 
 def _weights(text: str | None):
     import dataclasses
-    import difflib
 
     from ..graybox import Weights
 
@@ -351,7 +351,7 @@ def _weights(text: str | None):
     for pair in text.split(",") if text else ():
         name, _, value = (x.strip() for x in pair.partition("="))
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
+            near = nearest(name, known)
             raise input_error("--weights", repr(name), f"some of {', '.join(known)}", f"Did you mean {near!r}?")
         try:
             found[name] = float(value)

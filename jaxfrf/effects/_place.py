@@ -1,6 +1,5 @@
 """Where on a robot an effect acts, and the change of one of its arrays."""
 
-import difflib
 from typing import TYPE_CHECKING
 
 import equinox as eqx
@@ -8,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from .._errors import input_error
+from .._text import nearest
 from .._types import Array
 
 if TYPE_CHECKING:
@@ -24,12 +24,11 @@ def axis_of(robot: "Robot", joint: int | str) -> int:
         return names.index(joint)
     if isinstance(joint, int) and not isinstance(joint, bool) and 0 <= joint < len(names):
         return joint
-    near = difflib.get_close_matches(str(joint), names, n=1, cutoff=0.0)
     raise input_error(
         f"joint of an effect on {robot.name}",
         repr(joint),
         f"a driven joint, {', '.join(names)} or 0 to {len(names) - 1}",
-        f"Did you mean {near[0] if near else names[0]!r}?",
+        f"Did you mean {nearest(joint, names)!r}?",
     )
 
 

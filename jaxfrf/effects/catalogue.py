@@ -1,6 +1,5 @@
 """The library of effects by name; effects from and to tables of a robot's file."""
 
-import difflib
 import inspect
 import sys
 from collections.abc import Mapping, Sequence
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import input_error
+from .._text import nearest
 from .effect import AbstractEffect
 
 
@@ -34,14 +34,14 @@ def effect_from_table(
     """
     name, known = table.get("name"), library() | {kind.name: kind for kind in own}
     if name not in known:
-        near = difflib.get_close_matches(str(name), known, n=1, cutoff=0.0)[0]
+        near = nearest(name, known)
         raise input_error(
             f"{where}: name", "nothing" if name is None else repr(name), ", ".join(known), f"Did you mean {near!r}?"
         )
     kind, given = known[name], {k: v for k, v in table.items() if k not in ("name", "joint")}
     for key in given:
         if key not in kind.units:
-            near = difflib.get_close_matches(key, kind.units, n=1, cutoff=0.0)[0]
+            near = nearest(key, kind.units)
             raise input_error(
                 where, f"the unknown key {key!r}", f"keys among {', '.join(kind.units)}", f"Did you mean {near!r}?"
             )

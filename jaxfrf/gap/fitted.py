@@ -22,7 +22,7 @@ from ..calibration.rounds import Kept, Rounds
 from ..calibration.search import Iterate
 from ..robot import Robot, Tolerances
 from ..trajectory.measured import Measured
-from ..trajectory.remainder import excess, remainder
+from ..trajectory.remainder import excess
 from ..trajectory.ripple import Order, Wave, with_ripple
 from .settings import FAR, FLOOR, LINK_ERROR, OTHERS, OUT_OF_TOLERANCE, ROUNDS, SLOW
 
@@ -58,7 +58,7 @@ class Fitted(eqx.Module):
     @property
     def left(self):
         """What is left of the record behind the next step, N m, (pos, exp, line, axis)."""
-        return remainder(self.iterate.evidence, self.iterate.weighed, self.iterate.posterior.change)
+        return self.iterate.rest
 
     def excess(self, record: Measured) -> float:
         """Mean square over the floor where most is left: of one axis in one band."""
@@ -68,6 +68,10 @@ class Fitted(eqx.Module):
     def of_axes(self) -> Float[np.ndarray, "axis"]:
         """Mean square over the floor that is left of every axis."""
         return 0.5 * np.mean(np.abs(self.left / self.iterate.evidence.plain) ** 2, axis=(0, 1, 2))
+
+    def without_columns(self) -> "Fitted":
+        """The same, beside which no candidate can be ranked any more."""
+        return dataclasses.replace(self, iterate=self.iterate.without_columns())
 
     def place(self, name: str) -> int:
         return [n.name for n in self.numbers].index(name)
@@ -270,9 +274,7 @@ class RobotFit:
                 break
 
     def _excess(self) -> float:
-        iterate = self.descent.iterate
-        left = remainder(iterate.evidence, iterate.weighed, iterate.posterior.change)
-        return excess(left, iterate.evidence.plain, self.record.frequency)
+        return self.found.excess(self.record)
 
 
 def _kept(x, orders: Sequence[Order], floor, near: bool, inside: Sequence[Wave]) -> Kept:

@@ -74,6 +74,10 @@ class Step(eqx.Module):
     def key(self) -> tuple[str, str]:
         return self.hypothesis.key
 
+    def without_columns(self) -> "Step":
+        """The same, its robot without them (`Fitted.without_columns`)."""
+        return dataclasses.replace(self, found=self.found.without_columns())
+
 
 class Selection(eqx.Module):
     """The effects that were selected.
@@ -99,6 +103,15 @@ def select_effects(
     parts: Parts | None,
 ) -> Selection:
     """The effects that a robot lacks, on the positions that are not held out."""
+    base, steps, first, refused = _rounds(robot, records, own, say, done, parts)
+    last = with_link_errors(_on_all(steps[-1].found, records, say)) if steps else base
+    return Selection(base, steps, last, first, refused)
+
+
+def _rounds(
+    robot: Robot, records: Records, own, say: Say, done, parts
+) -> tuple[Fitted, tuple[Step, ...], tuple[Scored, ...], str]:
+    """Base, steps, first ranking and refusal as of `Selection`, robots without their columns."""
     say("fits the robot's own numbers")
     fit = records.fitted
     base, given = _base(robot, fit, say, parts)
@@ -131,11 +144,10 @@ def select_effects(
         if step is None:
             say(refused)
             break
-        steps.append(step)
-        now = step.found
+        base, given, now = base.without_columns(), None, step.found
+        steps = [*(x.without_columns() for x in steps), step]
         done(0.3 + 0.6 * len(steps) / MOST)
-    last = with_link_errors(_on_all(now, records, say)) if steps else now
-    return Selection(base, tuple(steps), last, first, refused)
+    return base.without_columns(), tuple(x.without_columns() for x in steps), first, refused
 
 
 def _misses(now: Fitted, records: Records, say: Say) -> bool:

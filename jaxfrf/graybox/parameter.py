@@ -1,6 +1,5 @@
 """Parameters of a gray-box model: what is fitted, from where, in which coordinates."""
 
-import difflib
 import fnmatch
 import math
 from collections.abc import Iterable, Mapping
@@ -12,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import input_error
+from .._text import nearest
 from .._types import Array
 
 _ROUND = 0.05  # width of the corner at a bound, in ln
@@ -252,7 +252,7 @@ def matching(parameters: Mapping[str, Parameter], names: Iterable[str]) -> tuple
     for name in names:
         these = [n for n in parameters if n == name or fnmatch.fnmatchcase(n, name)]
         if not these:
-            near = difflib.get_close_matches(name, parameters, n=1, cutoff=0.0)
-            raise input_error("parameter", repr(name), f"one of {', '.join(parameters)}", f"Did you mean {near[0]!r}?")
+            near = nearest(name, parameters)
+            raise input_error("parameter", repr(name), f"one of {', '.join(parameters)}", f"Did you mean {near!r}?")
         found |= dict.fromkeys(these)
     return tuple(found)

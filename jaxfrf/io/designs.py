@@ -85,10 +85,10 @@ def design_from_table(table: Mapping) -> Multisine:
     **Raises:** `jaxfrf.InputError` naming the key: unknown (with the nearest known one), missing, or with a value that
     no design can have.
     """
-    _check_keys("design", table, _TOP, required=("fs", "period", "lines"))
+    _check_keys("design", table, required=("fs", "period", "lines"))
     record = {name: table[name] for name in _RECORD if name in table}
     signal = _section(table, "multisine")
-    _check_keys("[multisine]", signal, ("rms", "phases", "spectrum"))
+    _check_keys("[multisine]", signal)
     excited = _section(table, "lines")
     _check_lines_table(excited)
     # The rate and the length must be sound before a band in Hz can be turned into lines.
@@ -136,11 +136,20 @@ _GRIDS: dict[str, tuple[tuple[str, ...], tuple[str, ...], Callable]] = {
 }
 _LINE_KEYS = ("grid", *dict.fromkeys(key for needs, may, _ in _GRIDS.values() for key in needs + may))
 
+_KEYS: dict[str, tuple[str, ...]] = {
+    "design": _TOP,
+    "[lines]": _LINE_KEYS,
+    "[multisine]": ("rms", "phases", "spectrum"),
+    "[multisine.spectrum]": ("frequency", "amplitude"),
+    "[slow_sine]": ("lines", "amplitude"),
+}
+_AT_THE_TOP = "at the top, before every table"
+
 
 def _check_lines_table(table: Mapping) -> None:
-    _check_keys("[lines]", table, _LINE_KEYS, required=("grid",))
+    _check_keys("[lines]", table, required=("grid",))
     needs, may, _ = _choice("[lines] grid", table["grid"], _GRIDS)
-    _check_keys(f"[lines] with grid {table['grid']!r}", table, ("grid", *needs, *may), required=needs)
+    _check_these(f"[lines] with grid {table['grid']!r}", table, ("grid", *needs, *may), required=needs)
 
 
 def _lines(table: Mapping, probe: Multisine):
@@ -156,8 +165,7 @@ def _spectrum(signal: Mapping, frequency):
     if "spectrum" not in signal:
         return None
     table = _section(signal, "spectrum")
-    keys = ("frequency", "amplitude")
-    _check_keys("[multisine.spectrum]", table, keys, required=keys)
+    _check_keys("[multisine.spectrum]", table, required=_KEYS["[multisine.spectrum]"])
     return excitation.shaped_amplitude(frequency, table["frequency"], table["amplitude"])
 
 
@@ -165,7 +173,7 @@ def _slow_sine(table: Mapping) -> SlowSine | None:
     if "slow_sine" not in table:
         return None
     slow = _section(table, "slow_sine")
-    _check_keys("[slow_sine]", slow, ("lines", "amplitude"), required=("lines", "amplitude"))
+    _check_keys("[slow_sine]", slow, required=_KEYS["[slow_sine]"])
     return SlowSine(slow["lines"], slow["amplitude"])
 
 
@@ -180,11 +188,16 @@ def _section(table: Mapping, name: str) -> Mapping:
     return section
 
 
-def _check_keys(where: str, table: Mapping, known: Iterable[str], required: Iterable[str] = ()) -> None:
+def _check_keys(where: str, table: Mapping, required: Iterable[str] = ()) -> None:
+    """Refuse keys that a table of this name does not have, and one that lacks some."""
+    _check_these(where, table, _KEYS[where], required)
+
+
+def _check_these(where: str, table: Mapping, known: Iterable[str], required: Iterable[str] = ()) -> None:
     known = list(known)
     for key in table:
         if key not in known:
-            raise input_error(where, f"the key {key!r}", f"one of {', '.join(known)}", _advice(key, known))
+            raise input_error(where, f"the key {key!r}", f"one of {', '.join(known)}", _advice(where, key, known))
     for key in required:
         if key not in table:
             raise input_error(where, f"no {key!r}", "this key", "Add it.")
@@ -192,11 +205,14 @@ def _check_keys(where: str, table: Mapping, known: Iterable[str], required: Iter
 
 def _choice(where: str, name, choices: Mapping):
     if not isinstance(name, str) or name not in choices:
-        raise input_error(where, repr(name), f"one of {', '.join(choices)}", _advice(str(name), choices))
+        raise input_error(where, repr(name), f"one of {', '.join(choices)}", _advice(where, str(name), choices))
     return choices[name]
 
 
-def _advice(name: str, known: Iterable[str]) -> str:
+def _advice(where: str, name: str, known: Iterable[str]) -> str:
+    places = [place for place, keys in _KEYS.items() if name in keys and not where.startswith(place)]
+    if places:
+        return f"It stands {' or '.join(_AT_THE_TOP if place == 'design' else f'in {place}' for place in places)}."
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return f"Did you mean {close[0]!r}?" if close else "Remove it, or see the example design."
 

@@ -1,6 +1,5 @@
 """Parameters of a robot by name: `joint1.stiffness`, `bearing2.damping`, `joint6.mass`."""
 
-import difflib
 from collections.abc import Callable, Iterable, Mapping
 
 import equinox as eqx
@@ -9,6 +8,7 @@ import jax.numpy as jnp
 
 from .._annotated import checked
 from .._errors import input_error
+from .._text import nearest
 from .drive import Friction, Spring
 from .robot import Robot
 from .sliding import sliding_unit
@@ -134,14 +134,9 @@ def parameter_field(robot: Robot, kind: str) -> tuple[Callable[[Robot], jax.Arra
     }
     if kind not in fields:
         raise input_error(
-            "kind of parameter", repr(kind), ", ".join(fields), f"Did you mean {_nearest(kind, fields)!r}?"
+            "kind of parameter", repr(kind), ", ".join(fields), f"Did you mean {nearest(kind, fields)!r}?"
         )
     return fields[kind]
-
-
-def _nearest(name: str, known: Iterable[str]) -> str:
-    known = list(known)
-    return (difflib.get_close_matches(name, known, n=1, cutoff=0.0) or known)[0]
 
 
 def _unknown(name: str, robot: Robot):
@@ -150,5 +145,5 @@ def _unknown(name: str, robot: Robot):
         f"parameter of {robot.name}",
         repr(name),
         "the name of a joint and a kind of parameter that it has, as joint1.stiffness",
-        f"Did you mean {_nearest(name, known)!r}?",
+        f"Did you mean {nearest(name, known)!r}?",
     )

@@ -5,23 +5,23 @@ Units are SI; quantities of the motor (inertia, friction, torque limit, velocity
 the motor per m. `jaxfrf/robot/r3x.toml` is the schema by example.
 """
 
-import difflib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from .._annotated import checked
-from .._errors import InputError, input_error
-from .._text import shortened
+from .._errors import input_error
+from .._text import nearest
 from ..effects import AbstractEffect, Backlash, effect_from_table, effect_to_table
 from ..effects._place import axis_of
 from .chain import Chain
 from .controller import Controller
 from .drive import Drives, Friction, Spring
 from .robot import Robot
+from .table import Table
 from .tolerances import Tolerances, table_of, tolerances_from
 
 _KNEE = 2.9e-4  # rad, one minute of arc: the knee of a linear spring, where it has no effect
@@ -63,7 +63,7 @@ def robot_from_table(
     **Raises:** `jaxfrf.InputError` naming the key: unknown (with the nearest known one), missing, of the
     wrong type or size, or with a value that is not physical.
     """
-    top = _Table(table, source, _ROBOT_KEYS)
+    top = Table(table, source, _ROBOT_KEYS)
     tables = top.tables("joint")
     if not tables:
         raise input_error(
@@ -77,7 +77,7 @@ def robot_from_table(
             "Longer chains take too long to compile: join links that hardly move against each other.",
         )
     joints = [
-        _Table(joint, f"{source}: {_label(joint, i)}", _joint_keys(joint, i, source)) for i, joint in enumerate(tables)
+        Table(joint, f"{source}: {_label(joint, i)}", _joint_keys(joint, i, source)) for i, joint in enumerate(tables)
     ]
     names = tuple(joint.text("name", default=f"joint{i + 1}") for i, joint in enumerate(joints))
     if len(set(names)) < len(names):
@@ -149,120 +149,20 @@ def table_from_robot(robot: Robot) -> dict[str, Any]:
     return {**table, **({"effect": effects} if effects else {})}
 
 
-class _Table:
-    """A table with the name of its place, so that every message says where it looks."""
-
-    def __init__(self, table: Mapping[str, Any], where: str, known: Iterable[str] | None):
-        if not isinstance(table, Mapping):
-            raise input_error(where, shortened(table), "a table", "Write it as a TOML table.")
-        self._table, self.where = table, where
-        for key in table:
-            if known is not None and key not in known:
-                raise _unknown_key(where, key, known)
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._table
-
-    def __getitem__(self, key: str) -> Any:
-        return self._table[key]
-
-    def error(self, key: str, expected: str, do: str) -> InputError:
-        found = shortened(self._table[key]) if key in self._table else "nothing"
-        return input_error(f"{self.where}: {key}", found, expected, do)
-
-    def _value(self, key: str, default: Any, expected: str) -> Any:
-        if key in self._table:
-            return self._table[key]
-        if default is None:
-            raise self.error(key, expected, f"Add {key} = ... there.")
-        return default
-
-    def number(
-        self,
-        key: str,
-        default: float | None = None,
-        *,
-        positive: bool = False,
-        nonnegative: bool = False,
-        infinite: bool = False,
-    ) -> float:
-        kind = "a positive number" if positive else "a number, 0 or more" if nonnegative else "a number"
-        value = self._value(key, default, f"{kind}, inf where it is rigid" if infinite else kind)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not _fits(value):
-            raise self.error(key, kind, "Write a number, in SI units.")
-        if (math.isinf(value) and not infinite) or (positive and value <= 0) or (nonnegative and value < 0):
-            raise self.error(key, kind if infinite else f"{kind}, finite", "Correct the value or its unit.")
-        return float(value)
-
-    def number_or_each(self, key: str, size: int, default: float | None = None, **limits) -> float | list[float]:
-        """One number for all, or a list of one for each."""
-        value = self._table.get(key)
-        if not isinstance(value, list):
-            return self.number(key, default, **limits)
-        if len(value) != size:
-            raise self.error(key, f"a number, or {size} of them", "Give one for each driven joint, base to tip.")
-        return [_Table({key: x}, self.where, None).number(key, **limits) for x in value]
-
-    def flag(self, key: str, default: bool) -> bool:
-        value = self._value(key, default, "true or false")
-        if not isinstance(value, bool):
-            raise self.error(key, "true or false", "Write it without quotes.")
-        return value
-
-    def text(self, key: str, default: str | None = None) -> str:
-        value = self._value(key, default, "a text")
-        if not isinstance(value, str):
-            raise self.error(key, "a text", "Write it in quotes.")
-        return value
-
-    def vector(self, key: str, size: int, default: list[float] | None = None) -> list[float]:
-        value = self._value(key, default, f"{size} numbers")
-        plain = isinstance(value, list) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
-        if not plain or len(value) != size or not all(_fits(x) and math.isfinite(x) for x in value):
-            raise self.error(key, f"a list of {size} finite numbers", "Write it as [x, y, z, ...], in SI units.")
-        return [float(x) for x in value]
-
-    def flat(self) -> dict[str, Any]:
-        """Its entries, those of tables in it under both names: TOML reads `joint1.mass = 0.1` so."""
-        inner = {
-            f"{key}.{name}": x for key, v in self._table.items() if isinstance(v, Mapping) for name, x in v.items()
-        }
-        return {key: v for key, v in self._table.items() if not isinstance(v, Mapping)} | inner
-
-    def table(self, key: str, known: Iterable[str] | None) -> "_Table | None":
-        if key not in self._table:
-            return None
-        return _Table(self._table[key], f"{self.where}: [{key}]", known)
-
-    def tables(self, key: str) -> list[Mapping[str, Any]]:
-        value = self._table.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(x, Mapping) for x in value):
-            raise self.error(key, f"[[{key}]] tables", f"Head each with [[{key}]], two brackets.")
-        return value
-
-
-def _fits(value: int | float) -> bool:
-    """Whether it is a number, and one that double precision holds: TOML's whole numbers have any length."""
-    try:
-        return not math.isnan(value)
-    except OverflowError:
-        return False
-
-
 def _label(joint: Mapping[str, Any], i: int) -> str:
     name = joint.get("name")
     return f"joint {name!r}" if isinstance(name, str) else f"joint {i + 1}"
 
 
 def _joint_keys(joint: Mapping[str, Any], i: int, source: str) -> tuple[str, ...]:
-    where = _Table(joint, f"{source}: {_label(joint, i)}", None)
+    where = Table(joint, f"{source}: {_label(joint, i)}", None)
     kind = where.text("type", default=None)
     if kind not in ("driven", "elastic"):
         raise where.error("type", '"driven" or "elastic"', "An elastic joint has a spring and no motor.")
     return (*_LINK_KEYS, *_SPRING_KEYS, *(_DRIVE_KEYS if kind == "driven" else ()))
 
 
-def _chain(top: _Table, joints: list[_Table]) -> Chain:
+def _chain(top: Table, joints: list[Table]) -> Chain:
     slides = tuple(joint.flag("slides", False) for joint in joints)
     return Chain(
         axis=jnp.array([_unit_axis(joint) for joint in joints]),
@@ -275,7 +175,7 @@ def _chain(top: _Table, joints: list[_Table]) -> Chain:
     )
 
 
-def _check_inertia(joints: list[_Table]) -> None:
+def _check_inertia(joints: list[Table]) -> None:
     """A spring needs something behind it that is accelerated."""
     for joint in reversed(joints):
         if joint.number("mass", nonnegative=True) > 0 or any(joint.vector("inertia", 6)):
@@ -284,14 +184,14 @@ def _check_inertia(joints: list[_Table]) -> None:
             raise joint.error("mass", "mass or inertia on the link or behind it", "State them, or stiffness = inf.")
 
 
-def _unit_axis(joint: _Table) -> list[float]:
+def _unit_axis(joint: Table) -> list[float]:
     axis = joint.vector("axis", 3)
     if abs(math.hypot(*axis) - 1.0) > 1e-6:
         raise joint.error("axis", "a vector of length 1", "Divide it by its length.")
     return [x / math.hypot(*axis) for x in axis]
 
 
-def _physical_inertia(joint: _Table) -> list[float]:
+def _physical_inertia(joint: Table) -> list[float]:
     elements = joint.vector("inertia", 6)
     xx, yy, zz, xy, xz, yz = elements
     moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -304,7 +204,7 @@ def _physical_inertia(joint: _Table) -> list[float]:
     return elements
 
 
-def _springs(joints: list[_Table]) -> Spring:
+def _springs(joints: list[Table]) -> Spring:
     ratios, knees = zip(*map(_softness, joints), strict=True) if joints else ((), ())
     return Spring(
         stiffness=jnp.array([joint.number("stiffness", positive=True) for joint in joints], float),
@@ -314,7 +214,7 @@ def _springs(joints: list[_Table]) -> Spring:
     )
 
 
-def _softness(joint: _Table) -> tuple[float, float]:
+def _softness(joint: Table) -> tuple[float, float]:
     """stiffness_low/stiffness and the knee; a linear spring states neither."""
     if "stiffness_low" not in joint and "stiffness_knee" not in joint:
         return 1.0, _KNEE
@@ -322,7 +222,7 @@ def _softness(joint: _Table) -> tuple[float, float]:
     return low / joint.number("stiffness", positive=True), joint.number("stiffness_knee", positive=True)
 
 
-def _drives(top: _Table, joints: list[_Table]) -> Drives:
+def _drives(top: Table, joints: list[Table]) -> Drives:
     table = top.table("friction", ("smoothing",))
     smoothing = 0.2 if table is None else table.number("smoothing", positive=True)
     for joint in joints:
@@ -345,7 +245,7 @@ def _drives(top: _Table, joints: list[_Table]) -> Drives:
     )
 
 
-def _controller(top: _Table, joints: list[_Table]) -> Controller | None:
+def _controller(top: Table, joints: list[Table]) -> Controller | None:
     table = top.table("controller", _CONTROLLER_KEYS)
     if table is None:
         return None
@@ -365,20 +265,20 @@ def _controller(top: _Table, joints: list[_Table]) -> Controller | None:
     )
 
 
-def _tolerances(top: _Table, names: tuple[str, ...]) -> Tolerances:
+def _tolerances(top: Table, names: tuple[str, ...]) -> Tolerances:
     table = top.table("tolerance", None)
     return Tolerances() if table is None else tolerances_from(table.flat(), names, table.where)
 
 
-def _effects(top: _Table, names: tuple[str, ...], own) -> tuple[AbstractEffect, ...]:
+def _effects(top: Table, names: tuple[str, ...], own) -> tuple[AbstractEffect, ...]:
     tables = enumerate(top.tables("effect"), 1)
-    return tuple(_effect(_Table(table, f"{top.where}: effect {i}", None), table, names, own) for i, table in tables)
+    return tuple(_effect(Table(table, f"{top.where}: effect {i}", None), table, names, own) for i, table in tables)
 
 
-def _effect(checked: _Table, table: Mapping[str, Any], names: tuple[str, ...], own) -> AbstractEffect:
+def _effect(checked: Table, table: Mapping[str, Any], names: tuple[str, ...], own) -> AbstractEffect:
     joint = checked.text("joint", default="")
     if joint and joint not in names:
-        raise checked.error("joint", f"one of {', '.join(names)}", f"Did you mean {_nearest(joint, names)!r}?")
+        raise checked.error("joint", f"one of {', '.join(names)}", f"Did you mean {nearest(joint, names)!r}?")
     return effect_from_table(table, checked.where, own)
 
 
@@ -435,17 +335,3 @@ def _spring_table(springs: Spring, i: int) -> dict[str, Any]:
 
 def _plain(value: Any) -> float | list[float]:
     return np.asarray(value, float).tolist()
-
-
-def _nearest(name: str, known: Iterable[str]) -> str:
-    return difflib.get_close_matches(name, list(known), n=1, cutoff=0.0)[0]
-
-
-def _unknown_key(where: str, key: str, known: Iterable[str]) -> InputError:
-    known = tuple(known)
-    return input_error(
-        where,
-        f"the unknown key {key!r}",
-        f"keys among {', '.join(known)}",
-        f"Did you mean {_nearest(key, known)!r}?",
-    )

@@ -1,7 +1,6 @@
 """How well a robot's numbers are known before an experiment: the one place that says it."""
 
 import dataclasses
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -10,6 +9,7 @@ import numpy as np
 
 from .._annotated import check_fields, checked
 from .._errors import input_error
+from .._text import nearest
 from ..effects import AbstractStructure, library
 from .sliding import sliding_unit
 
@@ -167,7 +167,7 @@ def _key(key: str, joints: tuple[str, ...], where: str) -> str:
     if acting in joints and effect is not None and not issubclass(effect, AbstractStructure) and kind in effect.units:
         return key
     known = [*GROUPS, *KINDS, *(f"{joint}.{kind}" for joint in joints for kind in KINDS)]
-    near = difflib.get_close_matches(key, known, n=1, cutoff=0.0)[0]
+    near = nearest(key, known)
     raise input_error(
         where,
         f"the unknown key {key!r}",

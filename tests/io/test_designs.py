@@ -170,6 +170,8 @@ BAD = [
     ),
     ("lines = [1, 3]", "lines = [1]", "slow sine: found lines of shape"),
     ("lines = [1, 3]", "line = [1, 3]", r"\[slow_sine\]: found the key 'line'; .* Did you mean 'lines'\?"),
+    ("velocity_limit = 30.0", "rms = 2.0", r"found the key 'rms'; .* It stands in \[multisine\]\."),
+    ("rms = [1.0, 2.0]", "seed = 2", r"\[multisine\]: found the key 'seed'; .* It stands at the top"),
     ("velocity_limit = 30.0", "slow_sines = 3", r"found the key 'slow_sines'; .* Did you mean 'slow_sine'\?"),
 ]
 
