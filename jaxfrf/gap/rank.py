@@ -13,7 +13,7 @@ from ..calibration.least_squares import solve
 from ..effects import AbstractEffect, OwnNumber
 from ..effects._place import axis_of
 from ..robot import Robot
-from ..trajectory.evidence import Evidence, Gram, over_floor, parts_beside, scattered
+from ..trajectory.evidence import Evidence, Gram, parts_beside, put_over_floor, scattered
 from ..trajectory.joined import places
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import remainder
@@ -64,7 +64,7 @@ def _columns(view: Fitted, record: Measured, own) -> list[Scored]:
     count = iterate.weighed.gram.b.shape[1]
     signatures = [functools.partial(signature, e) for c in pool for e in c.basis]
     parts = parts_beside(iterate.evidence, signatures, iterate.weighed.parts)
-    parts = over_floor(parts, iterate.evidence.floor, _steady_seen(iterate.evidence))
+    put_over_floor(parts, iterate.evidence.floor, _steady_seen(iterate.evidence))
     gram = scattered(parts, places(record.data)).gram
     base = Gram(gram.A[:, :count, :count], gram.b[:, :count], gram.rr, gram.position, gram.count)
     posterior = solve(base, view.numbers, iterate.x)

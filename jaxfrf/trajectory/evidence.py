@@ -180,15 +180,17 @@ def _between(parts, new) -> tuple[np.ndarray, ...]:
     return tuple(np.concatenate([X[:, :-1], N, X[:, -1:]], axis=1) for X, N in zip(parts, new, strict=True))
 
 
-def over_floor(parts, old, new) -> tuple[np.ndarray, ...]:
-    """The same columns over another floor."""
+def put_over_floor(parts, old, new) -> None:
+    """Put columns over another floor, in their place: they are most of the memory."""
     factor = np.concatenate([(old / new).ravel()] * 2).astype(np.float32)
-    return tuple(part * factor for part in parts)
+    for part in parts:
+        part *= factor
 
 
 def refloored(weighed: Weighed, old, new) -> Weighed:
-    """The same columns over another floor, and their products."""
-    parts = over_floor(weighed.parts, old, new)
+    """The columns over another floor, in the place of those given, and their products."""
+    parts = weighed.parts
+    put_over_floor(parts, old, new)
     return Weighed(parts, _gram(np.concatenate(shared(lambda X: _products(X, X), parts)), parts))
 
 
