@@ -46,7 +46,7 @@ from .settings import (
     MOST,
     MUCH,
 )
-from .shortlist import Had, chosen, imitated
+from .shortlist import Had, chosen, confused, imitated
 
 
 class Rival(eqx.Module):
@@ -309,7 +309,8 @@ class _Round:
         return [simulated[best], *(x for i, x in enumerate(simulated) if i != best)]
 
     def _screened(self, views: Sequence[Fitted], had: Had) -> list[_Candidate]:
-        """Candidates of one view after the other, and those that numbers imitate, until one takes much away."""
+        """Candidates of one view after the other, and those that numbers imitate, until one takes much away; beside it
+        those that it is confused with."""
         found: list[_Candidate] = []
         seen = []
         for view in views:
@@ -317,6 +318,8 @@ class _Round:
             self.scored = self.scored or tuple(scored)
             seen.append((view, scored))
             if self._run(view, chosen(scored, had), found):
+                best = found[int(np.argmin(_costs([r.found for r in found], self.now)))].hypothesis
+                self._run(view, confused(scored, best.effect, best.key, had), found)
                 return found
         most = max((s.part for _, scored in seen for s in scored[:1]), default=0.0)
         doubtful = most < DOUBTFUL and np.max(self.now.of_axes) > FLOOR

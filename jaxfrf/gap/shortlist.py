@@ -3,17 +3,17 @@
 from collections.abc import Collection, Sequence
 
 from ..effects import AbstractEffect
-from .hypothesis import one_class
+from .hypothesis import Key, one_class
 from .rank import Scored
 from .settings import CANDIDATES, LEAST_PART, LEAST_SIZE, SHARE
 
-Had = Sequence[tuple[AbstractEffect, tuple[str, str]]]  # effects that were taken before, with their keys
+Had = Sequence[tuple[AbstractEffect, Key]]  # effects that were taken before, with their keys
 
 
 def chosen(scored: Sequence[Scored], had: Had) -> list[Scored]:
     """The candidates of a ranking that are fitted; a number whose tolerance cannot be true stands out from all
     others, however little of the cost it is."""
-    found: dict[tuple[str, str], Scored] = {}
+    found: dict[Key, Scored] = {}
     for this in scored:
         if this.size >= LEAST_SIZE and not _stands(this, had):
             found.setdefault(this.key, this)
@@ -31,9 +31,20 @@ def _stands(this: Scored, had: Had) -> bool:
 def imitated(scored: Sequence[Scored], joints: Collection[str], disbelieved: Collection[str], had: Had) -> list[Scored]:
     """Effects that a joint's numbers imitate to first order: of these joints, and of those with such a number that is
     off by more than is known."""
-    best: dict[tuple[str, str], Scored] = {}
+    best: dict[Key, Scored] = {}
     for this in scored:
         by = [f"{this.joint}.{kind}" for kind in this.effect.imitated_by]
         if by and (this.joint in joints or any(name in disbelieved for name in by)) and not _stands(this, had):
+            best.setdefault(this.key, this)
+    return list(best.values())
+
+
+def confused(scored: Sequence[Scored], effect: AbstractEffect, own: Key, had: Had) -> list[Scored]:
+    """Effects that this one is confused with on its joint, and that numbers imitate to first order: what they promise
+    says little."""
+    best: dict[Key, Scored] = {}
+    for this in scored:
+        other = this.joint == own[1] and this.key[0] in effect.confusable
+        if other and this.effect.imitated_by and not _stands(this, had):
             best.setdefault(this.key, this)
     return list(best.values())
