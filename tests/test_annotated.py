@@ -66,6 +66,7 @@ GOOD = {
 RIGHT = {("rms", "x", "another shape"), ("detection_lines", "lines", "another shape")}  # of any batch, flattened
 
 
+@pytest.mark.filterwarnings("ignore:A JAX array is being set as static")  # that is what is wrong
 @pytest.mark.parametrize("function", GOOD, ids=lambda x: x.__name__)
 def test_wrong_kinds_and_shapes(function):
     given = GOOD[function]
