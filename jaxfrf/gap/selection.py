@@ -250,7 +250,7 @@ class _Round:
         candidates = self._screened(views, had)
         if not candidates:
             return None, "no candidate explains more than chance"
-        costs = _costs([r.found for r in candidates], self.now)
+        costs = _costs([*(r.found for r in candidates), self.now])[:-1]
         candidates = [r for r, cost in zip(candidates, costs, strict=True) if cost <= KEPT_WITHIN * min(costs)]
         shared(self._finish, candidates, lapack_threads())
         candidates, costs, before = self._in_order(candidates)
@@ -318,7 +318,7 @@ class _Round:
             self.scored = self.scored or tuple(scored)
             seen.append((view, scored))
             if self._run(view, chosen(scored, had), found):
-                best = found[int(np.argmin(_costs([r.found for r in found], self.now)))].hypothesis
+                best = found[int(np.argmin(_costs([r.found for r in found])))].hypothesis
                 self._run(view, confused(scored, best.effect, best.key, had), found)
                 return found
         most = max((s.part for _, scored in seen for s in scored[:1]), default=0.0)
@@ -337,7 +337,7 @@ class _Round:
                 starts.setdefault(start.key, (this, start))
         candidates = shared(lambda each: self._start(view, *each), starts.values(), lapack_threads())
         found += [candidate for candidate in candidates if candidate is not None]
-        *costs, before = _costs([*(r.found for r in found), self.now], self.now)
+        *costs, before = _costs([*(r.found for r in found), self.now])
         return bool(costs) and min(costs) < MUCH * before
 
     def _start(self, view: Fitted, this: Scored, start: Hypothesis) -> "_Candidate | None":
@@ -350,7 +350,7 @@ class _Round:
         begun = [(one, fit) for one, anew in starts if (fit := self._beside(view, one, anew)) is not None]
         if not begun:
             return None
-        costs = _costs([fit.found for _, fit in begun], self.now)
+        costs = _costs([fit.found for _, fit in begun])
         best, fit = begun[int(np.argmin(costs))]
         fit.go_on(FIRST_ROUNDS - 1)
         return _Candidate(this, best, fit)
@@ -369,7 +369,7 @@ class _Round:
 
     def _in_order(self, candidates: Sequence[_Candidate]) -> tuple[list[_Candidate], list[float], float]:
         """Each effect once, the cheapest first, with their costs and that of the robot before."""
-        *costs, before = _costs([*(r.found for r in candidates), self.now], self.now)
+        *costs, before = _costs([*(r.found for r in candidates), self.now])
         best: dict = {}
         for cost, candidate in sorted(zip(costs, candidates, strict=True), key=lambda pair: pair[0]):
             best.setdefault(candidate.hypothesis.key, (candidate, cost))
@@ -380,14 +380,15 @@ def said(key) -> str:
     return key[0].replace("_", " ") + (f" of {key[1]}" if key[1] else "")
 
 
-def _costs(robots: Sequence[Fitted], like: Fitted) -> list[float]:
-    """Squares of what is left over the floor of one of them, so many counting as one, and those of the tolerances.
+def _costs(robots: Sequence[Fitted]) -> list[float]:
+    """Squares of what is left over one floor for all, so many counting as one, and those of the tolerances.
 
-    How many is told by the robot in which they are fewest: what an effect leaves that is not there repeats from line to
-    line, and would make its robot look as if little were known."""
+    The floor is the highest of theirs: it is a part of the simulated torque, of which some robots have next to none at
+    lines where others have much. How many count as one is told by the robot in which they are fewest: what an effect
+    leaves that is not there repeats from line to line, and would make its robot look as if little were known."""
     effect = min(found.iterate.posterior.effect for found in robots)
-    over = lambda found: float(np.sum(np.abs(found.left / like.iterate.evidence.plain) ** 2))
-    return [over(found) / effect + found.prior_cost for found in robots]
+    floor = np.max([found.iterate.evidence.plain for found in robots], axis=0)
+    return [float(np.sum(np.abs(found.left / floor) ** 2)) / effect + found.prior_cost for found in robots]
 
 
 def _holds_none(start: Hypothesis, found: Fitted) -> str:
