@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 Number = Float[Array, ""] | float
 
 # What is tried of shapes that enter nonlinearly:
-_HINGES = (1e5, 2.5e5, 6e5, 1.5e6)  # N m/rad
+_HINGES = (0.5, 1.25, 3.0, 7.5)  # times the stiffness of the joint's transmission
 _LASTING = 5000.0  # 1/s, stiffness over damping of a hinge
+_STIFF = 5e5  # N m/rad, where no transmission bends
 
 
 class MotorInertia(AbstractStructure):
@@ -169,7 +170,7 @@ class ExtraFlexibility(AbstractStructure):
 
     name: ClassVar = "extra_flexibility"
     units: ClassVar = {"axis": "1", "stiffness": "N m/rad", "damping": "N m s/rad"}
-    bounds: ClassVar = {"axis": (-1.0, 1.0), "stiffness": (1e3, 1e8), "damping": (0.0, 1e4)}
+    bounds: ClassVar = {"axis": (-1.0, 1.0), "stiffness": (1.0, 1e9), "damping": (0.0, 1e6)}
     signature: ClassVar = "one more pair of antiresonance and resonance in a narrow band"
     confusable: ClassVar = {"stiffness error": "number of modes"}
 
@@ -181,7 +182,8 @@ class ExtraFlexibility(AbstractStructure):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         across = np.roll(np.abs(np.round(np.asarray(robot.chain.axis[robot.driven_joints[axis_of(robot, joint)]]))), 1)
-        return cls(joint, across, 5e5, 100.0)
+        stiffness = 2.0 * _usual_stiffness(robot, joint)
+        return cls(joint, across, stiffness, stiffness / _LASTING)
 
     @classmethod
     def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
@@ -192,7 +194,7 @@ class ExtraFlexibility(AbstractStructure):
         for axis in np.eye(3):
             if np.linalg.norm(np.cross(axis, own)) < 0.5:
                 continue
-            for stiffness in _HINGES:
+            for stiffness in np.array(_HINGES) * _usual_stiffness(robot, joint):
                 basis = cls(joint, axis, stiffness, stiffness / _LASTING)
                 make = functools.partial(_hinged, joint, tuple(axis), stiffness)
                 label = f"axis {np.round(axis).astype(int).tolist()}, {stiffness:g} N m/rad"
@@ -239,6 +241,14 @@ class ExtraFlexibility(AbstractStructure):
             driven=put(robot.driven, False),
             stiff=put(robot.stiff, False),
         )
+
+
+def _usual_stiffness(robot: "Robot", joint: Joint) -> float:
+    """Of the transmission of a joint, N m/rad; where it is rigid, that of the others."""
+    axis, springs = axis_of(robot, joint), np.asarray(robot.springs.stiffness, float)
+    if axis in robot.flexible_axes:
+        return float(springs[robot.flexible_axes.index(axis)])
+    return float(np.median(springs)) if len(springs) else _STIFF
 
 
 def _hinged(joint, axis, stiffness, c):
