@@ -84,7 +84,7 @@ def calibration() -> str:
 def hidden() -> str:
     """What the diagnosis found on each robot, and of its records by simulator."""
     groups: dict[str, Mapping[str, Any]] = {}
-    for name, file in (("small arm", "gap.json"), ("palletiser", "gap_pallet.json")):
+    for name, file in (("small arm", "gap.json"), ("palletiser", "gap_pallet.json"), ("R3X", "gap_r3x.json")):
         found = json.loads(results(file))
         groups |= {name: found["all"], f"{name}, MuJoCo's": found["simulator"]["mujoco"]}
     rows = [[text, *(_share(_inside(group, path)) for group in groups.values())] for text, path in HIDDEN]
