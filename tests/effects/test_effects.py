@@ -2,6 +2,7 @@
 
 import inspect
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -313,3 +314,21 @@ def test_further_starts_of_what_numbers_imitate():
             assert start.joint == "joint2"
             assert all(low <= getattr(start, name) <= high for name, (low, high) in kind.bounds.items())
             robot.with_effects(start)
+
+
+@pytest.mark.parametrize("scale", [1e-2, 1.0, 30.0])
+def test_flexibilities_are_looked_for_about_the_joints_own_stiffness(scale):
+    """From half of it to far above, whatever the robot's size: a link of the compliance of its gear is among them."""
+    robot = jf.robot.r3x()
+    robot = eqx.tree_at(lambda r: r.springs.stiffness, robot, robot.springs.stiffness * scale)
+    for axis, joint in enumerate(robot.axis_names):
+        own = float(robot.springs.stiffness[axis])
+        tried = ef.ExtraFlexibility.candidates(robot, joint, 10.0)
+        reach = [(c.make((c.high[0],)).stiffness, c.make((c.low[0],)).stiffness) for c in tried]
+        assert {tuple(np.abs(c.basis[0].axis)) for c in tried} == {
+            tuple(x)
+            for x in np.eye(3)
+            if np.linalg.norm(np.cross(x, robot.chain.axis[robot.driven_joints[axis]])) > 0.5
+        }
+        for stiffness in np.geomspace(0.3, 20.0, 12) * own:
+            assert any(low <= stiffness <= high for low, high in reach)

@@ -22,7 +22,8 @@ from jaxfrf.gap.judge import beyond, compared, over_floor
 from jaxfrf.gap.maps import shown_samples
 from jaxfrf.gap.rank import Scored, is_had
 from jaxfrf.gap.records import split
-from jaxfrf.gap.shortlist import chosen
+from jaxfrf.gap.selection import _costs
+from jaxfrf.gap.shortlist import chosen, confused
 from jaxfrf.robot import Tolerances
 from jaxfrf.trajectory.alike import alike, alike_as_written
 from jaxfrf.trajectory.evidence import band_edges, by_band
@@ -327,6 +328,29 @@ def test_candidates_that_are_fitted():
     assert chosen([best, made("b", 0.1)], ()) == [best]
     assert chosen([unseen, number], ()) == [number]
     assert chosen([unseen, made("c", 0.001)], ()) == []
+
+
+def test_what_a_spring_is_confused_with_is_fitted_beside_it():
+    """Play, to first order, is what a spring's own numbers are: what it promises beside them says nothing."""
+    made = lambda effect, part: Scored(effect, effect.joint, part, 1.0, 1.0)
+    soft, play = fx.StiffnessHardening("shoulder", 0.3), made(fx.Backlash("shoulder", 3e-4), 0.01)
+    others = [made(fx.Backlash("elbow", 3e-4), 0.02), made(fx.MotorInertia("shoulder", 1e-4), 0.3)]
+    assert confused([*others, play], soft, ("stiffness_hardening", "shoulder"), ()) == [play]
+    had = [(play.effect, play.key)]
+    assert confused([*others, play], soft, ("stiffness_hardening", "shoulder"), had) == []
+    assert confused([play], fx.MotorInertia("shoulder", 1e-4), ("motor_inertia", "shoulder"), ()) == []
+
+
+def test_candidates_are_compared_over_the_highest_of_their_floors():
+    """A robot without a steady torque has no floor there: one that gives it, and misses a hundredth, is better."""
+
+    def fitted(floor, left, prior=0.0):
+        evidence = SimpleNamespace(plain=np.array(floor))
+        iterate = SimpleNamespace(evidence=evidence, posterior=SimpleNamespace(effect=2.0))
+        return SimpleNamespace(iterate=iterate, left=np.array(left), prior_cost=prior)
+
+    without, with_it = fitted([1e-4, 1.0], [2.0, 9.0]), fitted([0.01, 1.0], [0.02, 1.0], 3.0)
+    np.testing.assert_allclose(_costs([with_it, without]), [(2**2 + 1) / 2 + 3, (200**2 + 81) / 2])
 
 
 def test_rivals_that_are_named_too():
