@@ -106,7 +106,7 @@ def speed() -> str:
     case = re.compile(r"(.+): (\d+) windows, (1) core; compiled in ([\d.]+) s")
     row = re.compile(r" +(.+?) +([\d.]+) +([\d.]+) +([\d.]+) \(([\d.]+)-([\d.]+)\) +([\d.]+) +\S+$")
     found: dict[str, list[str]] = {}
-    for file in ("local.txt", "local_busy.txt"):
+    for file in ("local_busy.txt", "local.txt"):
         commit, now, first = "", None, ""
         for line in results(file).splitlines():
             if line.lower().startswith("commit "):
