@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from .._errors import input_error
 from .._types import Array
-from ._place import axis_of, changed
+from ._place import axis_of, changed, spring_of
 from .effect import AbstractArmTorque, AbstractStructure, Candidate, Joint, OwnNumber, Reach
 
 if TYPE_CHECKING:
@@ -245,9 +245,9 @@ class ExtraFlexibility(AbstractStructure):
 
 def _usual_stiffness(robot: "Robot", joint: Joint) -> float:
     """Of the transmission of a joint, N m/rad; where it is rigid, that of the others."""
-    axis, springs = axis_of(robot, joint), np.asarray(robot.springs.stiffness, float)
-    if axis in robot.flexible_axes:
-        return float(springs[robot.flexible_axes.index(axis)])
+    springs = np.asarray(robot.springs.stiffness, float)
+    if axis_of(robot, joint) in robot.flexible_axes:
+        return float(springs[spring_of(robot, joint)])
     return float(np.median(springs)) if len(springs) else _STIFF
 
 

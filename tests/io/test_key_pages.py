@@ -25,8 +25,11 @@ def test_every_key_of_a_robot_has_a_row(after, known):
     ("after", "known"),
     [
         ("Of an experiment", designs._TOP),
-        ("Of `[lines]`", (*designs._LINE_KEYS,)),
-        ("Of `[multisine]`", ("rms", "phases", "spectrum", "frequency", "amplitude", "lines")),
+        ("Of `[lines]`", designs._KEYS["[lines]"]),
+        (
+            "Of `[multisine]`",
+            [k for t in ("[multisine]", "[multisine.spectrum]", "[slow_sine]") for k in designs._KEYS[t]],
+        ),
     ],
 )
 def test_every_key_of_a_design_has_a_row(after, known):
