@@ -197,7 +197,9 @@ def _check_these(where: str, table: Mapping, known: Iterable[str], required: Ite
     known = list(known)
     for key in table:
         if key not in known:
-            raise input_error(where, f"the key {key!r}", f"one of {', '.join(known)}", _advice(where, key, known))
+            raise input_error(
+                where, f"the key {key!r}", f"one of {', '.join(known)}", _misplaced(where, key) or _advice(key, known)
+            )
     for key in required:
         if key not in table:
             raise input_error(where, f"no {key!r}", "this key", "Add it.")
@@ -205,14 +207,18 @@ def _check_these(where: str, table: Mapping, known: Iterable[str], required: Ite
 
 def _choice(where: str, name, choices: Mapping):
     if not isinstance(name, str) or name not in choices:
-        raise input_error(where, repr(name), f"one of {', '.join(choices)}", _advice(where, str(name), choices))
+        raise input_error(where, repr(name), f"one of {', '.join(choices)}", _advice(str(name), choices))
     return choices[name]
 
 
-def _advice(where: str, name: str, known: Iterable[str]) -> str:
-    places = [place for place, keys in _KEYS.items() if name in keys and not where.startswith(place)]
-    if places:
-        return f"It stands {' or '.join(_AT_THE_TOP if place == 'design' else f'in {place}' for place in places)}."
+def _misplaced(where: str, key: str) -> str:
+    """Where a key stands that is known in another table; empty for others."""
+    places = [place for place, keys in _KEYS.items() if key in keys and not where.startswith(place)]
+    named = " or ".join(_AT_THE_TOP if place == "design" else f"in {place}" for place in places)
+    return f"It stands {named}." if places else ""
+
+
+def _advice(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return f"Did you mean {close[0]!r}?" if close else "Remove it, or see the example design."
 
