@@ -6,7 +6,7 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from ..effects import (
     AbstractActuator,
@@ -16,7 +16,7 @@ from ..effects import (
     AbstractStructure,
     TorqueDelay,
 )
-from ..robot import Robot, parameters, with_parameters
+from ..robot import Robot
 from ..robot.drive import Friction
 from ..robot.regressor import PER_LINK, link_parameters
 from ..trajectory.evidence import Column
@@ -28,7 +28,10 @@ _STEP = 1e-3  # of a coordinate's size, but at most this change of a logarithm
 _LATE = 1e-6  # s
 _NEAR_REST = (2.5, 12.5)  # times the speed that smooths the friction: within it, friction may be another
 OF_LINKS = ("mass", "com", "inertia")
-_RESISTS = ("stiffness", "damping", "motor_inertia", "viscous_friction", "coulomb_friction", "mass", "inertia")
+_LAWS = {
+    **dict.fromkeys(("stiffness", "damping", "stiffness_ratio", "stiffness_knee", "backlash"), "spring"),
+    **dict.fromkeys(("motor_inertia", "viscous_friction", "coulomb_friction"), "motor"),
+}
 
 
 def number_columns(robot: Robot, numbers: Sequence[Number], x: Float[np.ndarray, "number"]) -> list[Column]:
@@ -39,11 +42,17 @@ def number_columns(robot: Robot, numbers: Sequence[Number], x: Float[np.ndarray,
     x = np.asarray(x, float)
     now = with_numbers(robot, numbers, x)
     links = [i for i, number in enumerate(numbers) if number.kind in OF_LINKS]
-    given, linked = _OnceAScene(_given), _OnceAScene(_Links(now, [numbers[i] for i in links], x[links]))
-    return [
-        _one_of(linked, links.index(i)) if i in links else _column(robot, numbers, x, i, given)
-        for i in range(len(numbers))
-    ]
+    linked = _OnceAScene(_Links(now, [numbers[i] for i in links], x[links]))
+    laws = {kind: _OnceAScene(_Law(robot, numbers, x, kind)) for kind in {n.kind for n in numbers} & set(_LAWS)}
+    given, columns = _OnceAScene(_given), []
+    for i, number in enumerate(numbers):
+        if i in links:
+            columns.append(_one_of(linked, links.index(i)))
+        elif number.kind in laws:
+            columns.append(_one_of(laws[number.kind], i))
+        else:
+            columns.append(_column(robot, numbers, x, i, given))
+    return columns
 
 
 def _column(robot: Robot, numbers, x, i: int, given: "_OnceAScene") -> Column:
@@ -54,7 +63,7 @@ def _column(robot: Robot, numbers, x, i: int, given: "_OnceAScene") -> Column:
         return lambda scene: scene.by_command(axis, -given(scene)[..., axis]) * part
     if number.kind == "delay":
         return lambda scene: signature(TorqueDelay(joint, _LATE), scene) * (number.size / _LATE)
-    step = min(_STEP, _STEP / number.size) if number.positive else _STEP
+    step = _step(number)
     if number.kind == "effect":
         _, name, parameter = number.name.split(".")
         now = next(
@@ -67,26 +76,41 @@ def _column(robot: Robot, numbers, x, i: int, given: "_OnceAScene") -> Column:
     moved = x.copy()
     moved[i] += step
     changed = with_numbers(robot, numbers, moved)
-    # What a scene carries is its own.
-    return lambda scene: scene.by_robot(dataclasses.replace(changed, chain=scene.robot.chain)) / step
+    return lambda scene: scene.by_robot(_on_the_links_of(scene, changed)) / step
+
+
+def _step(number: Number) -> float:
+    return min(_STEP, _STEP / number.size) if number.positive else _STEP
+
+
+def _on_the_links_of(scene: Scene, robot: Robot) -> Robot:
+    """What a scene carries is its own."""
+    return dataclasses.replace(robot, chain=scene.robot.chain)
 
 
 def _with(effect, parameter: str, value: float):
     return eqx.tree_at(lambda e: getattr(e, parameter), effect, value)
 
 
-def _one_of(columns: Callable[[Scene], Sequence[Any]], place: int) -> Column:
+def _one_of(columns: Callable[[Scene], Any], place: int) -> Column:
     return lambda scene: columns(scene)[place]
 
 
-def _heavier(robot: Robot) -> Robot:
-    """The robot with everything that resists a torque larger by a part `_STEP`."""
-    values: dict[str, Any] = {
-        name: np.asarray(value) * (1.0 + _STEP)
-        for kind in _RESISTS
-        for name, value in parameters(robot, [kind]).items()
-    }
-    return with_parameters(robot, values)
+class _Law:
+    """Columns of one kind of number of springs or motors, all at once: what each asks depends on its own alone."""
+
+    def __init__(self, robot: Robot, numbers: Sequence[Number], x, kind: str):
+        rows = [i for i, number in enumerate(numbers) if number.kind == kind]
+        self.steps = {i: _step(numbers[i]) for i in rows}
+        moved = x.copy()
+        moved[rows] += list(self.steps.values())
+        self.changed = with_numbers(robot, numbers, moved)
+        names = robot.spring_names if _LAWS[kind] == "spring" else robot.axis_names
+        self.keys = {i: (_LAWS[kind], names.index(numbers[i].joint)) for i in rows}
+
+    def __call__(self, scene: Scene) -> dict[int, Signature]:
+        each = scene.by_each(_on_the_links_of(scene, self.changed))
+        return {i: each[key] / self.steps[i] for i, key in self.keys.items()}
 
 
 def near_rest_columns(robot: Robot) -> list[Column]:
@@ -130,13 +154,13 @@ def _given(scene: Scene) -> Signature:
     is it the measured torque: then all of a misfit could be explained by a robot that is nothing on motors that give
     nothing.
     """
-    own = scene.by_robot(_heavier(scene.robot)) / _STEP
-    return sum((signature(effect, scene) for effect in scene.robot.effects if _resists(effect)), own)
+    return sum((signature(effect, scene) for effect in scene.robot.effects if _resists(effect)), scene.resisting())
 
 
 def _resists(effect: AbstractEffect) -> bool:
     """Whether an effect is a torque beside those of the robot: what changes the robot is in its numbers."""
-    return not isinstance(effect, AbstractStructure | AbstractActuator | AbstractSensor | AbstractLinkSensor)
+    elsewhere = isinstance(effect, AbstractStructure | AbstractActuator | AbstractSensor | AbstractLinkSensor)
+    return not elsewhere and bool(np.any(np.asarray(getattr(effect, "amplitude", 1.0))))
 
 
 class _Links:
@@ -145,7 +169,7 @@ class _Links:
     def __init__(self, now: Robot, numbers: Sequence[Number], x):
         self.slopes = link_slopes(now, numbers, x)
 
-    def __call__(self, scene: Scene) -> list[Signature]:
+    def __call__(self, scene: Scene) -> Complex[np.ndarray, "number exp line axis"]:
         return scene.by_links(self.slopes)
 
 

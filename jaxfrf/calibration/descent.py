@@ -21,18 +21,18 @@ from .numbers import Number
 from .result import Round, missed
 from .ripple import found_waves
 from .rounds import Kept, Rounds
-from .search import Iterate, Say, Search
+from .search import Difference, Iterate, Say, Search
 
 _ROUNDS_FOR_RIPPLE = 4  # first rounds in which more orders are looked for: far from the truth some are not there
 _FEW_ROUNDS = 2  # with less, ripple of a motor is not found yet
 _ROUNDS_AGAIN = 2  # the same, of rounds with ripple that is simulated: weak orders drowned before
 _NEAR = 0.15  # of the misfit: where a step leaves more, the robot is near
-_SAME = 0.99  # of the misfit: rounds near the truth that leave more, one after the other, bring nothing
+_SAME = 0.99  # of the misfit: a step near the truth that leaves more brings nothing
 _WORSE = 1.05  # of what was left: ripple with which more is left is not simulated
 
 
 class Descent:
-    """A robot's numbers on their way, round by round.
+    """A robot's numbers on their way, round by round. `smoothing`: as of `Search`.
 
     **Fields:** `iterate`: the last simulation. `near`: whether the robot is so near the truth that ripple and the
     smoothing of its friction are simulated. `inside`: ripple that it had beside the robot's own. `settled`: whether the
@@ -46,10 +46,11 @@ class Descent:
         numbers: Sequence[Number],
         say: Say,
         beside: Sequence[Column] = (),
+        smoothing: Difference | None = None,
     ):
         self.robot, self.record, self.numbers, self.say, self.beside = robot, record, numbers, say, tuple(beside)
+        self.smoothing = smoothing
         self.settled, self._rounds = False, 0
-        self._before: float | None = None  # misfit of the round before
 
     def run(self, rounds: int, kept: Rounds) -> None:
         """So many simulations, from where an earlier run was interrupted."""
@@ -81,7 +82,6 @@ class Descent:
         last = kept.done[-1]
         self._take(last.near, last.inside, last.floor)
         self._rounds = sum(one.near == last.near for one in kept.done)
-        self._before = kept.done[-2].round.misfit if len(kept.done) > 1 else None
         self.iterate = self.search.evaluate(last.x, last.orders, False)
         self.settled = self._settles()
         self.say(f"goes on behind round {len(kept.done)}")
@@ -92,12 +92,13 @@ class Descent:
         orders = [o for o, _ in inside]
         # Laws of friction with a smoothing of their own tell it together with the robot's.
         by_difference = near and not any(isinstance(e, AbstractFriction) for e in robot.effects)
-        self.search = Search(robot, self.record, self.numbers, self.say, self.beside, orders, by_difference)
+        self.search = Search(
+            robot, self.record, self.numbers, self.say, self.beside, orders, by_difference, self.smoothing
+        )
         self.search.floor = floor
 
     def _keep(self, kept: Rounds) -> None:
         iterate, self._rounds = self.iterate, self._rounds + 1
-        self._before = kept.done[-1].round.misfit if kept.done else None
         self.settled = self._settles()
         round = Round(iterate.misfit, iterate.left, iterate.posterior.effect)
         torque = missed(iterate.evidence, self.record)
@@ -114,9 +115,8 @@ class Descent:
         along what the record does not tell."""
         if not self.near and self._refines:
             return False
-        before, iterate = self._before, self.iterate
-        same = before is not None and iterate.misfit > _SAME * before and iterate.left > _SAME * iterate.misfit
-        return self.search.has_converged(iterate) or (self.near and self._rounds > _ROUNDS_AGAIN and same)
+        stays = self.iterate.left > _SAME * self.iterate.misfit
+        return self.search.has_converged(self.iterate) or (self.near and self._rounds >= _ROUNDS_AGAIN and stays)
 
     @property
     def _refines(self) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float, Int
 
+from .._threads import shared
 from ..trajectory.evidence import Gram, Weighed
 from .numbers import Number
 
@@ -110,9 +111,9 @@ def solve(gram: Gram, numbers: Sequence[Number], x: Float[np.ndarray, "number"])
     def change_by(information, score, effect):
         return np.linalg.solve(information / effect + np.diag(prior), score / effect - prior * at)
 
-    effect = 1.0
+    effect, known = 1.0, _known_directions(whole)
     for _ in range(_ROUNDS):
-        effect = max(_design_effect(A, b, whole, change_by(whole, right, effect)), 1.0)
+        effect = max(_design_effect(A, b, known, change_by(whole, right, effect)), 1.0)
     without = [change_by(_information(whole - a), right - c, effect) for a, c in zip(A, b, strict=True)]
     normal, change = whole / effect + np.diag(prior), change_by(whole, right, effect)
     left = float(gram.rr.sum() - 2.0 * right @ change + change @ whole @ change) / effect
@@ -124,12 +125,12 @@ def with_bands(posterior: Posterior, weighed: Weighed, bands: int) -> Posterior:
 
     def one(X):
         X = X.astype(float)
-        left = X[:, -1] - np.einsum("j,ejn->en", posterior.change, X[:, :-1])
+        left = X[:, -1] - posterior.change @ X[:, :-1]
         halves, rest = X[:, :-1].reshape(*X[:, :-1].shape[:2], 2, -1), left.reshape(len(left), 2, -1)
         cuts = np.array_split(np.arange(rest.shape[-1]), bands)
         return np.stack([np.einsum("ejhn,ehn->j", halves[..., cut], rest[..., cut]) for cut in cuts])
 
-    scores = np.stack([one(X) for X in weighed.parts]) / posterior.effect
+    scores = np.stack(shared(one, weighed.parts)) / posterior.effect
     return dataclasses.replace(posterior, scores=scores)
 
 
@@ -151,16 +152,19 @@ def _information(A, errors: Float[np.ndarray, "column"] | float = 0.0):
     return whole + np.diag(np.where(np.diag(A) > 0, 0.0, 1e-12))
 
 
-def _design_effect(A, b, whole, change) -> float:
+def _known_directions(whole) -> Float[np.ndarray, "column direction"]:
+    """Directions that the data know of, as long as one standard deviation of independent lines of the floor's size."""
+    size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    values, vectors = np.linalg.eigh(whole / np.outer(size, size))
+    known = values > _OWN * values[-1]
+    return vectors[:, known] / size[:, None] / np.sqrt(values[known])
+
+
+def _design_effect(A, b, directions, change) -> float:
     """Mean over the directions that the data know of: variance of the score between clusters over what independent
     lines of the floor's size would have."""
     if len(A) < 2:
         return 1.0
-    score = b - np.einsum("cij,j->ci", A, change)
-    score = score - score.mean(axis=0)
-    between = score.T @ score * len(A) / (len(A) - 1)
-    size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    values, vectors = np.linalg.eigh(whole / np.outer(size, size))
-    known = values > _OWN * values[-1]
-    directions = vectors[:, known] / size[:, None]
-    return float(np.mean(np.einsum("ik,ij,jk->k", directions, between, directions) / values[known]))
+    score = b - A @ change
+    score = (score - score.mean(axis=0)) @ directions
+    return float(np.mean(np.sum(score**2, axis=0)) * len(A) / (len(A) - 1))

@@ -38,11 +38,19 @@ _MARGIN = 1.03  # between the sharpest friction that steps follow and the one th
 Say = Callable[[str], None]
 
 
+class Difference(eqx.Module):
+    """The column of the friction's smoothing as the difference of two simulations: `slope`, N m per unit of the
+    coordinate, at the coordinate `at`."""
+
+    at: float
+    slope: Complex[np.ndarray, "pos exp line axis"]
+
+
 class Iterate(eqx.Module):
     """A point x of the Gauss-Newton search: the robot simulated there, and the step that follows.
 
     **Fields:** `misfit`: mean square over the plain floor that ripple alone leaves. `left`: what all columns leave;
-    `rest`: that itself, N m.
+    `rest`: that itself, N m. `smoothing`: the column of the friction's smoothing, where it was simulated.
     `start_floor`: the floor that it began with, and with which it can be made again; `None`: the plain one.
     """
 
@@ -54,6 +62,7 @@ class Iterate(eqx.Module):
     misfit: float
     left: float
     rest: Complex[np.ndarray, "pos exp line axis"]
+    smoothing: "Difference | None"
     start_floor: Float[np.ndarray, "line axis"] | None
 
     def without_columns(self) -> "Iterate":
@@ -68,7 +77,7 @@ class Search:
     columns correct them. `by_difference`: whether the column of the friction's smoothing is the difference of two
     simulations: a motor that stands still for a moment moves as its friction lets it, and the column along a given
     motion is many times too large. The smoothing is not simulated finer than the robot's steps follow; beyond, its
-    column stands beside the robot.
+    column stands beside the robot. `smoothing`: that column, where it is known from another robot nearby.
 
     All rounds with their beginning and end: `descent`."""
 
@@ -81,12 +90,13 @@ class Search:
         beside: Sequence[Column] = (),
         inside: Sequence[Order] = (),
         by_difference: bool = False,
+        smoothing: Difference | None = None,
     ):
         self.robot, self.record, self.numbers, self.say = robot, record, numbers, say
         kinds = [n.kind for n in numbers]
         self.smoothing = kinds.index("smoothing") if "smoothing" in kinds else -1
         self.by_difference = by_difference and self.smoothing >= 0
-        self._difference: tuple[float, np.ndarray] | None = None
+        self._difference = smoothing
         self.floor: np.ndarray | None = None
         self.beside = tuple(beside)
         self.inside = {order_key(o) for o in inside}
@@ -125,7 +135,9 @@ class Search:
         evidence.forget()
         rest = remainder(evidence, weighed, posterior.change)
         left = mean_square(rest / evidence.plain)
-        return Iterate(np.asarray(x, float), evidence, weighed, orders, posterior, misfit, left, rest, start_floor)
+        smoothing = self._difference if self.by_difference else None
+        x = np.asarray(x, float)
+        return Iterate(x, evidence, weighed, orders, posterior, misfit, left, rest, smoothing, start_floor)
 
     def further(self, iterate: Iterate, more: bool) -> Iterate | None:
         """The next robot, by a step that is short enough to leave less."""
@@ -191,7 +203,7 @@ class Search:
         if not self.by_difference:
             return []
         size, at = self.numbers[self.smoothing].size, float(x[self.smoothing])
-        if self._difference is not None and abs(at - self._difference[0]) * size <= _SAME_COLUMN:
+        if self._difference is not None and abs(at - self._difference.at) * size <= _SAME_COLUMN:
             return []
         more = x.copy()
         more[self.smoothing] += _PERTURBATION / size
@@ -201,9 +213,9 @@ class Search:
         """The column of the friction's smoothing, from this perturbed simulation or that of another round."""
         for other in perturbed:
             slope = (evidence.residual - other.residual) * (self.numbers[self.smoothing].size / _PERTURBATION)
-            self._difference = float(x[self.smoothing]), slope
+            self._difference = Difference(float(x[self.smoothing]), slope)
         assert self._difference is not None
-        columns = {id(scene): column for scene, column in zip(evidence.scenes, self._difference[1], strict=True)}
+        columns = {id(scene): column for scene, column in zip(evidence.scenes, self._difference.slope, strict=True)}
         return lambda scene: columns[id(scene)]
 
     def has_converged(self, iterate: Iterate) -> bool:

@@ -345,9 +345,10 @@ def wrong_numbers(last: Fitted) -> list[tuple[str, str, float]]:
     """Numbers that are further off than their tolerance, by the record: by how much, and the p-value of that among all
     numbers. Those that stand out, and those that the data tell."""
     data_share, out_of_tolerance = last.iterate.posterior.data_share, last.out_of_tolerance
+    p_values = last.tolerance_p_values
     sure = lambda n, i: n.prior > 0 and n.kind != "smoothing" and n.positive and data_share[i] > DATA_SHARE
     return [
-        (n.name, _change(n, float(x)), last.tolerance_p_value(i))
+        (n.name, _change(n, float(x)), float(p_values[i]))
         for i, (n, x) in enumerate(zip(last.numbers, last.x, strict=True))
         if i in out_of_tolerance or (sure(n, i) and abs(x) > OFF)
     ]

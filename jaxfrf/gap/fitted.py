@@ -19,7 +19,7 @@ from ..calibration.numbers import Number, numbers, with_numbers
 from ..calibration.result import Round
 from ..calibration.ripple import TRIED, found_waves
 from ..calibration.rounds import Kept, Rounds
-from ..calibration.search import Iterate
+from ..calibration.search import Difference, Iterate
 from ..robot import Robot, Tolerances
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import excess
@@ -105,12 +105,16 @@ class Fitted(eqx.Module):
         factor = np.where(others < OTHERS, 1.0, (squares.sum() - squares) / np.maximum(others, 1e-6))
         return np.where(known, self.x / np.sqrt(np.maximum(share, 1e-6) * np.clip(factor, 1e-6, 1.0)), 0.0)
 
-    def tolerance_p_value(self, i: int) -> float:
-        """Of a number's statistic among those of all numbers, were all tolerances true: its factor is known as well as
-        so many others tell it."""
-        others = float(self._data_share.sum() - self._data_share[i])
-        one = scipy.stats.norm.sf if others < OTHERS else scipy.stats.t(others).sf
-        return float(min(1.0, np.sum(self._known) * 2.0 * one(abs(self.tolerance_statistic[i]))))
+    @property
+    def tolerance_p_values(self) -> Float[np.ndarray, "number"]:
+        """Of every number's statistic among those of all numbers, were all tolerances true: its factor is known as well
+        as so many others tell it."""
+        statistic, share = np.abs(self.tolerance_statistic), self._data_share
+        others = share.sum() - share
+        one = np.where(
+            others < OTHERS, scipy.stats.norm.sf(statistic), scipy.stats.t(np.maximum(others, OTHERS)).sf(statistic)
+        )
+        return np.minimum(1.0, np.sum(self._known) * 2.0 * one)
 
     @property
     def _known(self) -> Bool[np.ndarray, "number"]:
@@ -126,8 +130,8 @@ class Fitted(eqx.Module):
     @property
     def out_of_tolerance(self) -> tuple[int, ...]:
         """Numbers whose tolerance the record does not let one believe, worst first."""
-        order = np.argsort(-np.abs(self.tolerance_statistic))
-        return tuple(int(i) for i in order if self.tolerance_p_value(i) < OUT_OF_TOLERANCE and abs(self.x[i]) > FAR)
+        order, p_values = np.argsort(-np.abs(self.tolerance_statistic)), self.tolerance_p_values
+        return tuple(int(i) for i in order if p_values[i] < OUT_OF_TOLERANCE and abs(self.x[i]) > FAR)
 
     @property
     def waves(self) -> tuple[Wave, ...]:
@@ -221,10 +225,12 @@ class RobotFit:
     What is not known beforehand stands beside the robot, not in it: robots that differ in that alone share what is
     compiled."""
 
-    def __init__(self, robot: Robot, unknown: Tolerances, record: Measured, say: Say):
+    def __init__(
+        self, robot: Robot, unknown: Tolerances, record: Measured, say: Say, smoothing: Difference | None = None
+    ):
         self.numbers = numbers(robot.with_tolerances(unknown))
         self.robot, self.unknown, self.record, self.say = robot, unknown, record, say
-        self.descent = Descent(robot, record, self.numbers, lambda text: None)
+        self.descent = Descent(robot, record, self.numbers, lambda text: None, smoothing=smoothing)
         self.kept = Rounds(None, robot, self.numbers, record, ())
 
     @classmethod
@@ -241,7 +247,8 @@ class RobotFit:
         (`anew`).
 
         **Raises:** `jaxfrf.InputError` where it cannot be simulated there."""
-        fit = cls(robot, unknown, record, say)
+        same_motion = np.array_equal(np.asarray(record.data.q), [scene.still.q for scene in start.iterate.evidence.scenes])
+        fit = cls(robot, unknown, record, say, start.iterate.smoothing if same_motion else None)
         known = {n.name: (n, float(x)) for n, x in zip(start.numbers, start.x, strict=True) if n.name not in anew}
         x = np.array([_begins(n, known) for n in fit.numbers])
         fit.begin(_kept(x, start.iterate.orders, start.iterate.evidence.floor, start.near, start.inside))

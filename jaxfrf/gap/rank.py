@@ -164,7 +164,7 @@ def _t(each, positions) -> float:
 
 def _set_free(view: Fitted, record: Measured, cost: float) -> list[Scored]:
     """What it would save to know nothing of a number beforehand: exact, where a cost is quadratic."""
-    statistic, found = view.tolerance_statistic, []
+    statistic, p_values, found = view.tolerance_statistic, view.tolerance_p_values, []
     errors = _errors(view.robot, _largest(record)) if view.out_of_tolerance else {}
     for i in view.out_of_tolerance:
         number = view.numbers[i]
@@ -173,7 +173,7 @@ def _set_free(view: Fitted, record: Measured, cost: float) -> list[Scored]:
         typical, joint, own = errors[number.name]
         error = number.value(float(view.x[i])) - own.minus
         size = abs(error / float(getattr(typical, own.parameter)))
-        sure = view.tolerance_p_value(i) < DISBELIEVED
+        sure = p_values[i] < DISBELIEVED
         effect = eqx.tree_at(operator.attrgetter(own.parameter), typical, error)
         found.append(Scored(effect, joint, float(statistic[i] ** 2 / cost), float(statistic[i]), size, sure))
     return found

@@ -120,7 +120,7 @@ def _rounds(
     steps: list[Step] = []
     first: tuple[Scored, ...] = ()
     while len(steps) < MOST:
-        misses, out_of_tolerance = _misses(now, records, say), _out_of_tolerance(now)
+        (misses, there), out_of_tolerance = _misses(now, records, say), _out_of_tolerance(now)
         if out_of_tolerance:
             say(f"{', '.join(out_of_tolerance)}: off by more than is known")
         if not misses and not out_of_tolerance:
@@ -136,7 +136,7 @@ def _rounds(
         else:
             also_given = not steps and now.iterate.left > FLOOR
             views = [now, given or as_given(robot, fit, say)] if also_given else [now]
-            round = _Round(now, records, own, misses, say)
+            round = _Round(now, records, own, misses, there, say)
             step, refused = round.best(views, [(step.hypothesis.effect, step.key) for step in steps])
             first = first or round.scored
             if not keep_round(parts, len(steps) + 1, _kept_round(step, refused)):
@@ -150,19 +150,20 @@ def _rounds(
     return base.without_columns(), tuple(x.without_columns() for x in steps), first, refused
 
 
-def _misses(now: Fitted, records: Records, say: Say) -> bool:
-    """Whether one axis in one band is beyond the floor, on the fitted positions and on those that decide."""
+def _misses(now: Fitted, records: Records, say: Say) -> tuple[bool, Written | None]:
+    """Whether one axis in one band is beyond the floor, on the fitted positions and on those that decide; the robot on
+    the latter, where it was simulated."""
     frequency = records.whole.frequency
     cells = np.mean(by_band(now.left, now.iterate.evidence.plain, frequency), axis=(0, 1))
     say(f"at most {cells.max():.3g} times the floor is left")
     if cells.max() <= FLOOR:
-        return False
+        return False, None
     its = written(now.written(), records.deciding)
     if its is None:
-        return True
+        return True, None
     there = np.mean(by_band(its.residual, its.evidence.plain, frequency), axis=(0, 1))
     say(f"at most {np.max(there[cells > FLOOR]):.3g} times there, on positions that decide")
-    return bool(np.any(there[cells > FLOOR] > FLOOR))
+    return bool(np.any(there[cells > FLOOR] > FLOOR)), its
 
 
 def _out_of_tolerance(now: Fitted) -> list[str]:
@@ -239,10 +240,11 @@ class _Candidate:
 
 class _Round:
     """One round: candidates for the place of the robot that stands, which `misses` something beyond the floor, or
-    whose numbers are off by what is not believed."""
+    whose numbers are off by what is not believed. `there`: that robot on positions that decide, where it was
+    simulated."""
 
-    def __init__(self, now: Fitted, records: Records, own, misses: bool, say: Say):
-        self.now, self.records, self.own, self.misses, self.say = now, records, own, misses, say
+    def __init__(self, now: Fitted, records: Records, own, misses: bool, there: Written | None, say: Say):
+        self.now, self.records, self.own, self.misses, self.there, self.say = now, records, own, misses, there, say
         self.record, self.deciding = records.fitted, records.deciding
         self.scored: tuple[Scored, ...] = ()  # from the first view
 
@@ -265,7 +267,8 @@ class _Round:
         best, cost, its = simulated[0]
         name = said(best.hypothesis.key)
         others = to_beat(self.now, best.hypothesis, best.found, self.misses)
-        before = each_written(others, self.deciding)
+        is_now = self.misses and not best.hypothesis.is_number  # what it must beat, as `to_beat` has it
+        before = [self.there] if is_now and self.there else each_written(others, self.deciding)
         floor, frequency = its.evidence.plain, self.deciding.frequency
         versus = lambda one, two: compared(one.residual, two.residual, floor, frequency)
         results = [versus(one, its) for one in before if one is not None]

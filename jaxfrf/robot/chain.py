@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from .._annotated import check_fields, checked
 from .._errors import input_error
-from .._types import Array
+from .._types import Array, traced
 
 Angles = Float[Array, "*batch joint"]
 
@@ -72,15 +72,17 @@ class Chain(eqx.Module):
     def with_hinge(self, at: int, axis: Float[Array, "3"]) -> "Chain":
         """The same chain with one more joint before joint number `at`, with a massless link of its own: it turns about
         `axis` where that joint was, and that joint sits at its origin."""
-        insert = lambda x, row: jnp.insert(jnp.asarray(x), at, row, axis=0)
-        axis = jnp.asarray(axis, float)
+        lib = jnp if traced((self, axis)) else np  # which needs no programs for it
+        insert = lambda x, row: jnp.asarray(lib.insert(lib.asarray(x, float), at, row, axis=0))
+        axis = lib.asarray(axis, float)
+        here = np.arange(self.n_joints)[:, None] == at
         return dataclasses.replace(
             self,
-            axis=insert(self.axis, axis / jnp.linalg.norm(axis)),
-            offset=insert(self.offset, self.offset[at]).at[at + 1].set(0.0),
+            axis=insert(self.axis, axis / lib.linalg.norm(axis)),
+            offset=insert(lib.where(here, 0.0, lib.asarray(self.offset)), self.offset[at]),
             mass=insert(self.mass, 0.0),
-            com=insert(self.com, jnp.zeros(3)),
-            inertia=insert(self.inertia, jnp.zeros(6)),
+            com=insert(self.com, np.zeros(3)),
+            inertia=insert(self.inertia, np.zeros(6)),
             slides=(*self.slides[:at], False, *self.slides[at:]) if self.slides else (),
         )
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Float, Int, PRNGKeyArray, PyTree
 
+from .._compile import program
 from .._types import Array
 from ..effects import AbstractActuator, AbstractSensor
 from ..effects.acting import Group, groups
@@ -122,7 +123,7 @@ def _normal(key, time, like):
     return jax.vmap(draw, out_axes=-1)(key).astype(like.dtype)
 
 
-@jax.jit
+@program
 def play(
     loop: ClosedLoop,
     state: LoopState,

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PyTree
 
+from .._compile import program
 from .._types import Array
 from ..effects import AbstractSensor
 from ..effects.acting import Group, groups
@@ -136,7 +137,7 @@ class Imposed(eqx.Module):
         return torque + extra, jnp.concatenate([free, arm])
 
 
-@jax.jit
+@program
 def impose(loop: Imposed, state: ImposedState, runs: Runs, start, references: Float[Array, "time 2 axis track"]):
     """Move the motors along a stretch of the references: the last state, torques, readings and coordinates at every
     sample, (time, row, run). As `closed_loop.play`; a reference is that of the *end* of its sample."""

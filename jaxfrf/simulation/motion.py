@@ -9,6 +9,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Float
 
+from .._compile import program
 from .._types import arrays
 from ..experiment import Experiment
 from ..robot import Robot
@@ -96,7 +97,7 @@ def imposed_motion(
     return Motion(u, y, z, fs)
 
 
-@jax.jit
+@program
 def _play_with_coordinates(loop: ClosedLoop, state: LoopState, runs: Runs, start, references):
     """As `closed_loop.play`, with the coordinates at every sample, (time, dof, run)."""
 

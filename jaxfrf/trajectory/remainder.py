@@ -15,7 +15,7 @@ def remainder(evidence: Evidence, weighed: Weighed, change, columns=None) -> Com
     columns = slice(len(change)) if columns is None else columns
     shape, left = evidence.residual.shape[1:], []
     for part in weighed.parts:
-        rest = part[:, -1] - np.einsum("enk,n->ek", part[:, columns], change)
+        rest = part[:, -1] - change @ part[:, columns]
         half = rest.shape[1] // 2
         left.append((rest[:, :half] + 1j * rest[:, half:]).reshape(shape) * evidence.floor)
     return np.stack(left)

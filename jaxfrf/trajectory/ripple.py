@@ -165,11 +165,22 @@ Wave = tuple[Order, tuple[float, float]]  # with coefficients of sine and cosine
 
 def order_columns(orders: Sequence[Order]) -> list[Callable[[Scene], Signature]]:
     """Sine and cosine of each order, (2 order) columns."""
-    return [functools.partial(_column, order, i) for order in orders for i in (0, 1)]
+    return [functools.partial(pair, i) for pair in map(_Pair, orders) for i in (0, 1)]
 
 
-def _column(order: Order, i: int, scene: Scene) -> Signature:
-    return order.columns(scene)[i]
+class _Pair:
+    """Sine and cosine of an order, which are made together: the second is kept until it is asked for."""
+
+    def __init__(self, order: Order):
+        self.order = order
+        self._second: dict[int, Signature] = {}
+
+    def __call__(self, i: int, scene: Scene) -> Signature:
+        if i == 1 and id(scene) in self._second:
+            return self._second.pop(id(scene))
+        both = self.order.columns(scene)
+        self._second[id(scene)] = both[1]
+        return both[i]
 
 
 def ripple_effects(names: Sequence[str], orders: Sequence[Order], waves) -> list[AbstractEffect]:

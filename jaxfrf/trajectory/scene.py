@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.fft
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 
 from .._types import arrays
 from ..robot import (
@@ -68,13 +68,6 @@ class Scene:
     @cached_property
     def _springs(self) -> Float[np.ndarray, "dof spring"]:
         return np.asarray(spring_directions(self.robot))
-
-    @cached_property
-    def _bent(self) -> np.ndarray:
-        """Which springs are not linear."""
-        if not isinstance(self.robot.springs, Spring):
-            return np.zeros(self._springs.shape[1], bool)
-        return np.asarray(self.robot.springs.stiffness_ratio) != 1.0
 
     # The motors, at every sample: friction turns with the sign of their speed
 
@@ -157,31 +150,46 @@ class Scene:
 
     def by_force(self, d: Complex[np.ndarray, "exp line dof"]) -> Signature:
         """A force on the coordinates."""
-        return np.einsum("lad,eld->ela", self.still.to_torque, d) / self.still.command + self._settled(d[:, 0].real)
+        return self.by_forces(d, np.arange(self.robot.dof))
+
+    def by_forces(
+        self, d: Complex[np.ndarray, "*more exp line row"], rows: Int[np.ndarray, "row"]
+    ) -> Complex[np.ndarray, "*more exp line axis"]:
+        """Forces on these coordinates, many at once."""
+        lines = np.moveaxis(d, -2, 0)
+        asked = lines.reshape(self.lines, -1, len(rows)) @ self.still.to_torque[:, :, rows].swapaxes(1, 2)
+        asked /= self.still.command[:, None]
+        steady = d[..., 0, :].real @ self.still.compliance[0].real[rows]
+        return np.moveaxis(asked.reshape(*lines.shape[:-1], -1), 0, -2) + self._settled(steady)
 
     def by_direction(self, direction: Float[np.ndarray, "dof"], signal: Signal) -> Signature:
         """A force of this course along one direction of the coordinates."""
-        mean = np.mean(signal, axis=1)
-        return self._along(direction, signal) + self._settled(mean[:, None] * direction)
+        return self._by_course(direction, self.spectrum(signal))
 
-    def _along(self, direction, signal: Signal) -> Signature:
+    def _by_course(self, direction, course: Complex[np.ndarray, "exp line"]) -> Signature:
         column = self.still.to_torque @ direction / self.still.command
-        return self.spectrum(signal)[..., None] * column
+        steady = course[:, :1].real * (direction @ self.still.compliance[0].real)
+        return course[..., None] * column + self._settled(steady)
 
-    def _settled(self, force: Float[np.ndarray, "exp dof"]) -> Signature:
-        """What a steady force does by moving the springs' points of rest: their stiffness there is another."""
-        shift = force @ self.still.compliance[0].real @ self._springs
-        total = np.zeros((len(force), self.lines, self.robot.n_axes), complex)
-        bent = self._bent
-        if not np.any(np.abs(shift[:, bent]) > 1e-9):
-            return total
-        runs = len(force)
-        moved = self.deflection[:runs] + shift[:, None]
-        more = np.asarray(self.robot.springs.torque(moved, self.deflection_rate[:runs])) - self.spring_torque[:runs]
-        more -= more.mean(axis=1, keepdims=True)
-        for spring in np.flatnonzero(bent & np.any(np.abs(shift) > 1e-9, axis=0)):
-            total += self._along(-self._springs[:, spring], more[..., spring])
-        return total
+    def _settled(self, moved: Float[np.ndarray, "*more exp dof"]) -> Complex[np.ndarray, "*more exp line axis"] | float:
+        """What a small shift of the springs' points of rest asks: their stiffness there is another."""
+        bent, stiffer = self._settling
+        shift = moved @ self._springs[:, bent]
+        if not np.any(shift):
+            return 0.0
+        return np.einsum("...es,sela->...ela", shift, stiffer[:, : shift.shape[-2]])
+
+    @cached_property
+    def _settling(self) -> tuple[np.ndarray, Complex[np.ndarray, "spring exp line axis"]]:
+        """Which springs are not linear, and what a shift of each asks, N m/rad, less the frozen robot's part of it."""
+        law = self.robot.springs
+        ratio = np.asarray(law.stiffness_ratio) if isinstance(law, Spring) else np.ones(self._springs.shape[1])
+        bent = np.flatnonzero(ratio != 1.0)
+        tangent = np.asarray(law.tangent(self.deflection)) if len(bent) else self.deflection
+        course = self.spectrum(tangent[..., bent])
+        course[:, 0] = 0.0
+        columns = self.still.to_torque @ -self._springs[:, bent] / self.still.command[..., None]
+        return bent, np.einsum("els,las->sela", course, columns)
 
     def by_motor(self, axis: int, signal: Signal) -> Signature:
         """A torque against one motor."""
@@ -256,28 +264,45 @@ class Scene:
         if changed.dof != self.robot.dof:
             raise ValueError("The changed robot has other coordinates.")
         total = np.zeros((*self.u.shape[:1], self.lines, self.robot.n_axes), complex)
-        own = self.robot
+        for part in self.by_each(changed).values():
+            total += part
+        if _differ(changed.chain, self.robot.chain):
+            arm = np.arange(self.robot.n_motors, self.robot.dof)
+            total += self.by_forces(self.spectrum(self._own_links - self._links(changed)), arm)
+        return total
+
+    def by_each(self, changed: Robot) -> dict[tuple[str, int], Signature]:
+        """What every spring ("spring", number) and motor ("motor", axis) of another robot asks beyond this one's; links
+        and effects left out."""
+        own, found = self.robot, {}
         springs, law = _where_another(changed.springs, own.springs, self._springs.shape[1])
         if len(springs):
             more = np.asarray(law.torque(self.deflection[..., springs], self.deflection_rate[..., springs]))
-            more = more - self.spring_torque[..., springs]
-            for i in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
-                total += self.by_spring(int(springs[i]), more[..., i])
+            courses = self.spectrum(more - self.spring_torque[..., springs])
+            for spring, course in zip(springs, np.moveaxis(courses, -1, 0), strict=True):
+                found["spring", int(spring)] = self._by_course(-self._springs[:, spring], course)
         axes, law = _where_another(changed.drives.friction, own.drives.friction, own.n_axes)
         if len(axes):
             more = np.asarray(law.torque(self.speed[..., axes])) - self._friction[..., axes]
-            for i in np.flatnonzero(np.any(more != 0.0, axis=(0, 1))):
-                total += self.by_motor(int(axes[i]), more[..., i])
+            for axis, signal in zip(axes, np.moveaxis(more, -1, 0), strict=True):
+                found["motor", int(axis)] = self.by_motor(int(axis), signal)
         inertia = np.asarray(changed.drives.motor_inertia) - np.asarray(own.drives.motor_inertia)
         for axis in np.flatnonzero(inertia):
-            total += self.by_motor(int(axis), inertia[axis] * self.acceleration[..., axis])
-        if _differ(changed.chain, own.chain):
-            more = np.zeros((len(self.z), self.lines, own.dof), complex)
-            more[..., own.n_motors :] = self.spectrum(self._own_links - self._links(changed))
-            total += self.by_force(more)
-        return total
+            key = "motor", int(axis)
+            found[key] = found.get(key, 0.0) + self.by_motor(int(axis), inertia[axis] * self.acceleration[..., axis])
+        return found
 
-    def by_links(self, slopes: Float[np.ndarray, "change joint parameter"]) -> list[Signature]:
+    def resisting(self) -> Signature:
+        """What springs, friction, rotors and links resist with, effects left out."""
+        d = np.zeros((len(self.z), self.lines, self.robot.dof), complex)
+        d -= self.spectrum(self.spring_torque) @ self._springs.T
+        d[..., self.robot.n_motors :] -= self.spectrum(self._own_links)
+        motors = self._friction + np.asarray(self.robot.drives.motor_inertia) * self.acceleration
+        return self.by_force(d) + self.spectrum(motors) / self.still.command
+
+    def by_links(
+        self, slopes: Float[np.ndarray, "change joint parameter"]
+    ) -> Complex[np.ndarray, "change exp line axis"]:
         """Derivatives of what the links ask, along these changes of their parameters (`link_regressor`)."""
         robot = self.robot
         arm = np.array(robot.arm_joints)
@@ -285,15 +310,10 @@ class Scene:
         for whole, moving in zip(signals, self._arm, strict=True):
             whole[arm] = moving
         Y = link_regressor(robot.chain, *signals)[arm]
-        if not len(slopes):
-            return []
-        forces = slopes.reshape(len(slopes), -1) @ Y.reshape(len(arm), -1, Y.shape[-1])
-        found = []
-        for force in forces.swapaxes(0, 1).reshape(len(slopes), len(arm), len(self.z), -1):
-            d = np.zeros((len(self.z), self.lines, robot.dof), complex)
-            d[..., robot.n_motors :] = -self.spectrum(np.moveaxis(force, 0, -1))
-            found.append(self.by_force(d))
-        return found
+        forces = slopes.reshape(len(slopes), -1) @ Y.reshape(len(arm), -1, Y.shape[-1])  # (arm, change, exp sample)
+        runs = forces.reshape(*forces.shape[:2], len(self.z), -1)
+        courses = scipy.fft.rfft(runs, axis=-1)[..., : self.lines] / -runs.shape[-1]
+        return self.by_forces(np.moveaxis(courses, 0, -1), np.arange(robot.n_motors, robot.dof))
 
     @cached_property
     def _friction(self):

@@ -3,6 +3,7 @@
 import functools
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -100,7 +101,7 @@ def _along(effect, robot, *signals):
 def _(effect: AbstractGearTorque, scene: Scene) -> Signature:
     spring = spring_of(scene.robot, effect.joint)
     twice = np.concatenate([scene.deflection[..., spring].T] * 2)  # the second period is a steady one
-    torque = _along(effect, scene.robot, twice, twice, twice, scene.period / scene.fs / scene.coarse)
+    torque = _along(_arrays(effect), scene.robot, twice, twice, twice, scene.period / scene.fs / scene.coarse)
     return scene.by_spring(spring, np.asarray(torque)[scene.coarse :].T)
 
 
@@ -141,7 +142,12 @@ def _(effect: ExtraFlexibility, scene: Scene) -> Signature:
 
 
 def _law(effect, name: str, *signals) -> np.ndarray:
-    return np.asarray(_traced(effect, name, *signals))
+    return np.asarray(_traced(_arrays(effect), name, *signals))
+
+
+def _arrays(effect):
+    """The effect with its numbers as arrays: those of other numbers share what is compiled."""
+    return jax.tree.map(np.asarray, effect)
 
 
 @eqx.filter_jit

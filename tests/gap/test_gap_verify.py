@@ -174,7 +174,7 @@ class TestStrain:
         assert found.out_of_tolerance == (place,)
         others = sum(n.prior > 0 and n.kind != "smoothing" for n in uncertain) - 1
         expected = 2 * (others + 1) * scipy.stats.t(others).sf(2.5 / 0.3)
-        assert found.tolerance_p_value(place) == pytest.approx(expected, rel=0.1)
+        assert found.tolerance_p_values[place] == pytest.approx(expected, rel=0.1)
         assert self.found(robot, 2.5 * np.sign(x)).out_of_tolerance == ()  # all are off: none stands out
 
     @pytest.mark.parametrize("count", [1, 3, 6, 20])
@@ -185,7 +185,7 @@ class TestStrain:
         iterate = SimpleNamespace(posterior=SimpleNamespace(normal=np.eye(count) * 1e4))
         for _ in range(draws):
             found = Fitted(robot, Tolerances(), uncertain, rng.standard_normal(count), iterate, False, (), True)
-            least.append(found.tolerance_p_value(int(np.argmax(np.abs(found.tolerance_statistic)))))
+            least.append(found.tolerance_p_values[int(np.argmax(np.abs(found.tolerance_statistic)))])
         assert scipy.stats.binom.sf(np.sum(np.array(least) < 0.05) - 1, draws, 0.05) > 1e-3
 
 
