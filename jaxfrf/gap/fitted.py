@@ -247,7 +247,9 @@ class RobotFit:
         (`anew`).
 
         **Raises:** `jaxfrf.InputError` where it cannot be simulated there."""
-        same_motion = np.array_equal(np.asarray(record.data.q), [scene.still.q for scene in start.iterate.evidence.scenes])
+        same_motion = np.array_equal(
+            np.asarray(record.data.q), [scene.still.q for scene in start.iterate.evidence.scenes]
+        )
         fit = cls(robot, unknown, record, say, start.iterate.smoothing if same_motion else None)
         known = {n.name: (n, float(x)) for n, x in zip(start.numbers, start.x, strict=True) if n.name not in anew}
         x = np.array([_begins(n, known) for n in fit.numbers])

@@ -54,8 +54,11 @@ class Order(eqx.Module):
         return self._columns(scene, slice(0, 1))[0]
 
     def _columns(self, scene: Scene, runs: slice):
-        angle = scene.reading[runs, :, self.axis]
-        waves = np.sin(self.order * angle), np.cos(self.order * angle)
+        if self.order == int(self.order):
+            turned = _power(scene.turn[self.axis, runs], int(self.order))
+        else:
+            turned = np.exp(1j * self.order * scene.reading[runs, :, self.axis])
+        waves = turned.imag, turned.real
         if self.kind == "torque":
             return tuple(scene.by_motor(self.axis, -x) for x in waves)
         if self.kind == "resolver":
@@ -67,6 +70,14 @@ class Order(eqx.Module):
             scene.by_shift(spring, 1e-5 * x) * 1e5 + scene.by_motor(self.axis, slope * load)
             for x, slope in zip(waves, slopes, strict=True)
         )
+
+
+def _power(x, n: int):
+    """x^n of a whole n from 1 on, by few products."""
+    if n == 1:
+        return x
+    half = _power(x, n // 2)
+    return half * half * x if n % 2 else half * half
 
 
 def strength(
@@ -112,13 +123,13 @@ def find_orders(scenes, residuals, floor, kind: str, axis: int, orders=_ORDERS, 
     """The strongest orders of one motor in a residual, those first that would take most away from it alone."""
     weight = 1.0 / np.square(floor)
     b = sum(strength(s, r * weight, kind, axis, orders) for s, r in zip(scenes, residuals, strict=True))
-    size = np.array([_power(scenes[0], Order(kind, axis, float(h)), floor) for h in orders])
+    size = np.array([_weighted_power(scenes[0], Order(kind, axis, float(h)), floor) for h in orders])
     drop = np.abs(b) ** 2 / np.maximum(size, 1e-12 * size.max())
     best = np.argsort(drop)[::-1][:most]
     return [Order(kind, axis, float(orders[i])) for i in best]
 
 
-def _power(scene: Scene, order: Order, floor) -> float:
+def _weighted_power(scene: Scene, order: Order, floor) -> float:
     """Weighted power of an order in the first run."""
     return float(np.sum(np.abs(order.one(scene) / floor) ** 2))
 

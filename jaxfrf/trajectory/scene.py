@@ -89,6 +89,11 @@ class Scene:
         return scipy.fft.irfft(Z, n=self.period, axis=1)
 
     @cached_property
+    def turn(self) -> Complex[np.ndarray, "axis exp time"]:
+        """e^{j angle} of the motors as they were read."""
+        return np.exp(1j * np.moveaxis(self.reading, -1, 0))
+
+    @cached_property
     def load(self) -> Float[np.ndarray, "exp time axis"]:
         """Torque in the gears on the motor side; the motor's own where the transmission is rigid."""
         load = self.u.copy()
