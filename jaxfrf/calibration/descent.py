@@ -28,6 +28,7 @@ _FEW_ROUNDS = 2  # with less, ripple of a motor is not found yet
 _ROUNDS_AGAIN = 2  # the same, of rounds with ripple that is simulated: weak orders drowned before
 _NEAR = 0.15  # of the misfit: where a step leaves more, the robot is near
 _SAME = 0.99  # of the misfit: a step near the truth that leaves more brings nothing
+_FLOOR = 1.0  # of the misfit: an honest model leaves less
 _WORSE = 1.05  # of what was left: ripple with which more is left is not simulated
 
 
@@ -51,6 +52,7 @@ class Descent:
         self.robot, self.record, self.numbers, self.say, self.beside = robot, record, numbers, say, tuple(beside)
         self.smoothing = smoothing
         self.settled, self._rounds = False, 0
+        self._before: float | None = None  # misfit of the round before
 
     def run(self, rounds: int, kept: Rounds) -> None:
         """So many simulations, from where an earlier run was interrupted."""
@@ -82,6 +84,7 @@ class Descent:
         last = kept.done[-1]
         self._take(last.near, last.inside, last.floor)
         self._rounds = sum(one.near == last.near for one in kept.done)
+        self._before = kept.done[-2].round.misfit if len(kept.done) > 1 else None
         self.iterate = self.search.evaluate(last.x, last.orders, False)
         self.settled = self._settles()
         self.say(f"goes on behind round {len(kept.done)}")
@@ -99,6 +102,7 @@ class Descent:
 
     def _keep(self, kept: Rounds) -> None:
         iterate, self._rounds = self.iterate, self._rounds + 1
+        self._before = kept.done[-1].round.misfit if kept.done else None
         self.settled = self._settles()
         round = Round(iterate.misfit, iterate.left, iterate.posterior.effect)
         torque = missed(iterate.evidence, self.record)
@@ -112,11 +116,14 @@ class Descent:
 
     def _settles(self) -> bool:
         """A robot whose ripple stands beside it only is not done; one whose misfit stays is, though numbers may creep
-        along what the record does not tell."""
+        along what the record does not tell. Below the floor, steps do what they promise."""
         if not self.near and self._refines:
             return False
-        stays = self.iterate.left > _SAME * self.iterate.misfit
-        return self.search.has_converged(self.iterate) or (self.near and self._rounds >= _ROUNDS_AGAIN and stays)
+        misfit, before = self.iterate.misfit, self._before
+        stays = _SAME * misfit < self.iterate.left < misfit / _SAME
+        seen = before is not None and misfit > _SAME * before and self._rounds > _ROUNDS_AGAIN
+        enough = self.near and self._rounds >= _ROUNDS_AGAIN and (seen or misfit < _FLOOR)
+        return self.search.has_converged(self.iterate) or (enough and stays)
 
     @property
     def _refines(self) -> bool:

@@ -180,10 +180,10 @@ class AbstractEffect(eqx.Module):
         return {p: (float(getattr(self, p)), float(std)) for p, std in zip(parameters, stds, strict=True)}
 
     @classmethod
-    def starts(cls, robot: "Robot", joint: Joint) -> "tuple[Self, ...]":
+    def starts(cls, robot: "Robot", fitted: "Robot", joint: Joint) -> "tuple[Self, ...]":
         """Further ones from which a fit begins, beside the one that a residual proposes; the numbers of the joint that
-        imitate it begin as they were given. What numbers imitate, a fit does not find from where they stand in its
-        place."""
+        imitate it begin as they were given, as in `robot`. What numbers imitate, a fit does not find from where they
+        stand in its place, as in `fitted`."""
         return ()
 
     def unknown_beside(self, robot: "Robot") -> dict[str, float]:

@@ -142,6 +142,7 @@ class ArmViscousFriction(AbstractArmTorque):
         "viscous_friction": "depth of the antiresonances; more positions",
         "structural_damping": "positions with other mode frequencies",
     }
+    imitated_by: ClassVar = ("viscous_friction", "damping")
 
     joint: Joint = eqx.field(static=True)
     coefficient: Number
@@ -150,6 +151,14 @@ class ArmViscousFriction(AbstractArmTorque):
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         gear = robot.drives.gear_ratio[axis_of(robot, joint)]
         return cls(joint, 0.5 * own(robot, joint, robot.drives.friction.viscous, 1e-3) * gear**2)
+
+    @classmethod
+    def starts(cls, robot: "Robot", fitted: "Robot", joint: Joint) -> tuple[Self, ...]:
+        """What the motor's viscous friction was raised by in its place, referred to the arm."""
+        axis = axis_of(robot, joint)
+        now, given = (float(r.drives.friction.viscous[axis]) for r in (fitted, robot))
+        gear = float(robot.drives.gear_ratio[axis])
+        return (cls(joint, (now - given) * gear**2) if now > given else cls.typical(robot, joint),)
 
     @classmethod
     def over_band(cls, robot: "Robot", joint: Joint, low: float, high: float) -> tuple[Candidate, ...]:

@@ -69,7 +69,7 @@ class StiffnessHardening(AbstractStructure):
         return tuple(found)
 
     @classmethod
-    def starts(cls, robot: "Robot", joint: Joint) -> tuple[Self, ...]:
+    def starts(cls, robot: "Robot", fitted: "Robot", joint: Joint) -> tuple[Self, ...]:
         return tuple(cls(joint, 0.2, knee) for knee in (3e-4, 9e-4))
 
     def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
@@ -124,7 +124,7 @@ class Backlash(AbstractStructure):
         return tuple(cls(joint, gap).candidate(0.2 * gap, 3.0 * gap, f"gap {gap:g} rad") for gap in _GAPS)
 
     @classmethod
-    def starts(cls, robot: "Robot", joint: Joint) -> tuple[Self, ...]:
+    def starts(cls, robot: "Robot", fitted: "Robot", joint: Joint) -> tuple[Self, ...]:
         return tuple(cls(joint, gap) for gap in (6e-4, 9e-4))
 
     def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:

@@ -21,10 +21,11 @@ from ..calibration.ripple import TRIED, found_waves
 from ..calibration.rounds import Kept, Rounds
 from ..calibration.search import Difference, Iterate
 from ..robot import Robot, Tolerances
+from ..trajectory.evidence import Evidence
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import excess
 from ..trajectory.ripple import Order, Wave, with_ripple
-from .settings import FAR, FLOOR, LINK_ERROR, OTHERS, OUT_OF_TOLERANCE, ROUNDS, SLOW
+from .settings import FAR, FLOOR, LINK_ERROR, OTHERS, OUT_OF_TOLERANCE, PROMISING, ROUNDS, SLOW
 
 Say = Callable[[str], None]
 
@@ -169,6 +170,14 @@ class Fitted(eqx.Module):
         return with_numbers(with_ripple(self.robot, waves), self.numbers, x)
 
 
+def steady_seen(evidence: Evidence) -> Float[np.ndarray, "line axis"]:
+    """The floor with the steady torque's as that of the lines beside it: its own follows what is left of it, and a
+    torque that is missing at all times would not be seen."""
+    floor = evidence.floor.copy()
+    floor[0] = np.minimum(floor[0], np.maximum(evidence.plain[0], floor[1]))
+    return floor
+
+
 def is_loud(robot: Robot, order: Order, wave: Sequence[float]) -> bool:
     """Whether ripple is more than motors usually have."""
     return float(np.hypot(wave[0], wave[1])) > order.loud(robot)
@@ -253,7 +262,7 @@ class RobotFit:
         fit = cls(robot, unknown, record, say, start.iterate.smoothing if same_motion else None)
         known = {n.name: (n, float(x)) for n, x in zip(start.numbers, start.x, strict=True) if n.name not in anew}
         x = np.array([_begins(n, known) for n in fit.numbers])
-        fit.begin(_kept(x, start.iterate.orders, start.iterate.evidence.floor, start.near, start.inside))
+        fit.begin(_kept(x, start.iterate.orders, steady_seen(start.iterate.evidence), start.near, start.inside))
         return fit
 
     @property
@@ -269,7 +278,7 @@ class RobotFit:
         self.kept.done[-1] = dataclasses.replace(self.kept.done[-1], round=round)
 
     def go_on(self, rounds: int) -> None:
-        """So many rounds, fewer where the misfit does not come down to the floor by itself."""
+        """So many rounds, fewer where the misfit does not come down to the floor by itself, nor by the next step."""
         left = self._excess()
         for further in reversed(range(rounds)):
             was_near, iterate = self.descent.near, self.descent.iterate
@@ -279,7 +288,7 @@ class RobotFit:
             self.say(f"    {now.misfit**0.5:.3g} times the floor, at most {left**0.5:.3g} behind the next step")
             slow = now.misfit > SLOW * iterate.misfit and now.left > SLOW * iterate.left and left > SLOW * before
             end = left * min(left / before, 1.0) ** further  # where it would come at this pace
-            if slow and was_near and end > FLOOR:
+            if slow and was_near and end > FLOOR and now.left > PROMISING * now.misfit:
                 break
 
     def _excess(self) -> float:

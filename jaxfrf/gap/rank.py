@@ -13,14 +13,14 @@ from ..calibration.least_squares import solve
 from ..effects import AbstractEffect, OwnNumber
 from ..effects._place import axis_of
 from ..robot import Robot
-from ..trajectory.evidence import Evidence, Gram, parts_beside, put_over_floor, scattered
+from ..trajectory.evidence import Gram, parts_beside, put_over_floor, scattered
 from ..trajectory.joined import places
 from ..trajectory.measured import Measured
 from ..trajectory.remainder import remainder
 from ..trajectory.ripple import gear_orders
 from ..trajectory.signature import signature
 from .candidates import Candidate, candidates
-from .fitted import Fitted
+from .fitted import Fitted, steady_seen
 from .settings import DISBELIEVED, OWN
 
 _RIDGE = 1e-9  # of a column's square: products are made in single precision
@@ -64,7 +64,7 @@ def _columns(view: Fitted, record: Measured, own) -> list[Scored]:
     count = iterate.weighed.gram.b.shape[1]
     signatures = [functools.partial(signature, e) for c in pool for e in c.basis]
     parts = parts_beside(iterate.evidence, signatures, iterate.weighed.parts)
-    put_over_floor(parts, iterate.evidence.floor, _steady_seen(iterate.evidence))
+    put_over_floor(parts, iterate.evidence.floor, steady_seen(iterate.evidence))
     gram = scattered(parts, places(record.data)).gram
     base = Gram(gram.A[:, :count, :count], gram.b[:, :count], gram.rr, gram.position, gram.count)
     posterior = solve(base, view.numbers, iterate.x)
@@ -93,14 +93,6 @@ def _columns(view: Fitted, record: Measured, own) -> list[Scored]:
             Scored(made, candidate.joint, float(drop / cost), _t(each, gram.position), _size(candidate, made, c))
         )
     return found
-
-
-def _steady_seen(evidence: Evidence) -> Float[np.ndarray, "line axis"]:
-    """The floor with the steady torque's as that of the lines beside it: its own follows what is left of it, and a
-    torque that is missing at all times would not be seen."""
-    floor = evidence.floor.copy()
-    floor[0] = np.minimum(floor[0], np.maximum(evidence.plain[0], floor[1]))
-    return floor
 
 
 def _pool(view: Fitted, record: Measured, own) -> list[Candidate]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from .._errors import InputError
 from .._threads import lapack_threads, shared
+from ..calibration.numbers import with_numbers
 from ..effects import AbstractEffect
 from ..parts import Parts
 from ..robot import Robot, Tolerances
@@ -312,17 +313,19 @@ class _Round:
         return [simulated[best], *(x for i, x in enumerate(simulated) if i != best)]
 
     def _screened(self, views: Sequence[Fitted], had: Had) -> list[_Candidate]:
-        """Candidates of one view after the other, and those that numbers imitate, until one takes much away; beside it
-        those that it is confused with."""
+        """Candidates of one view after the other, and those that numbers imitate, until one takes much away; beside it,
+        or beside a number whose tolerance is not believed, those that it is confused with."""
         found: list[_Candidate] = []
         seen = []
         for view in views:
             scored = ranked(view, self.record, self.own, self.misses)
             self.scored = self.scored or tuple(scored)
             seen.append((view, scored))
-            if self._run(view, chosen(scored, had), found):
-                best = found[int(np.argmin(_costs([r.found for r in found])))].hypothesis
-                self._run(view, confused(scored, best.effect, best.key, had), found)
+            takes_much = self._run(view, chosen(scored, had), found)
+            best = found[int(np.argmin(_costs([r.found for r in found])))].hypothesis if found else None
+            if best is not None and (takes_much or best.is_number):
+                self._run(view, confused(scored, best.effect, best.key, had, view.robot), found)
+            if takes_much:
                 return found
         most = max((s.part for _, scored in seen for s in scored[:1]), default=0.0)
         doubtful = most < DOUBTFUL and np.max(self.now.of_axes) > FLOOR
@@ -347,7 +350,8 @@ class _Round:
         """A candidate after its first rounds, from that of its starts that leaves least behind one step."""
         self.say(f"  tries {said(this.key)}, which promises {this.part:.1%}")
         starts: list[tuple[Hypothesis, tuple[str, ...]]] = [(start, ())]
-        for effect in this.effect.starts(view.robot, this.joint):
+        fitted = with_numbers(view.robot, view.numbers, view.x)
+        for effect in this.effect.starts(view.robot, fitted, this.joint):
             other = hypothesis(view, effect, this.joint)
             starts += [] if other is None else [(other, other.imitated_by)]
         begun = [(one, fit) for one, anew in starts if (fit := self._beside(view, one, anew)) is not None]

@@ -12,6 +12,7 @@ FIRST_ROUNDS = 2  # of a candidate, before those that are far behind are given u
 MORE_ROUNDS = 4  # of a candidate that is not: it begins where the robot before was fitted
 FINAL_ROUNDS = 4  # of the robot that is left, on all opened positions: it begins where some of them have put it
 SLOW = 0.7  # of what a round before left: more, and what is far from the floor will not come down to it by itself
+PROMISING = 0.5  # of the misfit: a step that would leave less is worth another round, however short it must be
 KEPT_WITHIN = 1.5  # times the least cost: a candidate that costs more after its first rounds is not fitted further
 
 # What is beyond a robot whose numbers are fitted

@@ -1,8 +1,10 @@
 """Which candidates of a ranking are fitted."""
 
+import math
 from collections.abc import Collection, Sequence
 
-from ..effects import AbstractEffect
+from ..effects import AbstractEffect, library
+from ..robot import Robot
 from .hypothesis import Key, one_class
 from .rank import Scored
 from .settings import CANDIDATES, LEAST_PART, LEAST_SIZE, SHARE
@@ -39,11 +41,13 @@ def imitated(scored: Sequence[Scored], joints: Collection[str], disbelieved: Col
     return list(best.values())
 
 
-def confused(scored: Sequence[Scored], effect: AbstractEffect, own: Key, had: Had) -> list[Scored]:
+def confused(scored: Sequence[Scored], effect: AbstractEffect, own: Key, had: Had, robot: Robot) -> list[Scored]:
     """Effects that this one is confused with on its joint, and that numbers imitate to first order: what they promise
-    says little."""
+    says little. Those that promise nothing are as they are just visible on this robot."""
     best: dict[Key, Scored] = {}
-    for this in scored:
+    others = [kind for name, kind in library().items() if name in effect.confusable and kind.imitated_by]
+    unseen = [Scored(kind.typical(robot, own[1]), own[1], 0.0, math.nan, 1.0) for kind in others if own[1]]
+    for this in (*scored, *unseen):
         other = this.joint == own[1] and this.key[0] in effect.confusable
         if other and this.effect.imitated_by and not _stands(this, had):
             best.setdefault(this.key, this)

@@ -14,6 +14,7 @@ import scipy.signal
 import jaxfrf as jf
 from jaxfrf import effects as ef
 from jaxfrf.effects._harmonics import harmonics
+from jaxfrf.robot import with_parameters
 from jaxfrf.robot.tolerances import DEFAULTS
 
 KEY = jr.key(1)
@@ -307,13 +308,22 @@ def test_further_starts_of_what_numbers_imitate():
     """On a joint of the robot, of plausible size, beside kinds of numbers that a robot has."""
     robot = jf.robot.r3x()
     for kind in ef.library().values():
-        starts = kind.starts(robot, "joint2")
+        starts = kind.starts(robot, robot, "joint2")
         assert bool(starts) == bool(kind.imitated_by), kind.name
         assert set(kind.imitated_by) <= set(DEFAULTS)
         for start in starts:
             assert start.joint == "joint2"
             assert all(low <= getattr(start, name) <= high for name, (low, high) in kind.bounds.items())
             robot.with_effects(start)
+
+
+def test_a_damper_of_the_arm_begins_with_what_the_motor_had_in_its_place():
+    robot = jf.robot.r3x()
+    given, gear = (float(x[1]) for x in (robot.drives.friction.viscous, robot.drives.gear_ratio))
+    fitted = with_parameters(robot, {"joint2.viscous_friction": 3.0 * given})
+    (start,) = ef.ArmViscousFriction.starts(robot, fitted, "joint2")
+    assert float(start.coefficient) == pytest.approx(2.0 * given * gear**2)
+    assert ef.ArmViscousFriction.starts(fitted, robot, "joint2") == (ef.ArmViscousFriction.typical(fitted, "joint2"),)
 
 
 @pytest.mark.parametrize("scale", [1e-2, 1.0, 30.0])

@@ -335,10 +335,18 @@ def test_what_a_spring_is_confused_with_is_fitted_beside_it():
     made = lambda effect, part: Scored(effect, effect.joint, part, 1.0, 1.0)
     soft, play = fx.StiffnessHardening("shoulder", 0.3), made(fx.Backlash("shoulder", 3e-4), 0.01)
     others = [made(fx.Backlash("elbow", 3e-4), 0.02), made(fx.MotorInertia("shoulder", 1e-4), 0.3)]
-    assert confused([*others, play], soft, ("stiffness_hardening", "shoulder"), ()) == [play]
-    had = [(play.effect, play.key)]
-    assert confused([*others, play], soft, ("stiffness_hardening", "shoulder"), had) == []
-    assert confused([play], fx.MotorInertia("shoulder", 1e-4), ("motor_inertia", "shoulder"), ()) == []
+    beside = lambda scored, effect, had: confused(scored, effect, (effect.name, effect.joint), had, small_robot())
+    assert beside([*others, play], soft, ()) == [play]
+    assert beside([*others, play], soft, [(play.effect, play.key)]) == []
+    assert beside([play], fx.MotorInertia("shoulder", 1e-4), ()) == []
+
+
+def test_what_promises_nothing_is_fitted_beside_what_it_is_confused_with():
+    """A damper of the arm is what the motor's viscous friction is: nothing is left for it to first order."""
+    robot, rubs = small_robot(), fx.ViscousFriction("shoulder", 1e-3)
+    (damper,) = confused([], rubs, (rubs.name, rubs.joint), (), robot)
+    assert damper.key == ("arm_viscous_friction", "shoulder") and damper.part == 0.0
+    assert float(damper.effect.coefficient) == float(fx.ArmViscousFriction.typical(robot, "shoulder").coefficient)
 
 
 def test_candidates_are_compared_over_the_highest_of_their_floors():
