@@ -27,8 +27,7 @@ _ROUNDS_FOR_RIPPLE = 4  # first rounds in which more orders are looked for: far 
 _FEW_ROUNDS = 2  # with less, ripple of a motor is not found yet
 _ROUNDS_AGAIN = 2  # the same, of rounds with ripple that is simulated: weak orders drowned before
 _NEAR = 0.15  # of the misfit: where a step leaves more, the robot is near
-_SAME = 0.99  # of the misfit: a step near the truth that leaves more brings nothing
-_FLOOR = 1.0  # of the misfit: an honest model leaves less
+_SAME = 0.99  # of the misfit: rounds near the truth that leave more, one after the other, bring nothing
 _WORSE = 1.05  # of what was left: ripple with which more is left is not simulated
 
 
@@ -116,14 +115,17 @@ class Descent:
 
     def _settles(self) -> bool:
         """A robot whose ripple stands beside it only is not done; one whose misfit stays is, though numbers may creep
-        along what the record does not tell. Below the floor, steps do what they promise."""
+        along what the record does not tell."""
         if not self.near and self._refines:
             return False
-        misfit, before = self.iterate.misfit, self._before
-        stays = _SAME * misfit < self.iterate.left < misfit / _SAME
-        seen = before is not None and misfit > _SAME * before and self._rounds > _ROUNDS_AGAIN
-        enough = self.near and self._rounds >= _ROUNDS_AGAIN and (seen or misfit < _FLOOR)
-        return self.search.has_converged(self.iterate) or (enough and stays)
+        before, iterate = self._before, self.iterate
+        same = before is not None and iterate.misfit > _SAME * before and self.rests
+        return self.search.has_converged(iterate) or (self.near and self._rounds > _ROUNDS_AGAIN and same)
+
+    @property
+    def rests(self) -> bool:
+        """Whether the next step brings nothing."""
+        return _SAME * self.iterate.misfit < self.iterate.left < self.iterate.misfit / _SAME
 
     @property
     def _refines(self) -> bool:

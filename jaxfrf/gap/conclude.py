@@ -284,11 +284,20 @@ def _loud_ripple(
         before, heldout = shared(functools.partial(written, quiet), (deciding, judged), lapack_threads())
         if before is None or heldout is None:
             continue
-        against = against_it(deciding, before, there, str(effect.joint))
+        named = _ripple(
+            effect, last, compared(before.residual, there.residual, before.evidence.plain, deciding.frequency)
+        )
+        against = _holds_none(named) or against_it(deciding, before, there, str(effect.joint))
         if not against and not against_it(judged, heldout, extended, str(effect.joint)):
-            floor, frequency = before.evidence.plain, deciding.frequency
-            found.append(_ripple(effect, last, compared(before.residual, there.residual, floor, frequency)))
+            found.append(named)
     return tuple(found)
+
+
+def _holds_none(ripple: Named) -> bool:
+    """Whether the interval of every order's amplitude holds nothing: neighbours that only together explain anything,
+    where a motor hardly turns."""
+    amplitudes = [value for name, value in ripple.parameters.items() if name.startswith("amplitude")]
+    return all(a.value < 1.96 * a.std for a in amplitudes)
 
 
 def _quiet(last: Fitted, own: tuple[type[AbstractEffect], str]) -> Robot:

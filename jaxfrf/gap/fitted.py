@@ -202,7 +202,7 @@ def as_given(robot: Robot, record: Measured, say: Say) -> Fitted:
 def fitted_from(robot: Robot, unknown: Tolerances, record: Measured, start: Fitted, say: Say, rounds: int) -> Fitted:
     """A robot with other effects or tolerances, its numbers from where those of `start` are."""
     fit = RobotFit.beside(start, robot, unknown, record, say)
-    fit.go_on(rounds - 1)
+    fit.finish(rounds - 1)
     return fit.found
 
 
@@ -279,6 +279,13 @@ class RobotFit:
 
     def go_on(self, rounds: int) -> None:
         """So many rounds, fewer where the misfit does not come down to the floor by itself, nor by the next step."""
+        self._go_on(rounds, False)
+
+    def finish(self, rounds: int) -> None:
+        """The same of a robot that began where another stood; below the floor no round more than steps promise."""
+        self._go_on(rounds, True)
+
+    def _go_on(self, rounds: int, is_last: bool) -> None:
         left = self._excess()
         for further in reversed(range(rounds)):
             was_near, iterate = self.descent.near, self.descent.iterate
@@ -286,6 +293,8 @@ class RobotFit:
                 break
             now, before, left = self.descent.iterate, left, self._excess()
             self.say(f"    {now.misfit**0.5:.3g} times the floor, at most {left**0.5:.3g} behind the next step")
+            if is_last and self.descent.near and self.descent.rests and now.misfit < FLOOR:
+                break
             slow = now.misfit > SLOW * iterate.misfit and now.left > SLOW * iterate.left and left > SLOW * before
             end = left * min(left / before, 1.0) ** further  # where it would come at this pace
             if slow and was_near and end > FLOOR and now.left > PROMISING * now.misfit:

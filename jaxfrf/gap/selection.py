@@ -369,7 +369,7 @@ class _Round:
             return None
 
     def _finish(self, candidate: _Candidate) -> None:
-        candidate.fit.go_on(MORE_ROUNDS)
+        candidate.fit.finish(MORE_ROUNDS)
         estimates = candidate.hypothesis.estimates(candidate.found)
         values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in estimates.items())
         self.say(f"  {said(candidate.hypothesis.key)}: {values}")

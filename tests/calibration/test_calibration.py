@@ -86,16 +86,16 @@ def test_numbers_of_effects():
 def test_effects_that_a_robot_has_are_calibrated():
     """MuJoCo's records of a machine whose effects are 20 to 30 % from what the robot's file says."""
     q = np.concatenate([Q, Q[:, ::-1] + 0.2])
-    truth = {
-        "shoulder.backlash": 3.6e-4,
-        "elbow.stribeck_friction.level": 0.078,
-        "elbow.current_loop_lag.time_constant": 4.2e-4,
+    truth = {  # with how well it is known: Stribeck's level leans on Coulomb friction beside it, its interval is 6 %
+        "shoulder.backlash": (3.6e-4, 0.01),
+        "elbow.stribeck_friction.level": (0.078, 0.07),
+        "elbow.current_loop_lag.time_constant": (4.2e-4, 0.01),
     }
     true = with_effects(0.078, 3.6e-4, 4.2e-4)
     data = mujoco_experiment(true, design(0), q, seed=0, run_in=3.0, noise=2e-5, ripple=None)
     found = jf.calibrate(with_effects(0.06, 3e-4, 6e-4), data)
-    for name, value in truth.items():
-        assert found.values[name] == pytest.approx(value, rel=0.04), name
+    for name, (value, known) in truth.items():
+        assert found.values[name] == pytest.approx(value, rel=known), name
 
 
 def test_what_nothing_is_known_of_costs_nothing():
