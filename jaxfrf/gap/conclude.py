@@ -1,32 +1,29 @@
 """What stands of a selection once the held-out positions are opened: verdict, words, effects, the robot to write."""
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
 
 from .._threads import lapack_threads, shared
 from ..calibration.numbers import Number
-from ..effects import AbstractEffect, EncoderQuantisation, TorqueRipple, library
-from ..effects._harmonics import polar_deviation
+from ..effects import AbstractEffect, EncoderQuantisation, library
 from ..effects._place import axis_of
 from ..robot import Robot
 from ..trajectory.measured import Measured
-from ..trajectory.ripple import Order, ripple_effects
-from .fitted import Fitted, further, is_loud
+from .fitted import Fitted, further
 from .hypothesis import one_class
 from .judge import (
-    Comparison,
     Written,
+    against_it,
     compared,
     each_written,
-    over_floor,
     relative_torque,
-    shows_nothing,
     simulated,
     written,
 )
+from .loud_ripple import loud_ripple, stated_waves, without_ripple
 from .quantised import resolution
 from .records import Records
 from .result import EstimatedValue, Named
@@ -35,12 +32,9 @@ from .settings import (
     DATA_SHARE,
     EXPLAINED,
     FINAL_ROUNDS,
-    FLOOR,
     HOPELESS,
     LEAST_SIZE,
     OFF,
-    PRICE,
-    RISES,
     SIGNIFICANT,
     TOLERANCE,
     UNEXPLAINED,
@@ -70,9 +64,9 @@ def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
     end = last.written()
     extended, there = shared(functools.partial(written, end), (judged, deciding), lapack_threads())
     extended = extended or simulated(given, judged)
-    louder = _loud_ripple(last, extended, there, deciding, judged)
+    louder = loud_ripple(last, extended, there, deciding, judged)
     effects = (*(_named(step, last, given) for step in steps), *louder, *counting(records.whole, given))
-    base = (before if steps else _without(last, louder, extended, judged)) or extended
+    base = (before if steps else without_ripple(last, louder, extended, judged)) or extended
     worst, everywhere = _worst(last, extended, there), ""
     again = _at_all_positions(last, records) if worst > UNEXPLAINED and not effects else None
     if again is not None:
@@ -116,14 +110,6 @@ def _at_all_positions(last: Fitted, records: Records) -> tuple[Records, Fitted, 
     return (records, fit, there, worst) if there is not None and worst <= UNEXPLAINED else None
 
 
-def _without(last: Fitted, louder, extended: Written, judged: Measured) -> Written | None:
-    """The robot as it would be written without the ripple that is named."""
-    names = {(type(x.effect), x.joint) for x in louder}
-    if not names:
-        return extended
-    return written(last.written(lambda o, w: _ripple_of(last.robot, o) in names), judged)
-
-
 def _standing(found: Selection, judged: Measured) -> tuple[tuple[Step, ...], list[str], Written | None]:
     """Effects that stand, what speaks against others, and the robot without the first."""
     kept, refused = 0, []
@@ -140,27 +126,6 @@ def _standing(found: Selection, judged: Measured) -> tuple[tuple[Step, ...], lis
             kept = count
     first = played[0] if played else None
     return found.steps[:kept], [text for count, text in refused if count > kept], first
-
-
-def against_it(judged: Measured, before: Written, after: Written, joint: str) -> str:
-    """What positions that were opened last say against an effect on this joint, "" for all of them; empty where
-    nothing."""
-    floor, names = before.evidence.plain, before.robot.axis_names
-    nothing = shows_nothing(compared(before.residual, after.residual, floor, judged.frequency))
-    if nothing:
-        return nothing
-    old, new = (over_floor(x.residual, floor) for x in (before, after))
-    rise, gain = np.maximum(new**2 - np.maximum(old**2, FLOOR), 0.0), np.maximum(old**2 - new**2, 0.0)
-    worst = int(np.argmax(rise))
-    if np.sum(rise) > PRICE * np.sum(gain):
-        return f"with it the gap of {names[worst]} rises from {old[worst]:.3g} to {new[worst]:.3g} times the floor"
-    if joint not in names:
-        return ""
-    own = names.index(joint)
-    missed = tuple(relative_torque(judged, x.residual)[own] for x in (before, after))
-    if new[own] > max(old[own], FLOOR) or (missed[1] > RISES * missed[0] and new[own] > FLOOR / 2):
-        return f"with it the torque of {joint} itself is missed by {missed[1]:.2%}, by {missed[0]:.2%} without"
-    return ""
 
 
 def _verdict(
@@ -233,7 +198,7 @@ def _named(step: Step, last: Fitted, given: Robot) -> Named:
         effect=effect,
         joint=joint,
         parameters={n: EstimatedValue(float(v), float(s), _unit(effect, n)) for n, (v, s) in estimates.items()}
-        or _waves(effect),
+        or stated_waves(effect),
         p_value=step.on_select.p_value,
         equivalent=equivalent,
         separating_experiment="; ".join(f"{o}: {how}" for o, how in effect.confusable.items() if o in equivalent),
@@ -259,79 +224,6 @@ def _visible(effect, robot: Robot, joint: str) -> float:
     if typical.size != 1 or value.size != 1 or not typical or effect.nothing or not effect.grows:
         return 0.0
     return float(abs(value.item() / typical.item()))
-
-
-def _ripple_of(robot: Robot, order: Order) -> tuple[type[AbstractEffect], str]:
-    """Class and joint of the effect that an order of ripple is part of."""
-    (effect,) = ripple_effects(robot.axis_names, [order], np.ones((1, 2)))
-    return type(effect), str(effect.joint)
-
-
-def _loud_ripple(
-    last: Fitted, extended: Written, there: Written | None, deciding: Measured, judged: Measured
-) -> tuple[Named, ...]:
-    """Ripple that is more than motors have, and without which more is beyond the floor on positions that chose nothing,
-    `deciding`; `there`: the robot on these."""
-    robot = last.robot
-    loud = [(o, w) for o, w in last.waves if is_loud(robot, o, w)]
-    effects = ripple_effects(robot.axis_names, [o for o, _ in loud], np.array([w for _, w in loud]).reshape(-1, 2))
-    effects = [effect for effect in effects if _loudness(effect, robot) >= LEAST_SIZE]
-    if there is None:
-        return ()
-    found = []
-    for effect in effects:
-        quiet = _quiet(last, (type(effect), str(effect.joint)))
-        before, heldout = shared(functools.partial(written, quiet), (deciding, judged), lapack_threads())
-        if before is None or heldout is None:
-            continue
-        named = _ripple(
-            effect, last, compared(before.residual, there.residual, before.evidence.plain, deciding.frequency)
-        )
-        against = _holds_none(named) or against_it(deciding, before, there, str(effect.joint))
-        if not against and not against_it(judged, heldout, extended, str(effect.joint)):
-            found.append(named)
-    return tuple(found)
-
-
-def _holds_none(ripple: Named) -> bool:
-    """Whether the interval of every order's amplitude holds nothing: neighbours that only together explain anything,
-    where a motor hardly turns."""
-    amplitudes = [value for name, value in ripple.parameters.items() if name.startswith("amplitude")]
-    return all(a.value < 1.96 * a.std for a in amplitudes)
-
-
-def _quiet(last: Fitted, own: tuple[type[AbstractEffect], str]) -> Robot:
-    """The robot as it would be written without the loud ripple of one motor."""
-    return last.written(lambda o, w: _ripple_of(last.robot, o) == own and is_loud(last.robot, o, w))
-
-
-def _waves(effect, covariance: Mapping[float, np.ndarray] | None = None) -> dict[str, EstimatedValue]:
-    """Amplitudes, orders and phases of ripple. `covariance`: of the coefficients of sine and cosine, by order; without
-    it intervals are not known."""
-    values = {}
-    for name in ("amplitude", "teeth", "order", "phase"):
-        row = np.ravel(np.asarray(getattr(effect, name, []), float))
-        for i, value in enumerate(row):
-            place = name if len(row) == 1 else f"{name}_{i + 1}"
-            known = (covariance or {}).get(float(effect.order[i])) if name in ("amplitude", "phase") else None
-            std = float("nan") if known is None else polar_deviation(effect.amplitude[i], effect.phase[i], known)[name]
-            values[place] = EstimatedValue(float(value), std, effect.units[name])
-    return values
-
-
-def _loudness(effect, robot: Robot) -> float:
-    """Largest amplitude over the just visible one."""
-    typical = type(effect).typical(robot, effect.joint)
-    return float(np.max(np.asarray(effect.amplitude)) / np.max(np.asarray(typical.amplitude)))
-
-
-def _ripple(effect, last: Fitted, gain: Comparison) -> Named:
-    visible = _loudness(effect, last.robot)
-    kind = "torque" if isinstance(effect, TorqueRipple) else "resolver"
-    axis = last.robot.axis_names.index(effect.joint)
-    p_value, values = last.wave_p_value(kind, axis), _waves(effect, last.wave_covariance(kind, axis))
-    explains = float(np.clip(gain.gain, 0.0, 1.0))
-    return Named(effect, effect.joint, values, max(p_value, gain.p_value), (), "", explains, visible)
 
 
 def counting(record: Measured, robot: Robot) -> tuple[Named, ...]:

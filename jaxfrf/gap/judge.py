@@ -13,7 +13,7 @@ from ..robot import Robot
 from ..trajectory.alike import alike_as_written
 from ..trajectory.evidence import Evidence, band_edges
 from ..trajectory.measured import Measured
-from .settings import BLOCKS, FLOOR, LEAST_GAIN, NEAR, SIGNIFICANT, TOOTH
+from .settings import BLOCKS, FLOOR, LEAST_GAIN, NEAR, PRICE, RISES, SIGNIFICANT, TOOTH
 
 _FLIPS = 4096  # of signs; all of them, where there are fewer
 _LEVEL = 0.95  # one-sided, of an interval
@@ -110,6 +110,27 @@ def shows_nothing(result: Comparison, least: float = LEAST_GAIN, own: float = 0.
         f"on the positions that decide it takes away {result.gain:.0%} of what is beyond the floor, p = "
         f"{result.p_value:.2g}"
     )
+
+
+def against_it(judged: Measured, before: Written, after: Written, joint: str) -> str:
+    """What positions that were opened last say against an effect on this joint, "" for all of them; empty where
+    nothing."""
+    floor, names = before.evidence.plain, before.robot.axis_names
+    nothing = shows_nothing(compared(before.residual, after.residual, floor, judged.frequency))
+    if nothing:
+        return nothing
+    old, new = (over_floor(x.residual, floor) for x in (before, after))
+    rise, gain = np.maximum(new**2 - np.maximum(old**2, FLOOR), 0.0), np.maximum(old**2 - new**2, 0.0)
+    worst = int(np.argmax(rise))
+    if np.sum(rise) > PRICE * np.sum(gain):
+        return f"with it the gap of {names[worst]} rises from {old[worst]:.3g} to {new[worst]:.3g} times the floor"
+    if joint not in names:
+        return ""
+    own = names.index(joint)
+    missed = tuple(relative_torque(judged, x.residual)[own] for x in (before, after))
+    if new[own] > max(old[own], FLOOR) or (missed[1] > RISES * missed[0] and new[own] > FLOOR / 2):
+        return f"with it the torque of {joint} itself is missed by {missed[1]:.2%}, by {missed[0]:.2%} without"
+    return ""
 
 
 def is_near(result: Comparison, before: float) -> bool:

@@ -15,10 +15,11 @@ from jaxfrf import effects as fx
 from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
 from jaxfrf.effects._harmonics import polar_deviation
-from jaxfrf.gap.conclude import against_it, close_rivals, counting
+from jaxfrf.gap.conclude import close_rivals, counting
 from jaxfrf.gap.fitted import Fitted
 from jaxfrf.gap.hypothesis import hypothesis
-from jaxfrf.gap.judge import beyond, compared, over_floor
+from jaxfrf.gap.judge import against_it, beyond, compared, over_floor
+from jaxfrf.gap.loud_ripple import holds_no_ripple
 from jaxfrf.gap.maps import shown_samples
 from jaxfrf.gap.rank import Scored, is_had
 from jaxfrf.gap.records import split
@@ -328,6 +329,15 @@ def test_candidates_that_are_fitted():
     assert chosen([best, made("b", 0.1)], ()) == [best]
     assert chosen([unseen, number], ()) == [number]
     assert chosen([unseen, made("c", 0.001)], ()) == []
+
+
+def test_neighbouring_orders_that_are_told_together_only_are_not_named():
+    """Where a motor hardly turns, orders 1 and 2 cancel: each may be anything."""
+    order = lambda value, std: SimpleNamespace(value=value, std=std)
+    told = lambda **values: {"order_1": order(1.0, np.nan), **values}
+    assert holds_no_ripple(told(amplitude_1=order(0.030, 0.077), amplitude_2=order(0.026, 0.066)))
+    assert not holds_no_ripple(told(amplitude_1=order(0.030, 0.077), amplitude_2=order(0.026, 0.006)))
+    assert not holds_no_ripple(told(amplitude=order(0.030, 0.010)))
 
 
 def test_what_a_spring_is_confused_with_is_fitted_beside_it():
