@@ -70,8 +70,8 @@ def exponential(A: Complex[Array, "n n"]) -> tuple[Complex[Array, "n n"], Float[
     third, powers = product(A, second), (jnp.eye(n, dtype=A.dtype), A, second)
     result = jnp.zeros_like(A)
     for first in reversed(range(0, _TERMS + 1, 3)):
-        block = sum(powers[k] / math.factorial(first + k) for k in range(3) if first + k <= _TERMS)
-        result = block if first + 3 > _TERMS else product(result, third) + block
+        some = [powers[k] / math.factorial(first + k) for k in range(3) if first + k <= _TERMS]
+        result = product(result, third) + functools.reduce(jnp.add, some)
 
     def squared(step, X):
         return jnp.where(step < times, product(X, X), X)

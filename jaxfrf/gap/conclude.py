@@ -24,10 +24,11 @@ from .judge import (
     written,
 )
 from .loud_ripple import loud_ripple, stated_waves, without_ripple
+from .one_round import Step, said
 from .quantised import resolution
 from .records import Records
 from .result import EstimatedValue, Named
-from .selection import Selection, Step, said
+from .selection import Selection
 from .settings import (
     DATA_SHARE,
     EXPLAINED,

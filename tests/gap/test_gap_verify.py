@@ -21,9 +21,9 @@ from jaxfrf.gap.hypothesis import hypothesis
 from jaxfrf.gap.judge import against_it, beyond, compared, over_floor
 from jaxfrf.gap.loud_ripple import holds_no_ripple
 from jaxfrf.gap.maps import shown_samples
+from jaxfrf.gap.one_round import costs_of
 from jaxfrf.gap.rank import Scored, is_had
 from jaxfrf.gap.records import split
-from jaxfrf.gap.selection import _costs
 from jaxfrf.gap.shortlist import chosen, confused
 from jaxfrf.robot import Tolerances
 from jaxfrf.trajectory.alike import alike, alike_as_written
@@ -368,7 +368,7 @@ def test_candidates_are_compared_over_the_highest_of_their_floors():
         return SimpleNamespace(iterate=iterate, left=np.array(left), prior_cost=prior)
 
     without, with_it = fitted([1e-4, 1.0], [2.0, 9.0]), fitted([0.01, 1.0], [0.02, 1.0], 3.0)
-    np.testing.assert_allclose(_costs([with_it, without]), [(2**2 + 1) / 2 + 3, (200**2 + 81) / 2])
+    np.testing.assert_allclose(costs_of([with_it, without]), [(2**2 + 1) / 2 + 3, (200**2 + 81) / 2])
 
 
 def test_rivals_that_are_named_too():
