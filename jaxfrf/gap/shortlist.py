@@ -1,7 +1,7 @@
 """Which candidates of a ranking are fitted."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 from ..effects import AbstractEffect, library
 from ..robot import Robot
@@ -33,22 +33,22 @@ def _stands(this: Scored, had: Had) -> bool:
 def imitated(scored: Sequence[Scored], joints: Collection[str], disbelieved: Collection[str], had: Had) -> list[Scored]:
     """Effects that a joint's numbers imitate to first order: of these joints, and of those with such a number that is
     off by more than is known."""
-    best: dict[Key, Scored] = {}
-    for this in scored:
-        by = [f"{this.joint}.{kind}" for kind in this.effect.imitated_by]
-        if by and (this.joint in joints or any(name in disbelieved for name in by)) and not _stands(this, had):
-            best.setdefault(this.key, this)
-    return list(best.values())
+    off = lambda this: any(f"{this.joint}.{kind}" in disbelieved for kind in this.effect.imitated_by)
+    return _imitable(scored, had, lambda this: this.joint in joints or off(this))
 
 
 def confused(scored: Sequence[Scored], effect: AbstractEffect, own: Key, had: Had, robot: Robot) -> list[Scored]:
     """Effects that this one is confused with on its joint, and that numbers imitate to first order: what they promise
     says little. Those that promise nothing are as they are just visible on this robot."""
-    best: dict[Key, Scored] = {}
     others = [kind for name, kind in library().items() if name in effect.confusable and kind.imitated_by]
     unseen = [Scored(kind.typical(robot, own[1]), own[1], 0.0, math.nan, 1.0) for kind in others if own[1]]
-    for this in (*scored, *unseen):
-        other = this.joint == own[1] and this.key[0] in effect.confusable
-        if other and this.effect.imitated_by and not _stands(this, had):
+    return _imitable((*scored, *unseen), had, lambda this: this.joint == own[1] and this.key[0] in effect.confusable)
+
+
+def _imitable(scored: Sequence[Scored], had: Had, is_wanted: Callable[[Scored], bool]) -> list[Scored]:
+    """The best of each effect and joint that numbers imitate, of those that are wanted and not there already."""
+    best: dict[Key, Scored] = {}
+    for this in scored:
+        if this.effect.imitated_by and is_wanted(this) and not _stands(this, had):
             best.setdefault(this.key, this)
     return list(best.values())
