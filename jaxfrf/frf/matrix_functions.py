@@ -1,15 +1,13 @@
-"""Functions of square matrices: by their eigenvalues, with derivatives; the exponential by its series."""
+"""Functions of square matrices by their eigenvalues, with derivatives."""
 
 import functools
-import math
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Complex, Float
 
 from .._types import Array
-from .inverse import inverse, product
+from .inverse import inverse
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -49,34 +47,3 @@ def _eigen(A):
 
 def _composed(values, V, V_inverse):
     return (V * values[..., None, :]) @ V_inverse
-
-
-_TERMS = 12  # of the series: where the norm is 1/2 at most, the next are below 4e-14
-_SQUARINGS = 10  # norms up to 512, once the mean eigenvalue is taken off: a logarithm's are some tens
-
-
-def exponential(A: Complex[Array, "n n"]) -> tuple[Complex[Array, "n n"], Float[Array, ""]]:
-    """e^A, and the norm of A less its mean eigenvalue (Frobenius), which is to be below 512.
-
-    The Taylor series of A/2^s, squared s times (Moler & Van Loan, SIAM Review 45, 2003, method 3): a quarter of the
-    time of eigenvalues, and accurate where eigenvectors are parallel."""
-    n = A.shape[-1]
-    mean = jnp.trace(A) / n
-    A = A - mean * jnp.eye(n)
-    norm = jnp.sqrt(jnp.sum(jnp.square(A.real) + jnp.square(A.imag)))
-    times = jnp.ceil(jnp.clip(jnp.log2(jnp.maximum(2.0 * jax.lax.stop_gradient(norm), 1.0)), 0.0, _SQUARINGS))
-    A = A / 2.0**times
-    second = product(A, A)
-    third, powers = product(A, second), (jnp.eye(n, dtype=A.dtype), A, second)
-    result = jnp.zeros_like(A)
-    for first in reversed(range(0, _TERMS + 1, 3)):
-        some = [powers[k] / math.factorial(first + k) for k in range(3) if first + k <= _TERMS]
-        result = product(result, third) + functools.reduce(jnp.add, some)
-
-    def squared(step, X):
-        return jnp.where(step < times, product(X, X), X)
-
-    return jnp.exp(mean) * jax.lax.fori_loop(0, _SQUARINGS, squared, result), norm
-
-
-LARGEST_NORM = 0.5 * np.exp2(_SQUARINGS)
