@@ -43,12 +43,14 @@ def program(function):
 @functools.cache
 def _known_options() -> dict | None:
     """Those of the options that this version of XLA has."""
-    return {name: value for name, value in _OPTIONS.items() if _is_known(name, value)} or None
+    if _are_known(_OPTIONS):
+        return _OPTIONS
+    return {name: value for name, value in _OPTIONS.items() if _are_known({name: value})} or None
 
 
-def _is_known(name: str, value) -> bool:
+def _are_known(options: dict) -> bool:
     try:
-        jax.jit(lambda: 0, compiler_options={name: value})()
+        jax.jit(lambda: 0, compiler_options=options)()
     except jax.errors.JaxRuntimeError:
         return False
     return True

@@ -158,7 +158,8 @@ def _given(scene: Scene) -> Signature:
 
 
 def _resists(effect: AbstractEffect) -> bool:
-    """Whether an effect is a torque beside those of the robot: what changes the robot is in its numbers."""
+    """Whether an effect is a torque beside those of the robot: what changes the robot is in its numbers, and ripple may
+    be room for some (`alike`)."""
     elsewhere = isinstance(effect, AbstractStructure | AbstractActuator | AbstractSensor | AbstractLinkSensor)
     return not elsewhere and bool(np.any(np.asarray(getattr(effect, "amplitude", 1.0))))
 

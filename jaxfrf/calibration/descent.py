@@ -32,7 +32,7 @@ _WORSE = 1.05  # of what was left: ripple with which more is left is not simulat
 
 
 class Descent:
-    """A robot's numbers on their way, round by round. `smoothing`: as of `Search`.
+    """A robot's numbers on their way, round by round. `difference`: as of `Search`.
 
     **Fields:** `iterate`: the last simulation. `near`: whether the robot is so near the truth that ripple and the
     smoothing of its friction are simulated. `inside`: ripple that it had beside the robot's own. `settled`: whether the
@@ -46,10 +46,10 @@ class Descent:
         numbers: Sequence[Number],
         say: Say,
         beside: Sequence[Column] = (),
-        smoothing: Difference | None = None,
+        difference: Difference | None = None,
     ):
         self.robot, self.record, self.numbers, self.say, self.beside = robot, record, numbers, say, tuple(beside)
-        self.smoothing = smoothing
+        self.difference = difference
         self.settled, self._rounds = False, 0
         self._before: float | None = None  # misfit of the round before
 
@@ -95,7 +95,7 @@ class Descent:
         # Laws of friction with a smoothing of their own tell it together with the robot's.
         by_difference = near and not any(isinstance(e, AbstractFriction) for e in robot.effects)
         self.search = Search(
-            robot, self.record, self.numbers, self.say, self.beside, orders, by_difference, self.smoothing
+            robot, self.record, self.numbers, self.say, self.beside, orders, by_difference, self.difference
         )
         self.search.floor = floor
 

@@ -50,7 +50,7 @@ class Iterate(eqx.Module):
     """A point x of the Gauss-Newton search: the robot simulated there, and the step that follows.
 
     **Fields:** `misfit`: mean square over the plain floor that ripple alone leaves. `left`: what all columns leave;
-    `rest`: that itself, N m. `smoothing`: the column of the friction's smoothing, where it was simulated.
+    `rest`: that itself, N m. `difference`: the column of the friction's smoothing, where it was simulated.
     `start_floor`: the floor that it began with, and with which it can be made again; `None`: the plain one.
     """
 
@@ -62,7 +62,7 @@ class Iterate(eqx.Module):
     misfit: float
     left: float
     rest: Complex[np.ndarray, "pos exp line axis"]
-    smoothing: "Difference | None"
+    difference: Difference | None
     start_floor: Float[np.ndarray, "line axis"] | None
 
     def without_columns(self) -> "Iterate":
@@ -77,7 +77,7 @@ class Search:
     columns correct them. `by_difference`: whether the column of the friction's smoothing is the difference of two
     simulations: a motor that stands still for a moment moves as its friction lets it, and the column along a given
     motion is many times too large. The smoothing is not simulated finer than the robot's steps follow; beyond, its
-    column stands beside the robot. `smoothing`: that column, where it is known from another robot nearby.
+    column stands beside the robot. `difference`: that column, where it is known from another robot nearby.
 
     All rounds with their beginning and end: `descent`."""
 
@@ -90,13 +90,13 @@ class Search:
         beside: Sequence[Column] = (),
         inside: Sequence[Order] = (),
         by_difference: bool = False,
-        smoothing: Difference | None = None,
+        difference: Difference | None = None,
     ):
         self.robot, self.record, self.numbers, self.say = robot, record, numbers, say
         kinds = [n.kind for n in numbers]
         self.smoothing = kinds.index("smoothing") if "smoothing" in kinds else -1
         self.by_difference = by_difference and self.smoothing >= 0
-        self._difference = smoothing
+        self._difference = difference
         self.floor: np.ndarray | None = None
         self.beside = tuple(beside)
         self.inside = {order_key(o) for o in inside}
@@ -135,9 +135,9 @@ class Search:
         evidence.forget()
         rest = remainder(evidence, weighed, posterior.change)
         left = mean_square(rest / evidence.plain)
-        smoothing = self._difference if self.by_difference else None
+        difference = self._difference if self.by_difference else None
         x = np.asarray(x, float)
-        return Iterate(x, evidence, weighed, orders, posterior, misfit, left, rest, smoothing, start_floor)
+        return Iterate(x, evidence, weighed, orders, posterior, misfit, left, rest, difference, start_floor)
 
     def further(self, iterate: Iterate, more: bool) -> Iterate | None:
         """The next robot, by a step that is short enough to leave less."""

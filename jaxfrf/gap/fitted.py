@@ -21,9 +21,8 @@ from ..calibration.ripple import TRIED, found_waves
 from ..calibration.rounds import Kept, Rounds
 from ..calibration.search import Difference, Iterate
 from ..robot import Robot, Tolerances
-from ..trajectory.evidence import Evidence
 from ..trajectory.measured import Measured
-from ..trajectory.remainder import excess
+from ..trajectory.remainder import excess, steady_seen
 from ..trajectory.ripple import Order, Wave, with_ripple
 from .settings import FAR, FLOOR, LINK_ERROR, OTHERS, OUT_OF_TOLERANCE, PROMISING, ROUNDS, SLOW
 
@@ -170,14 +169,6 @@ class Fitted(eqx.Module):
         return with_numbers(with_ripple(self.robot, waves), self.numbers, x)
 
 
-def steady_seen(evidence: Evidence) -> Float[np.ndarray, "line axis"]:
-    """The floor with the steady torque's as that of the lines beside it: its own follows what is left of it, and a
-    torque that is missing at all times would not be seen."""
-    floor = evidence.floor.copy()
-    floor[0] = np.minimum(floor[0], np.maximum(evidence.plain[0], floor[1]))
-    return floor
-
-
 def is_loud(robot: Robot, order: Order, wave: Sequence[float]) -> bool:
     """Whether ripple is more than motors usually have."""
     return float(np.hypot(wave[0], wave[1])) > order.loud(robot)
@@ -202,7 +193,7 @@ def as_given(robot: Robot, record: Measured, say: Say) -> Fitted:
 def fitted_from(robot: Robot, unknown: Tolerances, record: Measured, start: Fitted, say: Say, rounds: int) -> Fitted:
     """A robot with other effects or tolerances, its numbers from where those of `start` are."""
     fit = RobotFit.beside(start, robot, unknown, record, say)
-    fit.finish(rounds - 1)
+    fit.go_on(rounds - 1)
     return fit.found
 
 
@@ -235,12 +226,13 @@ class RobotFit:
     compiled."""
 
     def __init__(
-        self, robot: Robot, unknown: Tolerances, record: Measured, say: Say, smoothing: Difference | None = None
+        self, robot: Robot, unknown: Tolerances, record: Measured, say: Say, difference: Difference | None = None
     ):
         self.numbers = numbers(robot.with_tolerances(unknown))
         self.robot, self.unknown, self.record, self.say = robot, unknown, record, say
-        self.descent = Descent(robot, record, self.numbers, lambda text: None, smoothing=smoothing)
+        self.descent = Descent(robot, record, self.numbers, lambda text: None, difference=difference)
         self.kept = Rounds(None, robot, self.numbers, record, ())
+        self.is_beside = False
 
     @classmethod
     def beside(
@@ -259,7 +251,8 @@ class RobotFit:
         same_motion = np.array_equal(
             np.asarray(record.data.q), [scene.still.q for scene in start.iterate.evidence.scenes]
         )
-        fit = cls(robot, unknown, record, say, start.iterate.smoothing if same_motion else None)
+        fit = cls(robot, unknown, record, say, start.iterate.difference if same_motion else None)
+        fit.is_beside = True
         known = {n.name: (n, float(x)) for n, x in zip(start.numbers, start.x, strict=True) if n.name not in anew}
         x = np.array([_begins(n, known) for n in fit.numbers])
         fit.begin(_kept(x, start.iterate.orders, steady_seen(start.iterate.evidence), start.near, start.inside))
@@ -278,14 +271,8 @@ class RobotFit:
         self.kept.done[-1] = dataclasses.replace(self.kept.done[-1], round=round)
 
     def go_on(self, rounds: int) -> None:
-        """So many rounds, fewer where the misfit does not come down to the floor by itself, nor by the next step."""
-        self._go_on(rounds, False)
-
-    def finish(self, rounds: int) -> None:
-        """The same of a robot that began where another stood; below the floor no round more than steps promise."""
-        self._go_on(rounds, True)
-
-    def _go_on(self, rounds: int, is_last: bool) -> None:
+        """So many rounds, fewer where the misfit does not come down to the floor by itself, nor by the next step; and
+        beside another robot, where below the floor the next step brings nothing."""
         left = self._excess()
         for further in reversed(range(rounds)):
             was_near, iterate = self.descent.near, self.descent.iterate
@@ -293,7 +280,7 @@ class RobotFit:
                 break
             now, before, left = self.descent.iterate, left, self._excess()
             self.say(f"    {now.misfit**0.5:.3g} times the floor, at most {left**0.5:.3g} behind the next step")
-            if is_last and self.descent.near and self.descent.rests and now.misfit < FLOOR:
+            if self.is_beside and self.descent.near and self.descent.rests and now.misfit < FLOOR:
                 break
             slow = now.misfit > SLOW * iterate.misfit and now.left > SLOW * iterate.left and left > SLOW * before
             end = left * min(left / before, 1.0) ** further  # where it would come at this pace

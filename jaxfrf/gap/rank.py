@@ -16,11 +16,11 @@ from ..robot import Robot
 from ..trajectory.evidence import Gram, parts_beside, put_over_floor, scattered
 from ..trajectory.joined import places
 from ..trajectory.measured import Measured
-from ..trajectory.remainder import remainder
+from ..trajectory.remainder import remainder, steady_seen
 from ..trajectory.ripple import gear_orders
 from ..trajectory.signature import signature
 from .candidates import Candidate, candidates
-from .fitted import Fitted, steady_seen
+from .fitted import Fitted
 from .settings import DISBELIEVED, OWN
 
 _RIDGE = 1e-9  # of a column's square: products are made in single precision
@@ -165,7 +165,7 @@ def _set_free(view: Fitted, record: Measured, cost: float) -> list[Scored]:
         typical, joint, own = errors[number.name]
         error = number.value(float(view.x[i])) - own.minus
         size = abs(error / float(getattr(typical, own.parameter)))
-        sure = p_values[i] < DISBELIEVED
+        sure = bool(p_values[i] < DISBELIEVED)
         effect = eqx.tree_at(operator.attrgetter(own.parameter), typical, error)
         found.append(Scored(effect, joint, float(statistic[i] ** 2 / cost), float(statistic[i]), size, sure))
     return found

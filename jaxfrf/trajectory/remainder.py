@@ -34,3 +34,11 @@ def usual_size(left, noise) -> Float[np.ndarray, "line axis"]:
     smooth = scipy.ndimage.uniform_filter1d(power[1:], _AROUND, axis=0, mode="nearest")
     steady = np.maximum(2.0 * power[:1], smooth[:1])
     return np.sqrt(np.maximum(np.concatenate([steady, smooth]), 0.5 * noise**2))
+
+
+def steady_seen(evidence: Evidence) -> Float[np.ndarray, "line axis"]:
+    """The floor with the steady torque's as that of the lines beside it: its own follows what is left of it, and a
+    torque that is missing at all times would not be seen."""
+    floor = evidence.floor.copy()
+    floor[0] = np.minimum(floor[0], np.maximum(evidence.plain[0], floor[1]))
+    return floor

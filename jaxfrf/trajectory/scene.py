@@ -176,12 +176,10 @@ class Scene:
         steady = course[:, :1].real * (direction @ self.still.compliance[0].real)
         return course[..., None] * column + self._settled(steady)
 
-    def _settled(self, moved: Float[np.ndarray, "*more exp dof"]) -> Complex[np.ndarray, "*more exp line axis"] | float:
+    def _settled(self, moved: Float[np.ndarray, "*more exp dof"]) -> Complex[np.ndarray, "*more exp line axis"]:
         """What a small shift of the springs' points of rest asks: their stiffness there is another."""
         bent, stiffer = self._settling
         shift = moved @ self._springs[:, bent]
-        if not np.any(shift):
-            return 0.0
         return np.einsum("...es,sela->...ela", shift, stiffer[:, : shift.shape[-2]])
 
     @cached_property
