@@ -111,11 +111,13 @@ def solve(gram: Gram, numbers: Sequence[Number], x: Float[np.ndarray, "number"])
     def change_by(information, score, effect):
         return np.linalg.solve(information / effect + np.diag(prior), score / effect - prior * at)
 
-    effect, known, most = 1.0, _known_directions(whole), float(gram.count * len(gram.b))
+    effect, known = 1.0, _known_directions(whole)
     for _ in range(_ROUNDS):
-        effect = min(max(_design_effect(A, b, known, change_by(whole, right, effect)), 1.0), most)
-    without = [change_by(_information(whole - a), right - c, effect) for a, c in zip(A, b, strict=True)]
+        effect = max(_design_effect(A, b, known, change_by(whole, right, effect)), 1.0)
     normal, change = whole / effect + np.diag(prior), change_by(whole, right, effect)
+    without = [change]  # of one cluster alone: nothing is left without it
+    if len(A) > 1:
+        without = [change_by(_information(whole - a), right - c, effect) for a, c in zip(A, b, strict=True)]
     left = float(gram.rr.sum() - 2.0 * right @ change + change @ whole @ change) / effect
     return Posterior(change, effect, normal, np.array(without), prior, left)
 

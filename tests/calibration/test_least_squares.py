@@ -45,3 +45,17 @@ def test_columns_that_do_not_cancel_are_told_as_before():
     posterior = solve(gram, numbers, np.zeros(2))
     widened = with_column_errors(posterior, gram, np.full(2, ERROR))
     np.testing.assert_allclose(widened.half_width(), posterior.half_width(), rtol=1e-3)
+
+
+def test_one_run_has_no_other():
+    """A step from one run is that of regularised least squares; without it nothing is left, which is no error."""
+    rng, prior = np.random.default_rng(7), np.where(np.arange(40) < 20, 1.0, 0.0)
+    columns, right = rng.standard_normal((1, 40, 300)) * np.logspace(-3, 3, 40)[:, None], rng.standard_normal((1, 300))
+    gram = Gram(
+        columns @ columns.swapaxes(1, 2), np.einsum("rjn,rn->rj", columns, right), np.sum(right**2, 1), np.zeros(1), 300
+    )
+    posterior = solve(gram, [types.SimpleNamespace(prior=p) for p in prior], np.zeros(40))
+    rows = np.concatenate([columns[0].T, np.diag(np.sqrt(prior))])
+    theirs = np.linalg.lstsq(rows, np.concatenate([right[0], np.zeros(40)]), rcond=None)[0]
+    np.testing.assert_allclose(posterior.change, theirs, rtol=1e-6)
+    assert posterior.effect == 1.0 and posterior.by_cluster.shape == (1, 40)
