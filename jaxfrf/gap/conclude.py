@@ -1,6 +1,5 @@
 """What stands of a selection once the held-out positions are opened: verdict, words, effects, the robot to write."""
 
-import functools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -18,7 +17,6 @@ from .judge import (
     Written,
     against_it,
     compared,
-    each_written,
     relative_torque,
     simulated,
     written,
@@ -60,10 +58,13 @@ def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
     """The verdict: effects stand as far as the robot written with each makes the gap on the held-out positions smaller
     than that of the one before."""
     judged, deciding = records.every.at(records.judged), records.deciding
-    steps, refused, before = _standing(found, judged)
-    last = found.last if len(steps) == len(found.steps) else steps[-1].found if steps else found.base
-    end = last.written()
-    extended, there = shared(functools.partial(written, end), (judged, deciding), lapack_threads())
+    opened = _opened(found, judged, deciding)
+    steps, refused = _standing(found.steps, opened, judged)
+    last, before = found.last, opened.before[0] if steps else None
+    extended, there = opened.after[-1], opened.there
+    if len(steps) < len(found.steps):
+        last = steps[-1].found if steps else found.base
+        extended, there = _each_there([(last.written(), judged), (last.written(), deciding)])
     extended = extended or simulated(given, judged)
     louder = loud_ripple(last, extended, there, deciding, judged)
     effects = (*(_named(step, last, given) for step in steps), *louder, *counting(records.whole, given))
@@ -111,11 +112,33 @@ def _at_all_positions(last: Fitted, records: Records) -> tuple[Records, Fitted, 
     return (records, fit, there, worst) if there is not None and worst <= UNEXPLAINED else None
 
 
-def _standing(found: Selection, judged: Measured) -> tuple[tuple[Step, ...], list[str], Written | None]:
-    """Effects that stand, what speaks against others, and the robot without the first."""
+class _Opened(eqx.Module):
+    """Robots as they would be written, where the held-out positions are opened: `before` and `after` every effect, the
+    last of these with what was fitted last; `there`: that one on positions that decide. `None` where one cannot be
+    simulated."""
+
+    before: tuple[Written | None, ...]
+    after: tuple[Written | None, ...]
+    there: Written | None
+
+
+def _opened(found: Selection, judged: Measured, deciding: Measured) -> _Opened:
+    end, steps = found.last.written(), found.steps
+    before = [step.without for step in steps]
+    after = [*(step.found.written() for step in steps[:-1]), end]
+    played = _each_there([*((robot, judged) for robot in (*before, *after)), (end, deciding)])
+    return _Opened(tuple(played[: len(before)]), tuple(played[len(before) : -1]), played[-1])
+
+
+def _each_there(pairs: Sequence[tuple[Robot, Measured]]) -> list[Written | None]:
+    """Each robot as it would be written on its record; the cores share them."""
+    return shared(lambda pair: written(*pair), pairs, lapack_threads())
+
+
+def _standing(steps: Sequence[Step], opened: _Opened, judged: Measured) -> tuple[tuple[Step, ...], list[str]]:
+    """Effects that stand, and what speaks against others."""
     kept, refused = 0, []
-    played = each_written([r for step in found.steps for r in (step.without, step.found.written())], judged)
-    for count, (step, before, after) in enumerate(zip(found.steps, played[::2], played[1::2], strict=True), 1):
+    for count, (step, before, after) in enumerate(zip(steps, opened.before, opened.after, strict=False), 1):
         against = "it cannot be simulated there" if after is None else ""
         if before is None and after is not None:
             against = "the robot without it cannot be simulated there"
@@ -125,8 +148,7 @@ def _standing(found: Selection, judged: Measured) -> tuple[tuple[Step, ...], lis
             refused.append((count, f"{said(step.key)} was taken back: {against}"))
         else:
             kept = count
-    first = played[0] if played else None
-    return found.steps[:kept], [text for count, text in refused if count > kept], first
+    return tuple(steps[:kept]), [text for count, text in refused if count > kept]
 
 
 def _verdict(

@@ -6,6 +6,7 @@ from jaxtyping import Float
 from .chain import Chain
 
 PER_LINK = 10  # mass, m c (3), inertia about the joint's origin (xx, yy, zz, xy, xz, yz)
+_MIXED = ((0, 1), (0, 2), (1, 2))
 
 
 def link_regressor(
@@ -27,29 +28,27 @@ def link_regressor(
     axis, offset, slides = np.asarray(chain.axis, float), np.asarray(chain.offset, float), chain.sliding
     turn, place = np.broadcast_to(np.eye(3)[..., None], (3, 3, count)), np.zeros((3, count))
     w, dw, a = np.zeros((3, count)), np.zeros((3, count)), -np.asarray(chain.gravity, float)[:, None] * np.ones(count)
-    axes, places = np.zeros((n, 3, count)), np.zeros((n, 3, count))
+    axes, places = np.zeros((3, n, count)), np.zeros((3, n, count))
+    sliding = np.array(slides)[:, None]
     Y = np.zeros((n, n, PER_LINK, count))
     for i in range(n):
-        arm = np.einsum("abt,b->at", turn, offset[i])
-        axes[i] = np.einsum("abt,b->at", turn, axis[i])
+        arm, along = _turned(turn, offset[i]), _turned(turn, axis[i])
         if slides[i]:
-            arm = arm + axes[i] * angle[i]
+            arm = arm + along * angle[i]
         a = a + _cross(dw, arm) + _cross(w, _cross(w, arm))
         place = place + arm
-        places[i] = place
+        axes[:, i], places[:, i] = along, place
         if slides[i]:
-            a = a + axes[i] * acceleration[i] + 2.0 * _cross(w, axes[i] * rate[i])
+            a = a + along * acceleration[i] + 2.0 * _cross(w, along * rate[i])
         else:
-            dw = dw + axes[i] * acceleration[i] + _cross(w, axes[i] * rate[i])
-            w = w + axes[i] * rate[i]
-            turn = np.einsum("abt,bct->act", turn, _rotation(axis[i], angle[i]))
-        own = lambda x, turn=turn: np.einsum("bat,bt->at", turn, x)
-        force, moment = _wrenches(own(w), own(dw), own(a))
-        for j in range(i + 1):
-            lever = axes[j] if slides[j] else _cross(axes[j], place - places[j])
-            Y[j, i] = np.einsum("pat,at->pt", force, own(lever))
-            if not slides[j]:
-                Y[j, i] += np.einsum("pat,at->pt", moment, own(axes[j]))
+            dw = dw + along * acceleration[i] + _cross(w, along * rate[i])
+            w = w + along * rate[i]
+            turn = _turned(turn[:, :, None], _rotation(axis[i], angle[i]))
+        pushing, place_of = axes[:, : i + 1], place[:, None] - places[:, : i + 1]
+        lever = np.where(sliding[: i + 1], pushing, _cross(pushing, place_of))
+        turned = np.where(sliding[: i + 1], 0.0, pushing)
+        own = [_turned_back(turn, x) for x in (w[:, None], dw[:, None], a[:, None], lever, turned)]
+        Y[: i + 1, i] = np.moveaxis(_needed(*own), 0, 1)
     return Y
 
 
@@ -60,22 +59,29 @@ def link_parameters(mass, com, inertia) -> Float[np.ndarray, "parameter"]:
     return np.concatenate([[mass], mass * np.array([x, y, z]), np.asarray(inertia, float) + mass * square])
 
 
-def _wrenches(w, dw, a):
-    """Force and moment about the joint's origin that each parameter needs, (parameter, 3, sample), own frame."""
-    count = w.shape[1]
-    force, moment = np.zeros((PER_LINK, 3, count)), np.zeros((PER_LINK, 3, count))
-    force[0] = a
-    for k in range(3):
-        unit = np.zeros((3, 1))
-        unit[k] = 1.0
-        unit = np.broadcast_to(unit, (3, count))
-        force[1 + k] = _cross(dw, unit) + _cross(w, _cross(w, unit))
-        moment[1 + k] = _cross(unit, a)
-    for p, (k, m) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]):
-        shape = np.zeros((3, 3))
-        shape[k, m] = shape[m, k] = 1.0
-        moment[4 + p] = shape @ dw + _cross(w, shape @ w)
-    return force, moment
+def _needed(w, dw, a, lever, axis) -> Float[np.ndarray, "parameter push sample"]:
+    """Torque about axes with these levers that each parameter needs, all in the link's own frame, (3, push, sample).
+
+    The force is m a + dw x c + w x (w x c), the moment about the origin c x a + J dw + w x J w, with c for m c: sums of
+    products with lever and axis, ordered by the parameters."""
+    first = _cross(lever, dw) + w * _product(w, lever) - lever * _product(w, w) + _cross(a, axis)
+    across = _cross(axis, w)
+    squares = axis * dw + across * w
+    mixed = [axis[k] * dw[m] + axis[m] * dw[k] + across[k] * w[m] + across[m] * w[k] for k, m in _MIXED]
+    return np.stack([_product(lever, a), *first, *squares, *mixed])
+
+
+def _product(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _turned(turn, x):
+    """A vector of the frame, the same at all samples, or the columns of another turn within it."""
+    return turn[:, 0] * x[0] + turn[:, 1] * x[1] + turn[:, 2] * x[2]
+
+
+def _turned_back(turn: Float[np.ndarray, "3 3 sample"], x: Float[np.ndarray, "3 push sample"]):
+    return turn[0][:, None] * x[0] + turn[1][:, None] * x[1] + turn[2][:, None] * x[2]
 
 
 def _cross(a, b):

@@ -1,6 +1,7 @@
 """What moves in a simulated robot at one position, and what a change of the robot would add to the motors' torque."""
 
 import dataclasses
+import math
 from functools import cached_property
 
 import equinox as eqx
@@ -20,7 +21,7 @@ from ..robot import (
     spring_directions,
 )
 from ..robot.drive import Friction, Spring
-from ..robot.regressor import link_regressor
+from ..robot.regressor import PER_LINK, link_regressor
 from ..simulation import Motion
 from ..simulation.plant import product
 from .frozen import Frozen
@@ -180,10 +181,13 @@ class Scene:
         """What a small shift of the springs' points of rest asks: their stiffness there is another."""
         bent, stiffer = self._settling
         shift = moved @ self._springs[:, bent]
-        return np.einsum("...es,sela->...ela", shift, stiffer[:, : shift.shape[-2]])
+        asked = stiffer.shape[2:]
+        pairs = stiffer.reshape(*stiffer.shape[:2], math.prod(asked)).view(float)  # real numbers, so that BLAS is used
+        found = np.stack([shift[..., e, :] @ pairs[e] for e in range(shift.shape[-2])], axis=-2)
+        return found.view(complex).reshape(*shift.shape[:-1], *asked)
 
     @cached_property
-    def _settling(self) -> tuple[np.ndarray, Complex[np.ndarray, "spring exp line axis"]]:
+    def _settling(self) -> tuple[np.ndarray, Complex[np.ndarray, "exp spring line axis"]]:
         """Which springs are not linear, and what a shift of each asks, N m/rad, less the frozen robot's part of it."""
         law = self.robot.springs
         ratio = np.asarray(law.stiffness_ratio) if isinstance(law, Spring) else np.ones(self._springs.shape[1])
@@ -192,7 +196,7 @@ class Scene:
         course = self.spectrum(tangent[..., bent])
         course[:, 0] = 0.0
         columns = self.still.to_torque @ -self._springs[:, bent] / self.still.command[..., None]
-        return bent, np.einsum("els,las->sela", course, columns)
+        return bent, np.ascontiguousarray(np.einsum("els,las->esla", course, columns))
 
     def by_motor(self, axis: int, signal: Signal) -> Signature:
         """A torque against one motor."""
@@ -312,11 +316,16 @@ class Scene:
         signals = [np.zeros((robot.chain.n_joints, self._arm[0].shape[1])) for _ in range(3)]
         for whole, moving in zip(signals, self._arm, strict=True):
             whole[arm] = moving
-        Y = link_regressor(robot.chain, *signals)[arm]
-        forces = slopes.reshape(len(slopes), -1) @ Y.reshape(len(arm), -1, Y.shape[-1])  # (arm, change, exp sample)
-        runs = forces.reshape(*forces.shape[:2], len(self.z), -1)
-        courses = scipy.fft.rfft(runs, axis=-1)[..., : self.lines] / -runs.shape[-1]
-        return self.by_forces(np.moveaxis(courses, 0, -1), np.arange(robot.n_motors, robot.dof))
+        Y = link_regressor(robot.chain, *signals)
+        courses = np.zeros((len(slopes), len(self.z), self.lines, len(arm)), complex)
+        for link in range(robot.chain.n_joints):
+            changes = np.flatnonzero(np.any(slopes[:, link], axis=-1))
+            pushing = np.flatnonzero(arm <= link)  # a joint pushes what hangs on it
+            if len(changes) and len(pushing):
+                runs = Y[arm[pushing], link].reshape(len(pushing), PER_LINK, len(self.z), -1)
+                X = scipy.fft.rfft(runs, axis=-1)[..., : self.lines] / -runs.shape[-1]
+                courses[changes[:, None], ..., pushing] += np.tensordot(slopes[changes, link], X, (1, 1))
+        return self.by_forces(courses, np.arange(robot.n_motors, robot.dof))
 
     @cached_property
     def _friction(self):
