@@ -16,7 +16,7 @@ from .._types import Array
 from ..spectra import Spectra, changed_signals
 from .classical import H1
 from .covariance import OuterSum, sum_over, variances
-from .matrix_functions import matrix_function
+from .matrix_functions import LARGEST_NORM, exponential, matrix_function
 from .method import AbstractMethod, Estimate, Signals, arrays_of, on_host
 
 _CONDITION = 1e6  # of the eigenvectors: above it the matrix logarithm loses half of the digits
@@ -289,7 +289,8 @@ def _matrix_mean(G):
     logs, values, conditions = jax.vmap(lambda G_m: matrix_function(jnp.log, P @ G_m))(G[1:])
     log_mean = (first + logs.sum(axis=0)) / len(G)
     finite = jnp.isfinite(log_mean).all()
-    mean, _, _ = matrix_function(jnp.exp, jnp.where(finite, log_mean, 0))
+    mean, norm = exponential(jnp.where(finite, log_mean, 0))
+    finite &= norm < LARGEST_NORM
     unsafe = jnp.any(jnp.abs(jnp.angle(values)) > jnp.pi / 2)
     unsafe |= jnp.any(conditions > _CONDITION) | (condition > _CONDITION)
     return jnp.where(bad | ~usable | ~finite, jnp.nan, P_inverse @ mean), unsafe

@@ -1,13 +1,15 @@
-"""Functions of square matrices by their eigenvalues, with derivatives."""
+"""Functions of square matrices: by their eigenvalues, with derivatives; the exponential by its series."""
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Complex, Float
 
 from .._types import Array
-from .inverse import inverse
+from .inverse import inverse, product
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -47,3 +49,49 @@ def _eigen(A):
 
 def _composed(values, V, V_inverse):
     return (V * values[..., None, :]) @ V_inverse
+
+
+_TERMS = 12  # of the series: where the norm is 1/2 at most, the next are below 4e-14
+_LEAST = 1e-60  # square of an element over the largest: smaller ones tell no ratio
+_SQUARINGS = 10  # norms up to 512, once the mean eigenvalue is taken off: a logarithm's are some tens
+
+
+def exponential(A: Complex[Array, "n n"]) -> tuple[Complex[Array, "n n"], Float[Array, ""]]:
+    """e^A, and the norm of what the series takes: A balanced, less its mean eigenvalue (Frobenius), to be below 512.
+
+    The Taylor series of A/2^s, squared s times (Moler & Van Loan, SIAM Review 45, 2003, method 3): a quarter of the
+    time of eigenvalues, and accurate where eigenvectors are parallel. Channels of other units turn A into
+    diag(d) A diag(1/d): that is taken off before and put back behind."""
+    n = A.shape[-1]
+    mean, scale = jnp.trace(A) / n, _units(A)
+    A = (A - mean * jnp.eye(n)) * (scale / scale[:, None])
+    norm = jnp.sqrt(jnp.sum(jnp.square(A.real) + jnp.square(A.imag)))
+    times = jnp.ceil(jnp.clip(jnp.log2(jnp.maximum(2.0 * jax.lax.stop_gradient(norm), 1.0)), 0.0, _SQUARINGS))
+    A = A / 2.0**times
+    second = product(A, A)
+    third, powers = product(A, second), (jnp.eye(n, dtype=A.dtype), A, second)
+    result = jnp.zeros_like(A)
+    for first in reversed(range(0, _TERMS + 1, 3)):
+        terms = [powers[k] / math.factorial(first + k) for k in range(3) if first + k <= _TERMS]
+        block = functools.reduce(jnp.add, terms)
+        result = block if first + 3 > _TERMS else product(result, third) + block
+
+    def squared(step, X):
+        return jnp.where(step < times, product(X, X), X)
+
+    result = jax.lax.fori_loop(0, _SQUARINGS, squared, result)
+    return jnp.exp(mean) * result * (scale[:, None] / scale), norm
+
+
+def _units(A) -> Float[Array, " n"]:
+    """The d for which diag(1/d) A diag(d) has rows as large as columns, by the median of their elements' ratios, where
+    that makes A smaller; powers of 2, so that nothing is rounded."""
+    A = jax.lax.stop_gradient(A)
+    size = jnp.square(A.real) + jnp.square(A.imag)
+    logs = jnp.log2(jnp.maximum(size, _LEAST * size.max() + _LEAST))
+    d = jnp.exp2(jnp.round(0.25 * jnp.median(logs - logs.T, axis=1)))
+    better = jnp.sum(size * jnp.square(d / d[:, None])) < jnp.sum(size)
+    return jnp.where(better, d, 1.0)
+
+
+LARGEST_NORM = 0.5 * np.exp2(_SQUARINGS)
