@@ -70,10 +70,10 @@ def exponential(A: Complex[Array, "n n"]) -> tuple[Complex[Array, "n n"], Float[
     A = A / 2.0**times
     second = product(A, A)
     third, powers = product(A, second), (jnp.eye(n, dtype=A.dtype), A, second)
-    result = jnp.zeros_like(A)
+    result: Array = jnp.zeros_like(A)
     for first in reversed(range(0, _TERMS + 1, 3)):
         terms = [powers[k] / math.factorial(first + k) for k in range(3) if first + k <= _TERMS]
-        block = functools.reduce(jnp.add, terms)
+        block = jnp.sum(jnp.stack(terms), axis=0)
         result = block if first + 3 > _TERMS else product(result, third) + block
 
     def squared(step, X):
