@@ -20,6 +20,7 @@ from .judge import (
     is_near,
     over_floor,
     shows_nothing,
+    written,
 )
 from .rank import Scored, ranked
 from .records import Records
@@ -46,8 +47,8 @@ class Rival(eqx.Module):
 
 
 class Step(eqx.Module):
-    """An effect that was found. `found`: the robot with it. `without`: the last of those that it had to beat
-    (`to_beat`). `on_select`: against that. `cost`: over the cost before."""
+    """An effect that was found. `found`: the robot with it. `without`: the one that it had to beat (`to_beat`).
+    `on_select`: against that. `cost`: over the cost before."""
 
     hypothesis: Hypothesis
     scored: Scored
@@ -78,13 +79,13 @@ def out_of_tolerance_names(now: Fitted) -> list[str]:
     return [now.numbers[i].name for i in now.out_of_tolerance]
 
 
-def to_beat(now: Fitted, hypothesis: Hypothesis, found: Fitted, misses: bool) -> list[Robot]:
-    """The robots that an effect must beat: the one before, where something of it is beyond the floor, else the one
+def to_beat(now: Fitted, hypothesis: Hypothesis, found: Fitted, misses: bool) -> Robot:
+    """The robot that an effect must beat: the one before, where something of it is beyond the floor, else the one
     before with numbers that nobody believes as given; the same robot without it, where the effect is the error of a
     number: the one before had most of that error already."""
     if hypothesis.is_number:
-        return [found.written(given=[o.number for o in hypothesis.own])]
-    return [now.written() if misses else now.written(given=out_of_tolerance_names(now))]
+        return found.written(given=[o.number for o in hypothesis.own])
+    return now.written() if misses else now.written(given=out_of_tolerance_names(now))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,23 +129,35 @@ class Round:
         simulated = self._of_one_class(simulated)
         best, cost, its = simulated[0]
         name = said(best.hypothesis.key)
-        others = to_beat(self.now, best.hypothesis, best.found, self.misses)
-        is_now = self.misses and not best.hypothesis.is_number  # what it must beat, as `to_beat` has it
-        before = [self.there] if is_now and self.there else each_written(others, self.deciding)
+        robot, before = self._to_beat(best)
         floor, frequency = its.evidence.plain, self.deciding.frequency
-        versus = lambda one, two: compared(one.residual, two.residual, floor, frequency)
-        results = [versus(one, its) for one in before if one is not None]
-        for result in results:
-            self.say(
-                f"  {name}: {result.before:.3g} -> {result.after:.3g} beyond the floor on positions that decide, gain "
-                f"{result.gain:.1%} (from {result.least:.1%}), p = {result.p_value:.2g}"
-            )
-        against = _against(best, results, self._gain_on_its_axis(best, before, its)) or self._uncertain(best)
+        versus = lambda one: compared(one.residual, its.residual, floor, frequency)
+        if before is None:
+            return None, f"{name} was not taken: the robot without it cannot be simulated where it is decided"
+        result = versus(before)
+        self.say(
+            f"  {name}: {result.before:.3g} -> {result.after:.3g} beyond the floor on positions that decide, gain "
+            f"{result.gain:.1%} (from {result.least:.1%}), p = {result.p_value:.2g}"
+        )
+        against = self._against(best, result, before, its) or self._uncertain(best)
         if against:
             return None, f"{name} was not taken: {against}"
-        near = lambda w: is_near(versus(w, its), results[-1].before)
-        rivals = tuple(Rival(r.hypothesis.key, c, near(w)) for r, c, w in simulated[1:])
-        return Step(best.hypothesis, best.scored, best.found, others[-1], results[-1], cost, rivals), ""
+        rivals = tuple(Rival(r.hypothesis.key, c, is_near(versus(w), result.before)) for r, c, w in simulated[1:])
+        return Step(best.hypothesis, best.scored, best.found, robot, result, cost, rivals), ""
+
+    def _to_beat(self, best: _Candidate) -> tuple[Robot, Written | None]:
+        """The robot that a candidate must beat, and what it leaves on positions that decide."""
+        if self.there is not None and self.misses and not best.hypothesis.is_number:  # the one before, simulated there
+            return self.there.robot, self.there
+        robot = to_beat(self.now, best.hypothesis, best.found, self.misses)
+        return robot, written(robot, self.deciding)
+
+    def _against(self, best: _Candidate, result: Comparison, before: Written, its: Written) -> str:
+        """What the positions that decide say against an effect, in words; empty where nothing does. It may take away
+        little of all that is beyond the floor where another effect is louder, on another axis."""
+        if best.hypothesis.is_number:
+            return shows_nothing(result, EXPLAINED)
+        return shows_nothing(result, own=self._gain_on_its_axis(best, before, its))
 
     def _uncertain(self, best: _Candidate) -> str:
         """What its interval says against an effect; where few positions tell how much there is of it, those that
@@ -154,15 +167,13 @@ class Round:
             return against
         return _holds_none(best.hypothesis, on_all(best.found, self.records, self.say))
 
-    def _gain_on_its_axis(self, best: _Candidate, before: Sequence[Written | None], its: Written) -> float:
-        """Part of what is beyond the floor on the effect's own axis that it takes away, least of those it must beat."""
+    def _gain_on_its_axis(self, best: _Candidate, before: Written, its: Written) -> float:
+        """Part of what is beyond the floor on the effect's own axis that it takes away."""
         if best.hypothesis.joint not in self.now.robot.axis_names:
             return 0.0
         axis = self.now.robot.axis_names.index(best.hypothesis.joint)
         floor, frequency = its.evidence.plain[:, [axis]], self.deciding.frequency
-        own = lambda one: compared(one.residual[..., [axis]], its.residual[..., [axis]], floor, frequency)
-        gains = [own(one).gain for one in before if one is not None]
-        return min(gains, default=0.0)
+        return compared(before.residual[..., [axis]], its.residual[..., [axis]], floor, frequency).gain
 
     def _of_one_class(self, simulated):
         """The same, the first of them that of its class that leaves least on positions that decide: what the fit tells
@@ -265,14 +276,3 @@ def _holds_none(start: Hypothesis, found: Fitted) -> str:
     if abs(value - start.effect.nothing) < 1.96 * std:
         return f"its {name} is {value:.3g} +- {1.96 * std:.2g}, which holds none of it"
     return ""
-
-
-def _against(best: _Candidate, results: Sequence[Comparison], on_its_axis: float) -> str:
-    """What the positions that decide say against an effect, in words; empty where nothing does. `on_its_axis`: part of
-    what is beyond the floor there that it takes away: little of all of it where another effect is louder, on another
-    axis."""
-    if not results:
-        return "the robot without it cannot be simulated where it is decided"
-    number = best.hypothesis.is_number
-    each = (shows_nothing(r, EXPLAINED) if number else shows_nothing(r, own=on_its_axis) for r in results)
-    return next((text for text in each if text), "")

@@ -155,5 +155,5 @@ def _remembered(kept: KeptRound, now: Fitted, records: Records, misses: bool, sa
     details = kept.details
     rivals = tuple(Rival((name, joint), cost, near) for name, joint, cost, near in details["rivals"])
     scored = Scored(start.effect, start.joint, *details["scored"])
-    without = to_beat(now, start, found, misses)[-1]
+    without = to_beat(now, start, found, misses)
     return Step(start, scored, found, without, Comparison(*details["on_select"]), details["cost"], rivals)
