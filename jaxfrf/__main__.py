@@ -166,7 +166,7 @@ class _Parser(argparse.ArgumentParser):
         if commands and first is not None:
             return [] if first in commands else difflib.get_close_matches(first, commands, 1)
         said = [x.partition("=")[0] for x in self._asked if x.startswith("--") and len(x) > 2]
-        wrong = [x for x in said if not any(known.startswith(x) for known in options)]
+        wrong = [x for x in said if x not in options]
         return [near for x in wrong for near in difflib.get_close_matches(x, options, 1)]
 
 
@@ -177,6 +177,7 @@ def _parser() -> _Parser:
         "to what the model is missing.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"jaxfrf {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")

@@ -21,7 +21,11 @@ _QUICK = 5e6  # bytes that are read twice without being noticed
 
 def command(commands, name: str, run, text: str) -> argparse.ArgumentParser:
     parser = commands.add_parser(
-        name, help=text, description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+        name,
+        help=text,
+        description=text,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,  # --heldout 5 would be taken as --heldout-count 5
     )
     parser.add_argument("--json", action="store_true", help="print the summary as JSON, and nothing else")
     parser.set_defaults(run=run)

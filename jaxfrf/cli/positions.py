@@ -15,7 +15,13 @@ def add(commands) -> None:
     own_effects.add_effects_option(parser)
     parser.add_argument("-n", "--positions", type=int, default=7, metavar="N", help="how many to choose (default 7)")
     add_renamed_option(parser, "--count", "--positions")
-    parser.add_argument("--candidates", type=int, default=200, metavar="N", help="random ones to choose from (200)")
+    parser.add_argument(
+        "--candidates",
+        default="200",
+        metavar="N|FILE",
+        help="to choose from: a file of arm angles that you know to be free (rad, a row each, as -o writes), or so "
+        "many random ones, which know neither joint limits nor the cell (default 200)",
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the candidates (default 0)")
     parser.add_argument(
         "--relative-noise",
@@ -30,27 +36,22 @@ def add(commands) -> None:
 
 
 def run(given) -> dict:
-    import jax.random as jr
-
     from ..graybox import RobotModel, plan_positions
     from ..io import read_design
     from ..io.positions import write_positions
-    from ..simulation import random_positions
 
     check_x64("jaxfrf positions")
     check_seed(given.seed)
-    if not 1 <= given.candidates <= 100_000:
-        raise input_error("--candidates", f"{given.candidates}", "1 to 100000", "Some hundreds are enough.")
     check_target(given.output, (".csv", ".txt"))
     if given.plot:
         check_picture(given.plot)
     robot, design = own_effects.robot_of(given), read_design(given.design)
     model = RobotModel(robot, slow_amplitude=None if design.slow is None else design.slow.amplitude)
-    candidates = random_positions(given.candidates, jr.key(given.seed), robot.n_axes)
+    candidates, drawn = _candidates(given, robot.n_axes)
     plan = plan_positions(model, design.frequency, candidates, given.positions, noise=given.relative_noise)
     about = (
-        f"{robot.name}: {given.positions} of {given.candidates} positions (seed {given.seed}), D-optimal for springs "
-        f"and dampers at {100 * given.relative_noise:g} % noise"
+        f"{robot.name}: {given.positions} of {len(candidates)} positions ({drawn}), D-optimal for springs and dampers "
+        f"at {100 * given.relative_noise:g} % noise"
     )
     write_positions(given.output, plan.points, robot.axis_names, [about])
     written = [given.output]
@@ -67,6 +68,7 @@ def run(given) -> dict:
             "expected standard deviation (at random positions):",
             *(f"  {plan.names[i]}: {percent(plan.optimal[at, i])} ({percent(plan.random[at, i])})" for i in rows),
             f"wrote {', '.join(written)}",
+            "look at every one before you drive there: nothing here knows joint limits, the floor or the cell",
             f"next: measure there, or jaxfrf simulate {given.robot} {given.design} --configurations {given.output} ...",
         ],
         "json": {
@@ -81,3 +83,16 @@ def run(given) -> dict:
             "std_by_blocks": {plan.names[i]: plan.by_blocks[:, i].tolist() for i in rows},
         },
     }
+
+
+def _candidates(given, axes: int):
+    """Arm angles to choose from, (pos, axis), and where they come from."""
+    import jax.random as jr
+
+    from ..simulation import random_positions, read_positions
+
+    if not given.candidates.isdecimal():
+        return read_positions(given.candidates, axes), f"from {given.candidates}"
+    if not 1 <= int(given.candidates) <= 100_000:
+        raise input_error("--candidates", given.candidates, "1 to 100000, or a file", "Some hundreds are enough.")
+    return random_positions(int(given.candidates), jr.key(given.seed), axes), f"seed {given.seed}"

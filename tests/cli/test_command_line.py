@@ -282,6 +282,7 @@ def test_help_and_usage(capsys):
         (["estmate", "a.nc"], 2, "(did you mean estimate?)"),
         (["estimate", "a.nc", "--ouput", "b.nc"], 2, "(did you mean --output?)"),
         (["estimate", "a.nc", "-o", "b.nc", "--mehtod=h1"], 2, "--mehtod=h1 (did you mean --method?)"),
+        (["diagnose", "a.nc", "-o", "b.json", "--heldout", "5"], 2, "(did you mean --heldout-count?)"),
         (["--verison"], 2, "(did you mean --version?)"),
     ):
         with pytest.raises(SystemExit) as stopped:
@@ -831,3 +832,27 @@ def test_example_refuses(tmp_path, monkeypatch, capsys, arguments, says):
     monkeypatch.chdir(tmp_path)
     assert main(["example", *arguments]) == 2
     assert re.search(says, capsys.readouterr().err) and list(tmp_path.iterdir()) == []
+
+
+def test_positions_are_chosen_among_those_of_a_file(tmp_path, capsys):
+    """What is chosen are rows of the file; a file of another robot, and none, are refused."""
+    main(["example", "-o", str(tmp_path / "run.nc"), "--robot-out", str(tmp_path / "robot.toml")])
+    (tmp_path / "design.toml").write_text(
+        'fs = 500.0\nperiod = 1000\ninputs = 2\nblocks = 1\n[lines]\ngrid = "log-odd"\nband = [3.5, 60.0]\npoints = 9\n'
+        "[multisine]\nrms = [4.0, 4.0]\n"
+    )
+    free = np.array([[0.1, 0.2], [0.5, -1.0], [-0.4, 0.9], [0.0, 1.2]])
+    np.savetxt(tmp_path / "free.csv", free, delimiter=",")
+    (tmp_path / "six.csv").write_text("0,0,0,0,0,0\n")
+    words = ["positions", *(str(tmp_path / name) for name in ("robot.toml", "design.toml")), "-n", "2"]
+    capsys.readouterr()
+    assert main([*words, "--candidates", str(tmp_path / "free.csv"), "-o", str(tmp_path / "q.csv")]) == 0
+    out = capsys.readouterr().out
+    assert "2 of 4 positions (from " in out and "nothing here knows joint limits" in out
+    chosen = np.loadtxt(tmp_path / "q.csv", delimiter=",")
+    assert chosen.shape == (2, 2) and all(any(np.allclose(q, x) for x in free) for q in chosen)
+    refused = {"six.csv": "found numbers of shape (1, 6)", "none.csv": "no such file", "0": "1 to 100000"}
+    for wrong, says in refused.items():
+        other = wrong if wrong == "0" else str(tmp_path / wrong)
+        assert main([*words, "--candidates", other, "-o", str(tmp_path / "other.csv")]) == 2
+        assert says in capsys.readouterr().err and not (tmp_path / "other.csv").exists()
