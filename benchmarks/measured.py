@@ -135,6 +135,37 @@ def speed() -> str:
     return table(head, [[name, *cells] for name, cells in found.items()])
 
 
+def growth() -> str:
+    """How LRM grows with axes and lines, the machine's rate, and whole processes."""
+    text = results("local.txt")
+    origin = (_origin("local.txt", text),)
+    row = re.compile(r"^ +(\d+) +1 +\d+ +stacked +(\d+) +([\d.]+) +[\d.]+ +\S+ +(\d+)$", flags=re.MULTILINE)
+    of = lambda title: row.findall(text.partition(f"Growth with {title}")[2].partition("\n\n")[0])
+    joined = lambda cells: " / ".join(cells)
+    axes, lines = of("axes"), of("lines")
+    rate, part, whole = _found(r"windows need: ([\d.]+) Gflop/s, (\d+)% .*\((\d+) Gflop/s", text)
+    seconds = lambda name: _found(rf"^  {name} +([\d.]+)$", text)[0]
+    begun = [seconds(name) for name in ("import jaxfrf", "jaxfrf --help", "an empty Python")]
+    made = [seconds(name) for name in ("jaxfrf estimate, auto, nothing compiled before", "the same again")]
+    rows = [
+        (
+            f"stacked LRM, as many experiments as axes, 336 lines: {joined([x[0] for x in axes])} axes",
+            f"{joined([_three(x[2]) for x in axes])} ms",
+        ),
+        (
+            f"LRM, 6 axes, one experiment: {joined([x[1] for x in lines])} lines",
+            f"{joined([_three(x[2]) for x in lines])} ms, {lines[0][3]}-{lines[-1][3]} MB",
+        ),
+        ("arithmetic that LRM's windows need, beside NumPy's complex matrix product", f"{rate} of {whole} Gflop/s"),
+        (
+            "`import jaxfrf` / `jaxfrf --help` (an empty Python), whole processes",
+            f"{begun[0]} / {begun[1]} ({begun[2]}) s",
+        ),
+        ("`jaxfrf estimate` on the example record, nothing compiled before / again", f"{made[0]} / {made[1]} s"),
+    ]
+    return table(["what", "one core", "commit"], [(*cells, *origin) for cells in rows])
+
+
 def _three(text: str) -> str:
     """A number to three digits, without an exponent."""
     return f"{float(f'{float(text):.3g}'):g}"
@@ -218,6 +249,7 @@ def _origin(name: str, text: str) -> str:
 TABLES: dict[str, Callable[[], str]] = {
     "kept": kept,
     "speed": speed,
+    "growth": growth,
     "coverage": coverage,
     "calibration": calibration,
     "hidden": hidden,
