@@ -143,7 +143,7 @@ def growth() -> str:
     of = lambda title: row.findall(text.partition(f"Growth with {title}")[2].partition("\n\n")[0])
     joined = lambda cells: " / ".join(cells)
     axes, lines = of("axes"), of("lines")
-    rate, part, whole = _found(r"windows need: ([\d.]+) Gflop/s, (\d+)% .*\((\d+) Gflop/s", text)
+    rate, whole = _found(r"windows need: ([\d.]+) Gflop/s, \d+% .*\((\d+) Gflop/s", text)
     seconds = lambda name: _found(rf"^  {name} +([\d.]+)$", text)[0]
     begun = [seconds(name) for name in ("import jaxfrf", "jaxfrf --help", "an empty Python")]
     made = [seconds(name) for name in ("jaxfrf estimate, auto, nothing compiled before", "the same again")]
