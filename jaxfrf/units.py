@@ -15,6 +15,13 @@ DEFAULT_INPUT = "N m"
 _LADDERS = (("rad", "rad/s", "rad/s^2"), ("m", "m/s", "m/s^2"))
 _TURN = 6.283185307179586
 _DEGREE = _TURN / 360
+# Where case tells: mega and milli, newton and nano.
+_EXACT: dict[str, tuple[str, float]] = {
+    **{"MN": ("N", 1e6), "mN": ("N", 1e-3), "MNm": ("N m", 1e6), "mNm": ("N m", 1e-3)},
+    **{"MV": ("V", 1e6), "mV": ("V", 1e-3), "MA": ("A", 1e6), "mA": ("A", 1e-3), "Ms": ("s", 1e6), "ms": ("s", 1e-3)},
+    **{"MHz": ("Hz", 1e6), "mHz": ("Hz", 1e-3), "Mm": ("m", 1e6)},
+}
+_EITHER = ("nm",)  # nanometres, or newton metres of somebody in a hurry
 # Text as files write it, lower case, without blanks: the SI unit and the factor to it.
 _KNOWN: dict[str, tuple[str, float]] = {
     **{x: ("s", 1.0) for x in ("s", "sec")},
@@ -43,14 +50,17 @@ _KNOWN: dict[str, tuple[str, float]] = {
 def known_unit(text: str) -> tuple[str, float] | None:
     """The SI unit and the factor to it, of a unit as people write it; `None` if it is not known.
 
-    `g` is the acceleration, 9.80665 m/s^2: nobody logs grams of a machine that vibrates.
+    `g` is the acceleration, 9.80665 m/s^2: nobody logs grams of a machine that vibrates. `nm` is not known: it may be
+    nanometres or newton metres, which differ by what is measured.
 
     **Arguments:** `text`: e.g. `deg/s`, `[mA]`, `rpm`.
 
     **Returns:** e.g. (`rad/s`, 0.0174533).
     """
-    plain = text.replace("\u03bc", "\u00b5")  # the Greek letter for the sign of micro
-    return _KNOWN.get(re.sub(r"\s+", "", plain.strip().strip("[]()")).lower())
+    plain = text.replace("\u03bc", "\u00b5").strip().strip("[]()").strip()  # the Greek letter for the sign of micro
+    if plain in _EITHER:
+        return None
+    return _EXACT.get(plain) or _KNOWN.get(re.sub(r"\s+", "", plain).lower())
 
 
 def quantity_of(unit: str) -> str | None:

@@ -30,7 +30,16 @@ from ..io.responses import read_frf, write_frf, writing_frf
 from ..io.uff import write_uff
 from ..parts import Parts, files_text
 from ..screening import Finding, ScreenedPart, Severity, across_all
-from ..spectra import Spectra, added_power, check_power, lines_in, select_positions, silent_lines, weighed_power
+from ..spectra import (
+    Spectra,
+    added_power,
+    check_power,
+    lines_in,
+    select_positions,
+    silent_lines,
+    weighed_power,
+    without_power,
+)
 from .engine import Done, crew, outcomes, positions_text, raised
 
 PART_FILES, BESIDE_PARTS = ("[0-9]" * 5 + ".npz",), ("[0-9]" * 5 + ".json",)
@@ -165,7 +174,7 @@ def _head(data: DataSet, chosen: Chosen, pieces, first: Experiment) -> tuple[Spe
     lines = _found(data, chosen, pieces) if first.lines is None else None
     others = pieces[1:]
     silent, spectra = _silent(chosen, _with_lines(first, lines))
-    while silent.any() and others:
+    while without_power(silent).any() and others:
         silent = silent & _silent(chosen, _with_lines(data.unscreened(others[0]), lines))[0]
         others = others[1:]
     check_power(first, spectra, silent)

@@ -9,6 +9,8 @@ from .._arguments import expect, expect_whole, wrong_kind
 from .._errors import input_error
 from .experiment import Experiment
 
+_SAME_RATE = 1e-6  # rates of one clock, found in time stamps that are rounded
+
 
 def select_periods(data: Experiment, start: int, stop: int | None = None) -> Experiment:
     """The steady periods `start:stop` of a record, a slice counted from 0 after the transient ones.
@@ -176,7 +178,7 @@ def check_compatible(first: Experiment, other: Experiment) -> None:
     """Refuse records that cannot be one data set."""
     where = other.sources[0].name if other.sources else "a record"
     pairs = {
-        "fs": (first.fs, other.fs),
+        "fs": (first.fs, first.fs if abs(other.fs / first.fs - 1.0) < _SAME_RATE else other.fs),
         "period": (first.period, other.period),
         "samples after the transient": (
             first.n_time - first.transient_periods * first.period,

@@ -52,6 +52,8 @@ def multiple_coherence(spectra: Spectra) -> Float[np.ndarray, "pos freq out"]:
     U, Y = by_line(spectra.U), by_line(spectra.Y)
     power = np.sum(np.abs(Y) ** 2, axis=-1)
     if spectra.n_exp > spectra.n_in:
+        size = np.linalg.norm(U, axis=-1, keepdims=True)  # inputs may have units far apart
+        U = U / np.where(size > 0, size, 1.0)
         gram = U @ U.conj().swapaxes(-1, -2)
         projected = Y @ U.conj().swapaxes(-1, -2) @ np.linalg.pinv(gram, hermitian=True) @ U
         return _ratio(np.sum(np.abs(projected) ** 2, axis=-1), power)

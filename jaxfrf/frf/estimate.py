@@ -71,7 +71,7 @@ def estimate(
             progress(int(group[-1]) + 1, spectra.n_pos)
     assert stored is not None  # there is no record without a position
     whole = with_causes(stored, spectra, method)
-    status = whole.status | _excitation_status(spectra)
+    status = whole.status | _excitation_status(spectra, method)
     status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
     serious = [text for text in describe(status & int(SERIOUS))]
     return FRF(
@@ -90,7 +90,7 @@ def estimate(
         u_unit=spectra.u_unit,
         y_unit=spectra.y_unit,
         sources=spectra.sources,
-        warnings=(*spectra.warnings, *serious),
+        warnings=(*spectra.warnings, *method.remarks(spectra), *serious),
         version=__version__,
     )
 
@@ -199,8 +199,10 @@ def _rank(X) -> int:
     return rank
 
 
-def _excitation_status(spectra: Spectra) -> np.ndarray:
-    """LOW_EXCITATION where a channel of u carries almost no power over all experiments: (pos, freq)."""
+def _excitation_status(spectra: Spectra, method: AbstractMethod) -> np.ndarray:
+    """LOW_EXCITATION where a channel of u carries almost no power over all experiments, (pos, freq); of methods that
+    take a line's neighbours, too, where none does: lines may be shared among channels (zippered designs)."""
     power = np.mean(np.abs(np.asarray(spectra.U)) ** 2, axis=1)
     weak = power <= _WEAK * np.median(power, axis=1, keepdims=True)
-    return np.where(weak.any(axis=-1), int(Status.LOW_EXCITATION), 0)
+    low = weak.any(axis=-1) if method.block_size(spectra) > 1 else weak.all(axis=-1)
+    return np.where(low, int(Status.LOW_EXCITATION), 0)

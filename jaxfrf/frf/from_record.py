@@ -1,5 +1,6 @@
 """Which spectra of a record a method needs."""
 
+from .._errors import input_error
 from ..experiment import Experiment, seen_period, select_periods
 from ..screening import screened
 from ..spectra import Spectra, dft, record_spectra, segment_spectra, select_band
@@ -24,7 +25,12 @@ def spectra_of(
         data = screened(data)
     if periods is not None:
         data = select_periods(data, periods[0] or 0, periods[1])
+    if robust and (isinstance(method, Welch) or not data.period):
+        found = "weights of periods, of which Welch's method takes none" if data.period else "no period to weigh"
+        raise input_error("robust", found, "a periodic record, and a method that takes its periods", "Leave it out.")
     if isinstance(method, Welch):
+        if periods is None and data.period and data.transient_periods:
+            data = select_periods(data, 0)
         spectra = segment_spectra(data, method.segment, overlap=method.overlap, window=method.window)
     elif not data.period and _taken_whole(data, method):
         low, high = band or (None, None)

@@ -103,6 +103,10 @@ class AbstractMethod(eqx.Module):
     def residual_dof(self, signals: Signals) -> float:
         """Residual degrees of freedom of the estimate at a line whose regressors have full rank; none at 0 or below."""
 
+    def remarks(self, spectra: Spectra) -> tuple[str, ...]:
+        """Sentences on what of these spectra the method does not use."""
+        return ()
+
     def estimate(self, spectra: Spectra) -> Estimate:
         """The estimate at every operating point: `at_point`, and the doubtful lines solved again."""
         return solved_again(on_host(run(_at_point, self, spectra)), self, spectra)

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from .._annotated import check_fields
 from .._compile import after, compiled
 from .._errors import input_error
+from .._text import counted
 from .._types import Array
 from ..spectra import Spectra
 from .classical import H1
@@ -93,6 +94,14 @@ class Auto(AbstractMethod):
 
     def block_size(self, spectra: Spectra | Signals) -> int:
         return 1
+
+    def remarks(self, spectra: Spectra) -> tuple[str, ...]:
+        if not self.use_reference or spectra.R is None or self._through_reference(spectra):
+            return ()
+        return (
+            f"r has {counted(spectra.R.shape[-1], 'channel')}, u has {spectra.n_in}: the reference was not used, which "
+            "in closed loop biases the FRF by the noise that drives u. Choose as many channels of it (--map r=...).",
+        )
 
     def check(self, spectra: Spectra) -> None:
         self._with_width(self.candidates(spectra)[0], spectra).check(spectra)
@@ -264,7 +273,7 @@ def _blend(tried: Estimate, widths: tuple[int, ...], noise) -> Estimate:
         G, variance, stated, dof, window, choice = before
         k, G_wide, own, dof_wide, window_wide, near, far = found
         wide = jnp.minimum(own, variance)
-        known = jnp.isfinite(variance)
+        known = jnp.isfinite(variance) & (variance > 0)  # that of a channel without any signal is zero
         between = jnp.where(known, jnp.maximum(variance - wide, _LEAST * variance), 1.0)
         excess = jnp.where(known, jnp.abs(G_wide - G) ** 2 / between, 0.0)
         bias = jnp.maximum(_mean(excess, near) - 1, 0)

@@ -64,11 +64,20 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
         return known_unit(str(said)) or (str(said), 1.0)
     if key in file.given.values:
         return "", 1.0
+    if isinstance(of_file := file.variables.get(f"{key}_unit"), str) and of_file.strip():
+        return known_unit(of_file) or (of_file.strip(), 1.0)
     said = {_stated(file.variables.units, part) for part in _parts(file, file.given.names.get(key, key).strip())}
     found = {known_unit(text) or (text, 1.0) for text in said}
     if len(found) == 1:
         return found.pop()
-    if key not in file.given.factor and len({factor for _, factor in found}) > 1:
+    if len({unit for unit, _ in found}) > 1:
+        raise file.error(
+            key,
+            f"channels in {', '.join(sorted(text or 'no unit' for text in said))}",
+            "one quantity in all channels",
+            f"Estimate them apart (--map {key}=...), or say that they are one: --set {key}_unit=...",
+        )
+    if key not in file.given.factor:
         raise file.error(
             key,
             f"channels in {', '.join(sorted(said))}",

@@ -137,7 +137,8 @@ def write(path: str | os.PathLike, data: Experiment) -> None:
         "r_quantity": data.r_quantity,
         "y_quantity": data.y_quantity,
     }
-    save(path, variables, attributes)
+    said = {"u_unit": data.u_unit, "y_unit": data.y_unit}  # not every format has units of its own
+    save(path, variables, attributes | {name: unit for name, unit in said.items() if unit})
 
 
 @contextlib.contextmanager

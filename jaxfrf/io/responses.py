@@ -150,6 +150,8 @@ def frf_from_arrays(
     y_quantity: str = "velocity",
     q: Float[Array, "pos joint"] | None = None,
     method: str = "",
+    u_unit: str = "",
+    y_unit: str = "",
     sources: Sequence[Source] = (),
     warnings: Sequence[str] = (),
 ) -> FRF:
@@ -162,6 +164,7 @@ def frf_from_arrays(
     - `frequency`: (freq,), Hz.
     - `y_quantity`: `position`, `velocity` or `acceleration`.
     - `q`: (pos, joint), rad, or `None`.
+    - `u_unit`, `y_unit`: SI units, where they are not N m and rad, rad/s or rad/s^2.
     - `method`: by what the numbers were estimated, in words. `sources`: files that they came from. `warnings`: what is
       to be told with them.
 
@@ -170,6 +173,7 @@ def frf_from_arrays(
     **Raises:** `jaxfrf.InputError` naming what does not fit.
     """
     contents = {"G": G, "frequency": frequency, "method": method, "y_quantity": y_quantity}
+    contents |= {"u_unit": u_unit, "y_unit": y_unit}
     if q is not None:
         contents["q"] = q
     bare = _frf(contents, "FRF")

@@ -9,6 +9,7 @@ from .._errors import input_error
 from .._text import number
 from ..experiment import Experiment
 from ..frf import FRF
+from ..units import QUANTITIES, differentiated, known_unit
 from .responses import frf_from_arrays
 
 _FORMS = {"receptance": "position", "mobility": "velocity", "accelerance": "acceleration"}
@@ -34,7 +35,7 @@ def from_sdypy(data: Mapping[str, Any] | Any, *, conjugated: bool = False) -> FR
       the wrong sign besides, so pass the form that was measured.
 
     A conjugated FRF runs backwards in time. Where the frequencies are regular, that is looked for, and said
-    in `warnings`; nothing is turned round unasked.
+    in `warnings`; nothing is turned round unasked. Motions are taken as those in m, forces in N.
 
     **Raises:** `jaxfrf.InputError` if a name is missing, or shapes do not fit.
     """
@@ -52,7 +53,15 @@ def from_sdypy(data: Mapping[str, Any] | Any, *, conjugated: bool = False) -> FR
             "Transpose it.",
         )
     G = G.conj() if conjugated else G
-    return frf_from_arrays(np.moveaxis(G, -1, 0), frequency, y_quantity=_form(data), warnings=_backwards(G, frequency))
+    quantity = _form(data)
+    return frf_from_arrays(
+        np.moveaxis(G, -1, 0),
+        frequency,
+        y_quantity=quantity,
+        u_unit="N",
+        y_unit=differentiated("m", QUANTITIES[quantity]),
+        warnings=_backwards(G, frequency),
+    )
 
 
 def from_sep005(
@@ -76,7 +85,7 @@ def from_sep005(
     - `period`, `transient_periods`: as in `jaxfrf.Experiment`.
     - `y_quantity`: what the outputs are; by default what their `quantity` says.
 
-    Units are taken as they are; convert to SI first.
+    Numbers are taken as they are, with `unit_str` as their unit where it is in SI; convert others first.
 
     **Raises:** `jaxfrf.InputError` if a channel is missing, lengths or sampling frequencies differ, or
     `quantity` does not tell inputs from outputs.
@@ -104,6 +113,8 @@ def from_sep005(
         r=_stack(by_name, r) if r else None,
         transient_periods=transient_periods,
         y_quantity=_quantity(by_name, y) if y_quantity is None else y_quantity,
+        u_unit=_unit(by_name, u),
+        y_unit=_unit(by_name, y),
     )
 
 
@@ -169,7 +180,14 @@ def _named(mapping: Mapping, name: str):
 
 
 def _of_quantity(by_name: Mapping[str, Mapping], quantities: str) -> list[str]:
-    return [name for name, channel in by_name.items() if str(channel.get("quantity", "?")) in quantities]
+    return [name for name, channel in by_name.items() if str(channel.get("quantity", "?")) in tuple(quantities)]
+
+
+def _unit(by_name: Mapping[str, Mapping], names: Sequence[str]) -> str:
+    """The SI unit that all these channels state; "" where they state none, or another."""
+    found = {known_unit(str(by_name[name].get("unit_str", ""))) for name in names}
+    unit, factor = found.pop() or ("", 1.0) if len(found) == 1 else ("", 1.0)
+    return unit if factor == 1.0 else ""
 
 
 def _quantity(by_name: Mapping[str, Mapping], names: Sequence[str]) -> str:

@@ -11,8 +11,9 @@ from .._arguments import expect, expect_path
 from .._errors import input_error
 from .._files import replacing
 from .._text import number
-from ..experiment import UNITS, Source
+from ..experiment import Source
 from ..frf import FRF
+from ..units import QUANTITIES, differentiated, input_unit, output_unit
 from ._optional import require
 from .responses import frf_from_arrays, source
 
@@ -20,16 +21,17 @@ _RESPONSE = 4  # function type: frequency response function
 _DATA_TYPES = {"position": 8, "velocity": 11, "acceleration": 12}  # specific data types of the response
 _FORCE, _FREQUENCY = 13, 18
 _NAMES = {"position": "Receptance", "velocity": "Mobility", "acceleration": "Accelerance"}
-_AXIS_OF_A_JOINT = 6  # rotation about z
+_ALONG, _AXIS_OF_A_JOINT = 3, 6  # directions: along z, rotation about z
+_NO_FORCE = (8, 11, 12)  # specific data types of a reference that is a motion: a transmissibility
 _DIGITS = 5  # decimals that dataset 58 keeps of a frequency (E13.5)
 
 
 def write_uff(path: str | os.PathLike, frf: FRF) -> None:
     """Write an FRF as universal file: one dataset 58 (function type 4) per operating point and element of G.
 
-    Response node i+1 and reference node j+1 stand for output i and input j (rotations about z), the version
-    number counts the operating points from 1, and the response type says receptance, mobility or accelerance.
-    Units are rad and N m (dataset 164: SI).
+    Response node i+1 and reference node j+1 stand for output i and input j (rotations about z; motions in m and forces
+    in N: along z), the version number counts the operating points from 1, and the response type says receptance,
+    mobility or accelerance. Units are those of the FRF (dataset 164: SI).
 
     Biased: text with 12 digits of G and 6 of the frequency; a regular grid is stored as first value and step.
     The covariance has no place in the format; keep the `.nc` file.
@@ -79,16 +81,19 @@ def frf_from_uff(sets: Iterable[Mapping], *, sources: Sequence[Source] = (), whe
     """One FRF from the dataset dictionaries of pyuff (or sdypy.io.uff), without a covariance.
 
     Response (node, direction) pairs become outputs, reference pairs inputs, in ascending order. Datasets of
-    the same element are told apart by their version number, which then counts operating points.
+    the same element are told apart by their version number, which then counts operating points. Directions along axes
+    are motions in m and forces in N, those about axes in rad and N m; where a dataset 164 states units of the file, G
+    is converted to SI by its factors.
 
     **Arguments:** `sets`: dictionaries, of which those of type 58 and function type 4 count, `x` in Hz. `sources`: of
     the FRF. `where`: what errors call the sets.
 
     **Returns:** an FRF, (pos, freq, out, in), in the quantity that the datasets state.
 
-    **Raises:** `jaxfrf.InputError` if there is no FRF, the matrix has holes, or frequencies or quantities
-    differ.
+    **Raises:** `jaxfrf.InputError` if there is no FRF, the matrix has holes, frequencies or quantities differ, and
+    where the reference is a motion, or forces and torques (translations and rotations) are mixed.
     """
+    sets = list(sets)
     records = [s for s in sets if s.get("type") == 58 and s.get("func_type") == _RESPONSE]
     if not records:
         raise input_error(where, "no FRF", "datasets 58 of function type 4", "Export frequency responses.")
@@ -110,11 +115,19 @@ def frf_from_uff(sets: Iterable[Mapping], *, sources: Sequence[Source] = (), whe
         raise input_error(where, "different frequencies", "the same ones in every dataset", "Resample or split it.")
     if any(np.shape(s["data"]) != frequency.shape for s in records):
         raise input_error(where, "fewer or more values than frequencies", "one at each", "Export it again.")
+    if any(int(s.get("orddenom_spec_data_type", 0)) in _NO_FORCE for s in records):
+        raise input_error(where, "a motion as reference (a transmissibility)", "a force or torque", "Leave it out.")
+    linear = [
+        _linear({d for _, d in pairs}, what, where) for pairs, what in ((outputs, "responses"), (inputs, "references"))
+    ]
     G = np.array([[[found[p, o, i]["data"] for i in inputs] for o in outputs] for p in places], complex)
+    quantity = _quantity(records, where)
     return frf_from_arrays(
-        np.moveaxis(G, -1, 1),
+        np.moveaxis(G, -1, 1) * _to_si(sets, *linear),
         frequency,
-        y_quantity=_quantity(records, where),
+        y_quantity=quantity,
+        u_unit="N" if linear[1] else "",
+        y_unit=differentiated("m", QUANTITIES[quantity]) if linear[0] else "",
         method=str(records[0].get("id2", "")).strip().removesuffix("NONE"),
         sources=sources,
     )
@@ -126,6 +139,23 @@ def _response(record: Mapping) -> tuple[int, int]:
 
 def _reference(record: Mapping) -> tuple[int, int]:
     return int(record["ref_node"]), int(record["ref_dir"])
+
+
+def _linear(directions: set[int], what: str, where: str) -> bool:
+    """Whether directions are along axes (1 to 3) or about them (4 to 6, and where a file does not say)."""
+    kinds = {1 <= abs(d) <= _ALONG for d in directions}
+    if len(kinds) > 1:
+        raise input_error(
+            where, f"{what} along and about axes", "one unit for all", "Select one kind in the program that wrote it."
+        )
+    return kinds.pop()
+
+
+def _to_si(sets: Sequence[Mapping], of_response: bool, of_reference: bool) -> float:
+    """The factor from units of the file to SI: a dataset 164 holds what a length and a force are divided by."""
+    units = next((s for s in sets if s.get("type") == 164), {})
+    length, force = (float(units.get(name) or 1.0) for name in ("length", "force"))
+    return (force if of_reference else force * length) / (length if of_response else 1.0)
 
 
 def _quantity(records: list[Mapping], where: str) -> str:
@@ -169,6 +199,8 @@ def _si_units() -> dict:
 
 def _records(frf: FRF, frequency: np.ndarray) -> Iterable[dict]:
     steps = np.diff(frequency)
+    y_unit, u_unit = output_unit(frf), input_unit(frf)
+    along = (y_unit == differentiated("m", QUANTITIES[frf.y_quantity]), u_unit == "N")
     common = {
         "type": 58,
         "func_type": _RESPONSE,
@@ -176,17 +208,17 @@ def _records(frf: FRF, frequency: np.ndarray) -> Iterable[dict]:
         "x": frequency,
         "id2": _line(frf.method),
         "id5": _line(f"jaxfrf {frf.version}"),
-        "rsp_dir": _AXIS_OF_A_JOINT,
-        "ref_dir": _AXIS_OF_A_JOINT,
+        "rsp_dir": _ALONG if along[0] else _AXIS_OF_A_JOINT,
+        "ref_dir": _ALONG if along[1] else _AXIS_OF_A_JOINT,
         "abscissa_spec_data_type": _FREQUENCY,
         "abscissa_axis_lab": "Frequency",
         "abscissa_axis_units_lab": "Hz",
         "ordinate_spec_data_type": _DATA_TYPES[frf.y_quantity],
         "ordinate_axis_lab": frf.y_quantity.capitalize(),
-        "ordinate_axis_units_lab": UNITS[frf.y_quantity],
+        "ordinate_axis_units_lab": y_unit,
         "orddenom_spec_data_type": _FORCE,
-        "orddenom_axis_lab": "Torque",
-        "orddenom_axis_units_lab": "N m",
+        "orddenom_axis_lab": {"N m": "Torque", "N": "Force"}.get(u_unit, "Excitation"),
+        "orddenom_axis_units_lab": u_unit,
     }
     for pos, out, ref in np.ndindex(frf.n_pos, frf.n_out, frf.n_in):
         yield common | {

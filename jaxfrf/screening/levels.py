@@ -31,6 +31,7 @@ _CORNER = 0.25  # median step before a clipped stretch, in usual steps: what com
 # A step of half the standard deviation leaves a handful of levels: quantisation noise is then no longer
 # white, and its level (step/sqrt(12), 17 dB below the signal) limits the FRF.
 _COARSE_STEP = 0.5
+_NOT_DRIVEN = 1e-12  # of the power of the strongest line: lines of other channels, in zippered designs
 _COARSE_SNR_DB = 20.0  # of quantisation at the excited lines: the FRF is off by a tenth there
 
 _COARSE_FINE_DB = 50.0  # the same where its error repeats with the period: in no interval, but then below .3 %
@@ -185,7 +186,9 @@ def coarse(c: Channel) -> Iterator[Finding]:
     elif c.n_periods and c.record.lines.size and not two_levels:
         X = c.record.spectra[c.signal][c.pos, c.exp, ..., c.channel]
         own = step**2 / 12 / c.period  # power of the quantiser at a line
-        snr = 10 * np.log10(max(np.median(np.abs(X.mean(axis=0)) ** 2), 1e-300) / own)
+        power = np.abs(X.mean(axis=0)) ** 2
+        power = power[power > _NOT_DRIVEN * power.max(initial=0.0)]
+        snr = 10 * np.log10(max(np.median(power) if power.size else 0.0, 1e-300) / own)
         if step > 1e-6 * c.std and (snr < _COARSE_SNR_DB or (snr < _COARSE_FINE_DB and _repeats(c, X, step, own))):
             yield c.finding(
                 "coarse",

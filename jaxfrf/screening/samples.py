@@ -28,6 +28,7 @@ _END_BLOCKS = 3  # of either end, where a stretch may be too short for what is a
 _END_LAGS = 64  # ... up to so many samples are looked for, ...
 _END_SHORTEST = 8  # ... and so many must differ, ...
 _END_SURE = 40.0  # ... by this many times more energy than one sample of the usual: e^20 against 2e4 lags and places
+_SMOOTHED = 21  # lines over which the spectrum of the difference is averaged
 _END_USUAL = 0.9  # of the blocks have less energy than the usual one
 _END_EXPLAINED = 0.25  # of the difference may be left
 _DISTURBED = 30.0  # energy of a block over that of the quieter half ...
@@ -214,10 +215,12 @@ def _shift(c: Channel) -> tuple[int, int, float] | None:
 def _at_ends(c: Channel) -> tuple[int, int, float] | None:
     """The same near the end of the record, or its beginning, where less than two blocks are shifted."""
     x, n = c.x[c.first :], c.period
-    energy, width = _blocks(np.diff(c.steady, axis=0) ** 2, n)
+    difference = np.diff(c.steady, axis=0)
+    energy, width = _blocks(difference**2, n)
     usual = np.quantile(energy, _END_USUAL) / width + (_FLOOR * x.std()) ** 2
+    sure = _END_SURE * usual * _alike(difference)
     for late, y in ((True, x), (False, x[::-1])):
-        found = _at_end(y, n, min(_END_BLOCKS * width, n // 2), usual)
+        found = _at_end(y, n, min(_END_BLOCKS * width, n // 2), usual, sure)
         if found is not None:
             lag, length, energy_there = found
             effect = float(np.sqrt(energy_there / len(x)) / x.std())
@@ -225,8 +228,17 @@ def _at_ends(c: Channel) -> tuple[int, int, float] | None:
     return None
 
 
-def _at_end(x: np.ndarray, n: int, length: int, usual: float) -> tuple[int, int, float] | None:
-    """Samples lost so many samples before the end of x, by the period before; and the energy of the difference."""
+def _alike(difference: np.ndarray) -> float:
+    """How many neighbouring samples of a difference, (period, time), count as one: 1 of white noise, more in a loop
+    that resonates. The sum of its squared correlations, from its spectrum (Bendat & Piersol, Random Data, 2010)."""
+    power = np.mean(np.abs(scipy.fft.rfft(difference, axis=1)) ** 2, axis=0)
+    power = scipy.ndimage.uniform_filter1d(power, min(_SMOOTHED, len(power)))  # a line alone scatters by itself
+    return float(np.mean(power**2) / max(np.mean(power) ** 2, np.finfo(float).tiny))
+
+
+def _at_end(x: np.ndarray, n: int, length: int, usual: float, sure: float) -> tuple[int, int, float] | None:
+    """Samples lost so many samples before the end of x, by the period before; and the energy of the difference. `usual`
+    energy of a sample, and how much more is sure to be none of chance."""
     last = x[-length:]
     reach = min(_END_LAGS, length // 2)
     from_end = len(x) - n - length
@@ -245,7 +257,7 @@ def _at_end(x: np.ndarray, n: int, length: int, usual: float) -> tuple[int, int,
         0.0,
     )
     k, at = np.unravel_index(np.argmax(gain), gain.shape)
-    if gain[k, at] <= _END_SURE * usual:
+    if gain[k, at] <= sure:
         return None
     return int(lags[k]), int(at) + 1, float(more[at])
 

@@ -25,4 +25,5 @@ from .steady import (
     period_advice as period_advice,
     silent_lines as silent_lines,
     unexcited_spectra as unexcited_spectra,
+    without_power as without_power,
 )

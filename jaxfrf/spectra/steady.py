@@ -157,15 +157,23 @@ def silent_lines(data: Experiment, spectra: Spectra) -> np.ndarray:
     return silent
 
 
+def without_power(silent: np.ndarray) -> np.ndarray:
+    """Of `silent_lines`: lines at which no channel has power, and lines of channels that have none anywhere. Lines that
+    channels share (zippered designs) are neither."""
+    return silent & (silent.all(axis=1, keepdims=True) | silent.all(axis=0))
+
+
 def check_power(data: Experiment, spectra: Spectra, silent: np.ndarray) -> None:
-    """Refuse `silent_lines`."""
-    name = "u" if spectra.R is None else "r"
-    if silent.any():
-        line, channel = (int(i) for i in np.argwhere(silent)[0])
+    """Refuse `silent_lines` that are `without_power`."""
+    name, wrong = "u" if spectra.R is None else "r", without_power(silent)
+    if wrong.any():
+        line, channel = (int(i) for i in np.argwhere(wrong)[0])
+        alone = wrong.shape[1] == 1 or bool(np.all(wrong[:, channel]))
+        which = f"in channel {channel}" if alone else "in any channel"
         raise input_error(
             where(data, name),
-            f"no power in channel {channel} at {int(np.any(silent, axis=1).sum())} of the {len(spectra.lines)} excited "
+            f"no power {which} at {int(wrong[:, channel].sum())} of the {len(spectra.lines)} excited "
             f"lines, the first line {spectra.lines[line]} ({number(spectra.frequency[line], 4)} Hz)",
-            "power at every excited line in every channel",
+            "power at every excited line, and in every channel",
             "Check fs and period, or leave these lines out of `lines`.",
         )
