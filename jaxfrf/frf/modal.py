@@ -21,6 +21,8 @@ _NEAR_DAMPING = 0.2  # relative, beside an absolute half of the next
 _NEAR_DAMPING_ABSOLUTE = 0.002
 _OFTEN = 0.4  # of the orders above the one where it came up first that a mode is found at
 _LARGEST_DAMPING = 0.5  # more is no resonance
+_DELAYS, _QUARTER = 17, np.pi / 2  # delays that are tried, up to those that turn the highest line by a quarter turn
+_LIKELY = 3.84  # by how much the cost rises at the ends of a 95 % interval: chi-square of one number
 _SIGNIFICANT = 4.0  # standard deviations of its residues, root mean square over the elements
 _MISSED = 2.0  # misfit from which a mode is fitted to the lines around it, too, to see what the others do to it
 _LAG_DAMPING = (0.7, 0.999)  # that a lag is looked for with, of a second and of a first order, ...
@@ -180,6 +182,8 @@ def modal(
     table, fitted, dropped = found(std)
     if not len(fitted.poles) and std is not None and fitted.misfit > _HOPELESS:
         table, fitted, dropped = found(np.maximum(std, _LINEAR * np.abs(G)))
+    if delay is None and len(fitted.poles):
+        fitted = _profiled(fitted, s, G, std, background, shared)
     lagging = np.any(fitted.damping > _LARGEST_DAMPING)
     if fitted.misfit > (_MISSED_BY_LAG if lagging else _MISSED):
         fitted = _widened(fitted, s, G, std, background, shared)
@@ -376,6 +380,40 @@ def _significant(s, G, std, poles, background, shared: float, keep: bool, delay,
         gone = bad & (strength <= max(_SIGNIFICANT / 2, np.min(np.where(bad, strength, np.inf))))
         dropped += list(fitted.poles[gone])
         poles, lag = fitted.poles[~gone], lag[~gone]
+
+
+def _profiled(fitted: PoleFit, s, G, std, background, shared: float) -> PoleFit:
+    """The fit with the interval of its delay by the profile of the cost, and coefficients as loose as they are over it;
+    without a delay where that explains the data as well.
+
+    Delay and phases of residues make a long curved valley, whose curvature at its lowest point says too little."""
+    g, sigma = G.reshape(len(s), -1), None if std is None else std.reshape(len(s), -1)
+    at = lambda delay: fit_poles(s, g, sigma, fitted.poles, background, shared=shared, delay=delay)
+    each = {x: at(x) for x in np.linspace(-1.0, 1.0, _DELAYS) * _QUARTER / np.abs(s).max()}
+    nothing = each[0.0]
+    best = min([fitted, *each.values()], key=lambda x: x.cost)
+    rise = lambda x: (x.cost - best.cost) / fitted.unit
+    width, ends = 1.96 * fitted.delay_std, []
+    for sign in (-1.0, 1.0):
+        beyond = sorted((x for x in each if sign * (x - fitted.delay) > 0), key=lambda x: sign * x)
+        known = [x for x in beyond if rise(each[x]) < _LIKELY]
+        far = max((abs(x - fitted.delay) for x in known), default=0.0)
+        behind = [x for x in beyond if abs(x - fitted.delay) > far]
+        if behind and not known:  # the cost rises as the square of the distance
+            far = abs(behind[0] - fitted.delay) * np.sqrt(_LIKELY / rise(each[behind[0]]))
+        width = max(width, far)
+        ends += [each[x] for x in known[-1:]]
+    fitted = nothing if rise(nothing) < _LIKELY else fitted._replace(delay_std=width / 1.96)
+    return _turning(fitted, ends)
+
+
+def _turning(fitted: PoleFit, others: Sequence[PoleFit]) -> PoleFit:
+    """Standard deviations of the coefficients with how far they move where the delay is another that may be."""
+    std = fitted.coefficient_std
+    for other in others:
+        if other.coefficients.shape == fitted.coefficients.shape:
+            std = np.maximum(std, np.abs(other.coefficients - fitted.coefficients) / 1.96)
+    return fitted._replace(coefficient_std=std)
 
 
 def _with_lag(fit, s, plain: tuple[PoleFit, np.ndarray]) -> tuple[PoleFit, np.ndarray]:

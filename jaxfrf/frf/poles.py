@@ -16,7 +16,7 @@ class PoleFit(NamedTuple):
     residual over its standard deviation; 1 by definition where that is not known. `delay`: s, with its standard
     deviation, 0 where it was given. `began`: which of the given poles each began as. `strength`: residues over their
     standard deviation at this delay, root mean square over the elements: a delay beside a lag is loose, and residues
-    turn with it."""
+    turn with it. `cost`: squares of what is left over its standard deviation, of which `unit` is worth 1."""
 
     poles: Complex[np.ndarray, "pole"]
     damping: Float[np.ndarray, "pole"]
@@ -29,6 +29,8 @@ class PoleFit(NamedTuple):
     delay_std: float
     began: Int[np.ndarray, "pole"]
     strength: Float[np.ndarray, "pole"]
+    cost: float
+    unit: float
 
     @property
     def residues(self) -> tuple[Complex[np.ndarray, "element pole"], Float[np.ndarray, "element pole"]]:
@@ -203,4 +205,6 @@ def _result(s, x, state: _State, middle: float, shared: float, known: bool, dela
         delay_std=float(std[-1] / top) if delay is None else 0.0,
         began=order,
         strength=_strength(state.coefficients, (state.spread + at_delay) * widened, n // 2)[order],
+        cost=float(state.cost),
+        unit=float(widened),
     )
