@@ -161,6 +161,10 @@ def _check_place(path: pathlib.Path) -> None:
         raise output_error(
             str(path), f"no folder {path.parent}", "one that exists", "Make it first, or write elsewhere."
         )
+    if path.is_dir() and path.suffix.lower() == ".zarr":
+        raise output_error(
+            str(path), "a folder of this name", "a new one: folders are not overwritten", "Delete it, or name another."
+        )
     if path.is_dir():
         raise output_error(str(path), "a folder", "the name of a file", "Name a file in it, or write elsewhere.")
 

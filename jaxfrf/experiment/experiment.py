@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._errors import input_error
-from .._text import number
+from .._text import counted, number
 from .._types import Array
 from ..periodic import FoundPeriod, find_period, mismatch
 from ..units import quantity_of
@@ -17,6 +17,7 @@ _NOBODY_SAYS = (
     "nothing says what y is; it was taken as a velocity. Say it: y_quantity='position' (or velocity, acceleration), "
     "or its unit, y_unit='rad'."
 )
+_SHORTEST = 4  # samples of a period
 _NOT_AFTER = 0.8  # mismatch of reference or input, from which they do not repeat after a lag (1: chance)
 
 
@@ -152,6 +153,13 @@ class Experiment(eqx.Module):
 
 def _check_periods(data: Experiment) -> None:
     n_time, period, transient = data.n_time, data.period, data.transient_periods
+    if period < _SHORTEST:
+        raise input_error(
+            "period",
+            counted(period, "sample"),
+            f"{_SHORTEST} samples or more: a shorter one has hardly a line",
+            "Give the samples of one period (--set period=N), or 0 for a record without one.",
+        )
     if n_time % period:
         seen = seen_period(data.r, data.u, data.y)
         if seen is None or seen[1].period == period:

@@ -204,3 +204,9 @@ def test_a_quantity_that_nobody_states():
     assert jf.Experiment(x, x, 100.0, y_quantity="position").warnings == ()
     by_unit = jf.Experiment(x, x, 100.0, y_unit="m/s^2")
     assert by_unit.y_quantity == "acceleration" and by_unit.warnings == ()
+
+
+@pytest.mark.parametrize("period", [1, 2, 3])
+def test_periods_of_hardly_a_sample_are_refused(period):
+    with pytest.raises(jf.InputError, match="4 samples or more"):
+        jf.Experiment(np.zeros((12, 1)), np.zeros((12, 1)), 10.0, period)
