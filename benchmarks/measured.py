@@ -137,8 +137,8 @@ def speed() -> str:
 
 def growth() -> str:
     """How LRM grows with axes and lines, the machine's rate, and whole processes."""
-    text = results("local.txt")
-    origin = (_origin("local.txt", text),)
+    text = results("local_growth.txt")
+    origin = (_origin("local_growth.txt", text),)
     row = re.compile(r"^ +(\d+) +1 +\d+ +stacked +(\d+) +([\d.]+) +[\d.]+ +\S+ +(\d+)$", flags=re.MULTILINE)
     of = lambda title: row.findall(text.partition(f"Growth with {title}")[2].partition("\n\n")[0])
     joined = lambda cells: " / ".join(cells)
