@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from .._errors import InputError, input_error
-from ..units import QUANTITIES, known_unit
+from ..units import QUANTITIES, known_unit, quantity_of
 from ._container import Variables
 from ._select import select
 from .record_arguments import SIGNALS, split
@@ -70,14 +70,16 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
     found = {known_unit(text) or (text, 1.0) for text in said}
     if len(found) == 1:
         return found.pop()
-    if len({unit for unit, _ in found}) > 1:
+    if (
+        len({quantity_of(unit) for unit, _ in found} - {None}) > 1
+    ):  # angles beside lengths are of a robot that slides, too
         raise file.error(
             key,
-            f"channels in {', '.join(sorted(text or 'no unit' for text in said))}",
+            f"channels in {', '.join(sorted(said))}",
             "one quantity in all channels",
             f"Estimate them apart (--map {key}=...), or say that they are one: --set {key}_unit=...",
         )
-    if key not in file.given.factor:
+    if key not in file.given.factor and len({factor for _, factor in found}) > 1:
         raise file.error(
             key,
             f"channels in {', '.join(sorted(said))}",

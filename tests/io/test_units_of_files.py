@@ -88,3 +88,12 @@ def test_units_of_universal_files(tmp_path):
     sets[1]["orddenom_spec_data_type"] = 12
     with pytest.raises(jf.InputError, match="transmissibility"):
         jf.io.frf_from_uff(sets)
+
+
+def test_angles_beside_lengths_are_of_one_quantity(tmp_path):
+    """A robot with a joint that slides; and a channel whose unit nobody states."""
+    table = np.column_stack([np.arange(400) / 100.0, np.random.default_rng(0).standard_normal((400, 4))])
+    header = "t [s],u [N],a [rad/s],b [m/s],c"
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header=header, comments="")
+    for y in ("[a [rad/s];b [m/s]]", "[a [rad/s];c]"):
+        assert jf.io.read(tmp_path / "run.csv", names={"t": "t [s]", "u": "u [N]", "y": y}).n_out == 2
