@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Int
+from jaxtyping import Complex, Float
 
 from .._arguments import expect
 from .._errors import input_error
@@ -13,14 +13,10 @@ from .._types import Array
 from ..experiment import QUANTITIES
 from .poles import PoleFit, fit_poles
 from .response import FRF
+from .stabilisation import LARGEST_DAMPING, Stabilisation, clusters, nearest, pole, stabilisation
 
 _HOPELESS = 10.0  # standard deviations, rms, that no mode at all leaves: they say less than how linear a machine is
 _LINEAR = 0.01  # of |G|, then: with the noise alone the few quietest lines of a real machine decide
-_NEAR_FREQUENCY = 0.01  # relative: poles of two orders nearer than this are one
-_NEAR_DAMPING = 0.2  # relative, beside an absolute half of the next
-_NEAR_DAMPING_ABSOLUTE = 0.002
-_OFTEN = 0.4  # of the orders above the one where it came up first that a mode is found at
-_LARGEST_DAMPING = 0.5  # more is no resonance
 _DELAYS, _QUARTER = 17, np.pi / 2  # delays that are tried, up to those that turn the highest line by a quarter turn
 _LIKELY = 3.84  # by how much the cost rises at the ends of a 95 % interval: chi-square of one number
 _SIGNIFICANT = 4.0  # standard deviations of its residues, root mean square over the elements
@@ -52,20 +48,7 @@ class Mode(eqx.Module):
     @property
     def pole(self) -> complex:
         """rad/s, that of the pair with a positive imaginary part."""
-        return 2 * np.pi * self.frequency * complex(-self.damping, np.sqrt(1 - self.damping**2))
-
-
-class Stabilisation(eqx.Module):
-    """The poles of all model orders.
-
-    **Fields:** each (pole,): `order` of the model, `frequency`, Hz, `damping`, ratio to the critical one, and `stable`:
-    whether the order below had it, too.
-    """
-
-    order: Int[np.ndarray, "pole"]
-    frequency: Float[np.ndarray, "pole"]
-    damping: Float[np.ndarray, "pole"]
-    stable: Bool[np.ndarray, "pole"]
+        return pole(self.frequency, self.damping)
 
 
 class ModalModel(eqx.Module):
@@ -173,8 +156,8 @@ def modal(
     background = _background(s, frf.y_quantity)
 
     def found(std):
-        table = _stabilisation(frequency, G, std, order)
-        start = _clusters(table) if near is None else _nearest(table, near)
+        table = stabilisation(frequency, G, std, order)
+        start = clusters(table) if near is None else nearest(table, near)
         fit = lambda lags: _significant(s, G, std, start, background, shared, near is not None, delay, lags)
         plain = fit(())
         return table, *(plain if std is None or plain[0].misfit <= _MISSED else _with_lag(fit, s, plain))
@@ -184,21 +167,21 @@ def modal(
         table, fitted, dropped = found(np.maximum(std, _LINEAR * np.abs(G)))
     if delay is None and len(fitted.poles):
         fitted = _profiled(fitted, s, G, std, background, shared)
-    lagging = np.any(fitted.damping > _LARGEST_DAMPING)
+    lagging = np.any(fitted.damping > LARGEST_DAMPING)
     if fitted.misfit > (_MISSED_BY_LAG if lagging else _MISSED):
         fitted = _widened(fitted, s, G, std, background, shared)
     n_out, n_in = G.shape[1:]
     every = _modes(fitted, n_out, n_in)
     scale = fitted.misfit if np.isfinite(fitted.misfit) else 1.0
     return ModalModel(
-        modes=tuple(x for x in every if x.damping <= _LARGEST_DAMPING),
+        modes=tuple(x for x in every if x.damping <= LARGEST_DAMPING),
         background=fitted.coefficients[:, 2 * len(fitted.poles) :].T.reshape(-1, n_out, n_in),
         misfit=float(scale),
         delay=fitted.delay,
         delay_std=fitted.delay_std,
         stabilisation=table,
         dropped=np.sort(np.abs(dropped)) / (2 * np.pi),
-        lags=tuple(x for x in every if x.damping > _LARGEST_DAMPING),
+        lags=tuple(x for x in every if x.damping > LARGEST_DAMPING),
         frequency=frequency,
         measured=G,
         y_quantity=frf.y_quantity,
@@ -239,122 +222,6 @@ def _background(s: np.ndarray, quantity: str) -> Float[np.ndarray, "freq term"]:
     q = QUANTITIES[quantity]
     middle = np.exp(np.mean(np.log(np.abs(s))))
     return np.stack([(s / middle) ** n * middle**n for n in (q - 2, q - 1, q)], axis=1)
-
-
-# --- poles of all orders
-
-
-def _stabilisation(frequency, G, std, most: int) -> Stabilisation:
-    """Poles of the orders 2, 3, ..., `most`."""
-    rows, before = [], np.zeros(0, complex)
-    for order, poles in _poles_by_order(frequency, G, std, most):
-        stable = [_known(pole, before) for pole in poles]
-        rows += [(order, abs(p) / 2 / np.pi, -p.real / abs(p), x) for p, x in zip(poles, stable, strict=True)]
-        before = poles
-    columns = list(zip(*rows, strict=True)) or [(), (), (), ()]
-    kinds = (int, float, float, bool)
-    return Stabilisation(*(np.array(x, kind) for x, kind in zip(columns, kinds, strict=True)))
-
-
-def _known(pole: complex, before) -> bool:
-    if not len(before):
-        return False
-    w, other = abs(pole), np.abs(before)
-    damping, others = -pole.real / w, -before.real / other
-    near = np.abs(other - w) < _NEAR_FREQUENCY * w
-    return bool(np.any(near & (np.abs(others - damping) < _NEAR_DAMPING * damping + _NEAR_DAMPING_ABSOLUTE)))
-
-
-def _poles_by_order(frequency, G, std, most: int):
-    """(order, poles in the band with a positive imaginary part, stable ones), by reduced normal equations.
-
-    The equations of an order are a part of those of every higher one: the Gram matrices are made once.
-    """
-    n_freq, n_out, n_in = G.shape
-    first, span = frequency[0], frequency[-1] - frequency[0]
-    period = 1.0 / (2 * (span + 0.1 * span)) if first > 0 else 1.0 / (2 * frequency[-1])
-    # The band is moved to begin at zero: only its width asks for orders.
-    shift = 2 * np.pi * max(first - 0.05 * span, 0.0)
-    z = np.exp(-1j * (2 * np.pi * frequency - shift) * period)
-    powers = z[:, None] ** np.arange(most + 1)
-    level = np.sqrt(np.mean(np.abs(G) ** 2, axis=0)) + 1e-300
-    real = shift == 0.0
-    R, S, T = [], [], np.zeros(())
-    for out in range(n_out):
-        spread = np.abs(G[:, out]) + 1e-2 * level[out] if std is None else std[:, out] + 3e-3 * np.abs(G[:, out])
-        weight = 1.0 / np.sqrt(np.mean(spread**2, axis=1))
-        X = weight[:, None] * powers
-        Y = -(X[:, :, None] * G[:, out][:, None, :]).reshape(n_freq, -1)
-        part = np.real if real else np.asarray
-        R.append(part(X.conj().T @ X))
-        S.append(part(X.conj().T @ Y))
-        T = T + part(Y.conj().T @ Y)
-    for order in range(2, most + 1):
-        n, m = order + 1, (order + 1) * n_in
-        M = np.array(T[:m, :m])
-        for r, x in zip(R, S, strict=True):
-            M -= x[:n, :m].conj().T @ np.linalg.lstsq(r[:n, :n], x[:n, :m], rcond=1e-13)[0]
-        # The lowest coefficient is the identity: poles without a mode then are unstable.
-        alpha = -np.linalg.lstsq(M[n_in:, n_in:], M[n_in:, :n_in], rcond=1e-13)[0].reshape(order, n_in, n_in)
-        yield order, _in_band(_roots(alpha), period, shift, frequency)
-
-
-def _roots(alpha) -> np.ndarray:
-    """Roots z of det(I + sum_r alpha_r z^r) = 0: one over the eigenvalues of the companion matrix."""
-    order, n, _ = alpha.shape
-    companion = np.zeros((order * n, order * n), alpha.dtype)
-    companion[:n] = -alpha.transpose(2, 0, 1).reshape(n, order * n)
-    companion[n:, :-n] = np.eye((order - 1) * n)
-    values = np.linalg.eigvals(companion)
-    return 1.0 / values[np.abs(values) > 1e-12]
-
-
-def _in_band(z: np.ndarray, period: float, shift: float, frequency) -> np.ndarray:
-    low, high = 2 * np.pi * frequency[0], 2 * np.pi * frequency[-1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        poles = -np.log(z.astype(complex)) / period + 1j * shift
-        w = np.abs(poles)
-        damping = -poles.real / w
-    wanted = (poles.imag > 0) & (w >= low) & (w <= high) & (damping > 1e-5) & (damping < _LARGEST_DAMPING)
-    return poles[wanted][np.argsort(w[wanted])]
-
-
-# --- which of them are modes
-
-
-def _clusters(table: Stabilisation) -> np.ndarray:
-    """One pole for each run of stable ones: of the highest order that has it, those that came often."""
-    left = np.flatnonzero(table.stable)
-    found, orders = [], np.unique(table.order)
-    while left.size:
-        # The densest place first: the pole with the most others near it.
-        f, d = table.frequency[left], table.damping[left]
-        near = np.abs(f[:, None] - f) < _NEAR_FREQUENCY * f[:, None]
-        near &= np.abs(d[:, None] - d) < 2 * _NEAR_DAMPING * d[:, None] + _NEAR_DAMPING_ABSOLUTE
-        centre = near[np.argmax(near.sum(axis=1))]
-        members = left[centre]
-        came = orders[orders >= table.order[members].min()]
-        if len(np.unique(table.order[members])) >= max(_OFTEN * len(came), 3):
-            found.append(_pole(np.median(table.frequency[members]), np.median(table.damping[members])))
-        left = left[(np.abs(f - np.median(table.frequency[members])) >= _NEAR_FREQUENCY * f) & ~centre]
-    return np.array(sorted(found, key=abs), complex)
-
-
-def _nearest(table: Stabilisation, near: Sequence[float]) -> np.ndarray:
-    chosen = []
-    for f in near:
-        distance = np.abs(table.frequency - f)
-        if not distance.size or distance.min() > 0.05 * f:
-            raise input_error(
-                "near", f"no pole near {f:g} Hz", "frequencies of poles", "See the stabilisation diagram."
-            )
-        members = np.flatnonzero(distance < max(1.5 * distance.min(), _NEAR_FREQUENCY * f))
-        chosen.append(_pole(np.median(table.frequency[members]), np.median(table.damping[members])))
-    return np.array(sorted(chosen, key=abs), complex)
-
-
-def _pole(frequency: float, damping: float) -> complex:
-    return 2 * np.pi * frequency * complex(-damping, np.sqrt(1 - damping**2))
 
 
 def _significant(s, G, std, poles, background, shared: float, keep: bool, delay, lags=()) -> tuple[PoleFit, np.ndarray]:
@@ -419,7 +286,7 @@ def _turning(fitted: PoleFit, others: Sequence[PoleFit]) -> PoleFit:
 def _with_lag(fit, s, plain: tuple[PoleFit, np.ndarray]) -> tuple[PoleFit, np.ndarray]:
     """The same with a strongly damped pair of poles more, where that leaves nothing but noise, or finds the modes."""
     top = np.abs(s).max() / (2 * np.pi)
-    tried = [fit((_pole(part * top, damping),)) for damping in _LAG_DAMPING for part in _LAG_AT]
+    tried = [fit((pole(part * top, damping),)) for damping in _LAG_DAMPING for part in _LAG_AT]
     best = min(tried, key=lambda found: found[0].misfit)
     lost = not len(plain[0].poles) and best[0].misfit < plain[0].misfit / 2
     return best if best[0].misfit < _LAG_EXPLAINS or lost else plain
@@ -428,9 +295,9 @@ def _with_lag(fit, s, plain: tuple[PoleFit, np.ndarray]) -> tuple[PoleFit, np.nd
 def _doubtful(fitted: PoleFit, lag: np.ndarray) -> np.ndarray:
     """Which poles say too little; a lag may: its residues cancel where one real pole is enough."""
     loose = fitted.damping_std / np.abs(fitted.damping)
-    unlikely = (fitted.damping <= 0) | (fitted.damping > _LARGEST_DAMPING)
+    unlikely = (fitted.damping <= 0) | (fitted.damping > LARGEST_DAMPING)
     doubtful = (fitted.strength < _SIGNIFICANT) | ~(loose < _SURE) | unlikely
-    return doubtful & ~(lag & (fitted.damping > _LARGEST_DAMPING))
+    return doubtful & ~(lag & (fitted.damping > LARGEST_DAMPING))
 
 
 def _widened(fitted: PoleFit, s, G, std, background, shared: float) -> PoleFit:
@@ -456,7 +323,7 @@ def _moved(fitted: PoleFit, i: int, s, G, std, background, shared: float) -> tup
     j = int(np.argmin(np.abs(local.poles - fitted.poles[i])))
     by = (abs(local.poles[j]) - at) / (2 * np.pi), local.damping[j] - damping
     known = local.frequency_std[j], local.damping_std[j]
-    if not (np.isfinite(known).all() and 0 < local.damping[j] < _LARGEST_DAMPING):
+    if not (np.isfinite(known).all() and 0 < local.damping[j] < LARGEST_DAMPING):
         return 0.0, 0.0
     beyond = [float(np.sqrt(max(b**2 - k**2, 0.0))) for b, k in zip(by, known, strict=True)]
     return beyond[0], beyond[1]

@@ -66,13 +66,12 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
         return "", 1.0
     if isinstance(of_file := file.variables.get(f"{key}_unit"), str) and of_file.strip():
         return known_unit(of_file) or (of_file.strip(), 1.0)
-    said = {_stated(file.variables.units, part) for part in _parts(file, file.given.names.get(key, key).strip())}
+    said = _units_of_channels(file, key)
     found = {known_unit(text) or (text, 1.0) for text in said}
     if len(found) == 1:
         return found.pop()
-    if (
-        len({quantity_of(unit) for unit, _ in found} - {None}) > 1
-    ):  # angles beside lengths are of a robot that slides, too
+    # Angles beside lengths are of a robot that slides, too.
+    if len({quantity_of(unit) for unit, _ in found} - {None}) > 1:
         raise file.error(
             key,
             f"channels in {', '.join(sorted(said))}",
@@ -87,6 +86,18 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
             f"Say one factor for each: --factor {key}=[...].",
         )
     return "", 1.0
+
+
+def stated_quantity(file: File, key: str) -> str | None:
+    """The quantity that the units of a motion say, alike in all channels; `None` where they do not."""
+    unit, _ = unit_of(file, key)
+    said = {unit} if unit or key in file.given.values else _units_of_channels(file, key)
+    found = {quantity_of((known_unit(text) or (text, 1.0))[0]) for text in said}
+    return found.pop() if len(found) == 1 else None
+
+
+def _units_of_channels(file: File, key: str) -> set[str]:
+    return {_stated(file.variables.units, part) for part in _parts(file, file.given.names.get(key, key).strip())}
 
 
 def _parts(file: File, name: str) -> list[str]:

@@ -15,14 +15,14 @@ from .._files import digest
 from .._text import number
 from ..experiment import UNITS, Experiment, Source, concatenate, rebuilt
 from ..screening import ACROSS, CHECKS, screened
-from ..units import DEFAULT_INPUT, input_unit, known_unit, output_unit, quantity_of
+from ..units import DEFAULT_INPUT, input_unit, known_unit, output_unit
 from ._configurations import gathered, logged, mean_configurations, stated_configurations
 from ._container import Later, Leaf, Put, Variable, Variables, check_file, load, save, save_blocks
 from ._joined import expanded, joined, part_of, propose_joined
 from ._matlab import NAMELESS
 from ._rate import sampling_frequency
 from ._select import NOT_THERE, column, missing
-from ._variables import File, Given, numbers, scalar, scaled, text, unit_of
+from ._variables import File, Given, numbers, scalar, scaled, stated_quantity, text, unit_of
 from .record_arguments import SIGNALS, check_factor, check_names, check_values
 
 _CHANNEL = {"r": "input", "u": "input", "y": "output"}
@@ -237,7 +237,7 @@ def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[s
             fs=fs,
             period=_count(file, "period"),
             transient_periods=_count(file, "transient_periods"),
-            r_quantity=text(file, "r_quantity", quantity_of(unit_of(file, "r")[0]) or "velocity"),
+            r_quantity=text(file, "r_quantity", stated_quantity(file, "r") or "velocity"),
             y_quantity=y_quantity,
             u_unit=_kept_unit(file, "u", DEFAULT_INPUT),
             y_unit=_kept_unit(file, "y", UNITS.get(y_quantity, "")),
@@ -310,13 +310,12 @@ def _restored_axes(file: File, signals: Mapping[str, np.ndarray | None]) -> list
 
 def _output_quantity(file: File) -> tuple[str, list[str]]:
     """What y is, and a remark where that is not sure."""
-    unit, _ = unit_of(file, "y")
-    by_unit = quantity_of(unit)
+    by_unit = stated_quantity(file, "y")
     if file.get("y_quantity") is not None:
         stated = text(file, "y_quantity", "")
         if by_unit in (None, stated):
             return stated, []
-        return stated, [f"{file.label('y')}: its unit {unit} is that of a {by_unit}, y_quantity says {stated}."]
+        return stated, [f"{file.label('y')}: its unit is that of a {by_unit}, y_quantity says {stated}."]
     if by_unit is not None:
         return by_unit, []
     if NAMELESS in file.variables:

@@ -97,3 +97,6 @@ def test_angles_beside_lengths_are_of_one_quantity(tmp_path):
     np.savetxt(tmp_path / "run.csv", table, delimiter=",", header=header, comments="")
     for y in ("[a [rad/s];b [m/s]]", "[a [rad/s];c]"):
         assert jf.io.read(tmp_path / "run.csv", names={"t": "t [s]", "u": "u [N]", "y": y}).n_out == 2
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="t [s],u [N],a [rad],b [m],c", comments="")
+    data = jf.io.read(tmp_path / "run.csv", names={"t": "t [s]", "u": "u [N]", "y": "[a [rad];b [m]]"})
+    assert data.y_quantity == "position"
