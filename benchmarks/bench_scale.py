@@ -2,6 +2,7 @@
 
     python benchmarks/bench_scale.py                         # 0.2 GB: a minute or two
     python benchmarks/bench_scale.py --gigabytes 10 --folder /data --workers 1 2    # half an hour of two idle cores
+    python benchmarks/bench_scale.py --data scale-10.nc --workers 1 2 --pin    # one worker on one core, two on two
     python benchmarks/bench_scale.py --files 500             # one --each call beside each file's work alone
 
 Every step is a command of its own, as a user gives it; its peak of resident memory and its times are what the system
@@ -35,6 +36,7 @@ def main() -> None:
     parser.add_argument("--method", default="auto")
     parser.add_argument("--memory", default="2GB")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--pin", action="store_true", help="every number of workers on as many cores, one as well")
     parser.add_argument("--files", type=int, help="so many small files and one --each call instead")
     parser.add_argument("--alone", nargs="+", help=argparse.SUPPRESS)
     parser.add_argument("--results", type=pathlib.Path, help="file to append the table to")
@@ -72,8 +74,9 @@ def measured(given, folder: pathlib.Path) -> list[str]:
         output = folder / f"frf-{workers}.nc"
         options = ("--method", given.method, "--memory", given.memory, "-o", output)
         shared = ("--workers", workers) if workers > 1 else ()
-        made = run("estimate", *data, *options, *shared)
-        lines.append(row(f"estimate ({given.method}), {workers} worker(s)", made))
+        made = run("estimate", *data, *options, *shared, cores=workers if given.pin else None)
+        where = f" on {workers} core(s)" if given.pin else ""
+        lines.append(row(f"estimate ({given.method}), {workers} worker(s){where}", made))
         if first is None:
             first = made, output
         else:
@@ -131,12 +134,15 @@ def alone(paths: list[pathlib.Path], method: str) -> dict[str, float]:
     return times | {"peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9, "load": load}
 
 
-def run(*words) -> dict[str, float]:
+def run(*words, cores: int | None = None) -> dict[str, float]:
     """A command in a process of its own: seconds, seconds of processor time, the peak of resident memory, GB, and how
-    many programs the machine had to run before it."""
+    many programs the machine had to run before it. `cores`: that it and its workers may use, all by default."""
+    pinned = [] if cores is None else ["taskset", "-c", f"0-{cores - 1}"]
     load, began = os.getloadavg()[0], time.monotonic()
     with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen([sys.executable, "-m", "jaxfrf", *map(str, words)], stdout=said, stderr=said)
+        process = subprocess.Popen(
+            [*pinned, sys.executable, "-m", "jaxfrf", *map(str, words)], stdout=said, stderr=said
+        )
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         if process.returncode:
