@@ -1,6 +1,7 @@
 """Files are written whole or not at all, and whether they can be is tried before the work."""
 
 import contextlib
+import datetime
 import difflib
 import errno
 import hashlib
@@ -48,6 +49,14 @@ def digest(path: pathlib.Path) -> str:
         return hashlib.sha256(text.encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def size_and_time(path: pathlib.Path) -> str:
+    """Size and time of the last change of a file, or of all files in a folder: what is known of them at once."""
+    inside = [x for x in path.rglob("*") if x.is_file()] if path.is_dir() else [path]
+    found = [x.stat() for x in inside]
+    changed = max((x.st_mtime_ns for x in found), default=0)
+    return f"{sum(x.st_size for x in found)} bytes, changed {datetime.datetime.fromtimestamp(changed / 1e9)}"
 
 
 def is_folder_format(path: pathlib.Path) -> bool:

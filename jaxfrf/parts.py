@@ -1,5 +1,6 @@
 """Finished parts of a long run, kept in a folder beside its output until the result stands."""
 
+import contextlib
 import datetime
 import fnmatch
 import functools
@@ -8,6 +9,7 @@ import json
 import pathlib
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ import numpy as np
 from . import __version__
 from ._errors import OutputError, output_error
 from ._files import replacing
+from .experiment import Source
 
 _STAMP = "jaxfrf-parts.json"
 _PACKAGE = pathlib.Path(__file__).parent
@@ -64,6 +67,7 @@ class Parts:
         self._files: tuple[str, ...] = ()  # none before `begin`: then nothing is ours to delete
         self._beside: tuple[str, ...] = ()
         self._begun: dict[str, str] | None = None
+        self._later: Future[tuple[Source, ...]] | None = None
 
     def __enter__(self) -> "Parts":
         self._stamp()
@@ -74,6 +78,8 @@ class Parts:
             return
         finished = len(self.finished)
         if error is not None and finished:
+            with contextlib.suppress(Exception):  # the error is what counts
+                self.settle(wait=False)
             kept = f"{_count(finished)} kept in {self.folder}"
             error.add_note(f"{kept}: the same command with --resume goes on from there.")
             return
@@ -85,12 +91,19 @@ class Parts:
                 stopped.add_note("The result stands already.")
             raise
 
-    def begin(self, about: Mapping[str, Any], files: Sequence[str], beside: Sequence[str] = ()) -> None:
+    def begin(
+        self,
+        about: Mapping[str, Any],
+        files: Sequence[str],
+        beside: Sequence[str] = (),
+        data: tuple[str, Future[tuple[Source, ...]]] | None = None,
+    ) -> None:
         """Make the folder, or take over what an interrupted run left; once, before the work.
 
         **Arguments:** `about`: all that the parts depend on, by names that tell a user what to look at; numbers, texts,
         lists. `files`: patterns of the names that parts have, e.g. `round-[0-9].json`. `beside`: of files that belong
-        to parts and are none.
+        to parts and are none. `data`: what is known of large files at once, and their digests to come: waited for
+        only where parts are taken over that were stamped with digests; else `settle` writes them down.
 
         **Raises:** `jaxfrf.InputError` if the folder holds parts of another run, or any without `resume`; they are left
         as they are.
@@ -100,6 +113,10 @@ class Parts:
         if stamp is not None and self._restart:
             self._delete_left(stamp, files)
         left = [] if stamp is None else self._left_by(stamp, files)
+        if data is not None:
+            about["data"], self._later = data
+            if stamp is not None and left and stamp["about"].get("data") != about["data"]:
+                about["data"], self._later = files_text(self._later.result()), None
         if left:
             self._check_same(stamp, about, len(left))
         elif self._resume:
@@ -113,6 +130,14 @@ class Parts:
         self._files, self._beside, self._begun = tuple(files), tuple(beside), about
         if self.finished:
             self._say(f"{_count(len(self.finished))} taken over from {self.folder}")
+
+    def settle(self, wait: bool = True) -> None:
+        """Write down the digests of the data that `begin` was told to come; without `wait`, if they are known."""
+        if self._later is None or not (wait or self._later.done()) or not self._is_mine():
+            return
+        about = {**(self._begun or {}), "data": files_text(self._later.result())}
+        _write_json(self.folder / _STAMP, {**(self._stamp() or {}), "about": about})
+        self._begun, self._later = about, None
 
     @property
     def finished(self) -> list[str]:

@@ -8,6 +8,7 @@ import os
 import pathlib
 import re
 import sys
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
@@ -263,6 +264,60 @@ class TestWhenPartsGo:
         assert len({parts.numbers_text(*arrays) for arrays in [(x, None), *others]}) == 6
         run = jf.Source("run.nc", "0123456789abcdef0123")
         assert parts.files_text([run]) == "run.nc (sha256 0123456789abcdef)"
+
+
+class TestDigestsToCome:
+    """Work begins before the digests of large files are known."""
+
+    SEEN = "run.nc (9 bytes, changed at 1.5)"
+
+    def begun(self, output, digested, seen=SEEN, resume=False):
+        made = Parts(output, "work", resume=resume)
+        made.begin({"method": "H1()"}, FILES, data=(seen, digested))
+        return made
+
+    def stopped(self, output, digested):
+        with pytest.raises(KeyboardInterrupt), self.begun(output, digested) as made:
+            finish(made, 0)
+            raise KeyboardInterrupt
+
+    def known(self, sha256="0123456789abcdef0123"):
+        digested = Future()
+        digested.set_result((jf.Source("run.nc", sha256),))
+        return digested
+
+    def test_stopped_before_they_are_known(self, tmp_path):
+        self.stopped(tmp_path / "out", Future())
+        waits_for_ever = Future()
+        with self.begun(tmp_path / "out", waits_for_ever, resume=True) as made:
+            assert made.finished == ["part-0.txt"]
+        assert names(tmp_path) == []
+
+    def test_another_file_then(self, tmp_path):
+        self.stopped(tmp_path / "out", Future())
+        with pytest.raises(
+            jf.InputError, match=r"data: run.nc \(9 bytes, .*\) then, run.nc \(sha256 0123456789abcdef\) now"
+        ):
+            self.begun(tmp_path / "out", self.known(), seen="run.nc (9 bytes, changed at 2.5)", resume=True)
+
+    def test_known_they_count_and_not_the_times(self, tmp_path):
+        self.stopped(tmp_path / "out", self.known())
+        with self.begun(tmp_path / "out", self.known(), seen="run.nc (9 bytes, changed at 2.5)", resume=True) as made:
+            assert made.finished == ["part-0.txt"]
+        self.stopped(tmp_path / "out", self.known())
+        with pytest.raises(jf.InputError, match=r"data: run.nc \(sha256 0123.*\) then, run.nc \(sha256 fedc.*\) now"):
+            self.begun(tmp_path / "out", self.known("fedcba9876543210"), seen="run.nc (9 bytes)", resume=True)
+
+    def test_written_down_as_soon_as_they_are_known(self, tmp_path):
+        digested = Future()
+        with self.begun(tmp_path / "out", digested) as made:
+            stamped = lambda: json.loads((made.folder / STAMP).read_text())["about"]["data"]
+            made.settle(wait=False)
+            assert stamped() == self.SEEN
+            digested.set_result((jf.Source("run.nc", "0123456789abcdef0123"),))
+            made.settle(wait=False)
+            assert stamped() == "run.nc (sha256 0123456789abcdef)"
+            finish(made, 1)  # still this run's folder
 
 
 class TestDamagedParts:

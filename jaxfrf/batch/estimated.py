@@ -126,17 +126,14 @@ def estimate_to(
     **Raises:** `jaxfrf.InputError` as `jaxfrf.io.read` and `jaxfrf.estimate` do; nothing is kept then.
     """
     here = workers == 1 and cluster is None and client is None
-    if here:
-        data = data.named()
     pieces = _pieces(data, chosen, memory)
     first = data.read(pieces[0]) if here else None
     head, lines = _unscreened_head(data, chosen, pieces) if first is None else _head(data, chosen, pieces, first.data)
     method = adapted(chosen.method, head)
     method.check(head)
     with crew(len(pieces), workers=workers, cluster=cluster, client=client, say=say) as client:
-        data = data.named()
-        head = dataclasses.replace(head, sources=data.sources)
-        parts.begin(_about(data, head, method, about), PART_FILES, BESIDE_PARTS)
+        slow = None if data.digested is None else (data.as_found(), data.digested)
+        parts.begin(_about(data, head, method, about), PART_FILES, BESIDE_PARTS, slow)
         _check_room(path, data, head)
         job = _EstimateJob(data, chosen, lines, parts.folder)
         told = {piece.start: found for piece in pieces if (found := _finished(parts, piece)) is not None}
@@ -154,9 +151,13 @@ def estimate_to(
         for outcome in outcomes(work, waiting, client=client, patience=patience, say=say):
             piece = waiting[outcome.number]
             told[piece.start] = _checked(outcome, piece, parts)
+            parts.settle(wait=False)
             if not here:
                 advanced(len(piece))
-    return Estimated(_assembled(path, data, parts, [told[piece.start] for piece in pieces]), head)
+    parts.settle()
+    data = data.named()
+    frf = _assembled(path, data, parts, [told[piece.start] for piece in pieces])
+    return Estimated(frf, dataclasses.replace(head, sources=data.sources))
 
 
 def _pieces(data: DataSet, chosen: Chosen, memory: float | None) -> list[range]:

@@ -10,6 +10,7 @@ from concurrent.futures import Future
 import numpy as np
 
 from .._errors import InputError
+from .._files import size_and_time
 from ..experiment import Experiment, Source, check_compatible, grouped, places
 from ..screening import ScreenedPart, refused, screen_part
 from ._configurations import gathered
@@ -66,19 +67,25 @@ class DataSet:
     bytes_each: float
     given: Given
     kept: dict = dataclasses.field(default_factory=dict, compare=False)  # small files that were read as a whole
-    digests: dict[pathlib.Path, Future[Source]] = dataclasses.field(default_factory=dict, compare=False)
+    digested: Future[tuple[Source, ...]] | None = dataclasses.field(default=None, compare=False)
 
     def __getstate__(self):
-        return self.__dict__ | {"kept": {}, "digests": {}}
+        return self.__dict__ | {"kept": {}, "digested": None}
 
     def named(self) -> "DataSet":
-        """The same, with the digests of all files, which threads have begun to make: of large files that lasts."""
-        if not self.digests:
+        """The same, with the digests of all files, which a thread has begun to make: of large files that lasts."""
+        if self.digested is None:
             return self
-        sources = {path: digest.result() for path, digest in self.digests.items()}
-        kept = {x: (dataclasses.replace(data, sources=(sources[x],)), told) for x, (data, told) in self.kept.items()}
-        files = tuple(dataclasses.replace(f, source=sources[f.path]) for f in self.files)
-        return dataclasses.replace(self, files=files, kept=kept, digests={})
+        files = tuple(
+            dataclasses.replace(f, source=source) for f, source in zip(self.files, self.digested.result(), strict=True)
+        )
+        of = {f.path: f.source for f in files}
+        kept = {x: (dataclasses.replace(data, sources=(of[x],)), told) for x, (data, told) in self.kept.items()}
+        return dataclasses.replace(self, files=files, kept=kept, digested=None)
+
+    def as_found(self) -> str:
+        """Names, sizes and times of the files: what is known of them before their digests."""
+        return ", ".join(f"{f.path.name} ({size_and_time(f.path)})" for f in self.files)
 
     @property
     def n_pos(self) -> int:
@@ -174,7 +181,7 @@ def data_set(
     found, heads, at, means, kept = [], [], [], [], {}
     for path in files:
         check_file(path)
-    digests = _begun(files)
+    digested = _begun(files)
     with joinable(files):
         for path in files:
             n_pos = positions_in(path)
@@ -195,19 +202,18 @@ def data_set(
     if len(set(experiments)) > 1 or any(len({found[i].n_pos for i in group}) > 1 for group in groups):
         return None  # reading it whole says what is wrong
     bytes_each = experiments[0] * heads[0].u[0, 0].nbytes * _width(heads[0]) / heads[0].n_in
-    return DataSet(tuple(found), tuple(groups), experiments[0], heads[0].period, bytes_each, given, kept, digests)
+    return DataSet(tuple(found), tuple(groups), experiments[0], heads[0].period, bytes_each, given, kept, digested)
 
 
-def _begun(paths: Sequence[pathlib.Path]) -> dict[pathlib.Path, Future[Source]]:
+def _begun(paths: Sequence[pathlib.Path]) -> Future[tuple[Source, ...]]:
     """`source_of` of files, one after the other, beside what else is done; a program that ends does not wait for it."""
-    found: dict[pathlib.Path, Future[Source]] = {path: Future() for path in paths}
+    found: Future[tuple[Source, ...]] = Future()
 
     def work() -> None:
-        for path, source in found.items():
-            try:
-                source.set_result(source_of(path))
-            except Exception as error:
-                source.set_exception(error)
+        try:
+            found.set_result(tuple(source_of(path) for path in paths))
+        except Exception as error:
+            found.set_exception(error)
 
     threading.Thread(target=work, daemon=True).start()
     return found
@@ -220,6 +226,8 @@ def _width(data: Experiment) -> int:
 
 class Held:
     """A record in memory as a data set of one block, read and screened already."""
+
+    digested = None
 
     def __init__(self, data: Experiment):
         self.data, self.files, self.sources, self.n_pos = data, (), data.sources, data.n_pos
