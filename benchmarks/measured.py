@@ -199,12 +199,17 @@ def faults() -> str:
 
 
 def large() -> str:
-    """The first run of the largest data set."""
-    _, when, size, first, second, gain, *_ = results("scale.txt").splitlines()
-    rows = [re.split(r" {3,}", line.strip(), maxsplit=1) for line in (first, second)]
-    told = [[name, ", ".join(re.split(r" {2,}", text))] for name, text in rows]
-    head = [f"{size.removeprefix('data: ')}, {when.split(', ')[1]}", "time"]
-    return table(head, [*told, ["two workers", gain.strip()]])
+    """The first runs of the largest data set: of one process with all cores, and of a core for every worker."""
+    text = results("scale.txt").partition("\n\nbefore")[0]
+    when, size = text.splitlines()[1:3]
+    rows = []
+    for line in text.splitlines():
+        if line.startswith("estimate"):
+            name, *told = re.split(r" {2,}", line)
+            rows.append([name, ", ".join(told)])
+        elif "times as fast" in line:
+            rows.append(["two workers", line.strip()])
+    return table([f"{size.split(',')[0].removeprefix('data: ')}, {when.split(', ')[1]}", "time"], rows)
 
 
 def kept() -> str:
