@@ -492,6 +492,27 @@ def test_thousands_of_windows_return(devices):
     assert says.split() == ["JointInputOutput", "JointInputOutput", "LRM", "MisoLRM", "400"]
 
 
+@pytest.mark.slow
+def test_lines_that_are_solved_again_return():
+    """As above on a pool of two threads: QR and singular values of one window can wait for each other, too. An output
+    that copies another makes every window rank deficient."""
+    says = run(
+        SPECTRA_2000 + "pos = lambda x: x.reshape(1, 4, 500, -1)\n"
+        "U, Y, R = map(pos, (spectra.U, spectra.Y, spectra.R))\n"
+        "Y = np.concatenate([Y, Y[..., :1]], axis=-1)\n"
+        "spectra = jf.Spectra(U=U, Y=Y, R=R, lines=lines[:500], frequency=lines[:500] * 1.0, noise=None)\n"
+        "for method in (jf.LRM(), jf.JointInputOutput(jf.LRM()), jf.Auto(widths=(16, 40))):\n"
+        "    for _ in range(5):\n"
+        "        frf = jf.estimate(spectra, method)\n"
+        "    assert np.isfinite(frf.G).all() and (frf.status & int(jf.Status.REFINED)).any()\n"
+        "    print(type(method).__name__)\n",
+        JAX_ENABLE_X64="1",
+        NPROC="2",
+        OPENBLAS_NUM_THREADS=None,
+    )
+    assert says.split() == ["LRM", "JointInputOutput", "Auto"]
+
+
 def test_single_precision_is_refused():
     """The library never switches JAX to 64 bit by itself; it says who must, and how."""
     says = run(

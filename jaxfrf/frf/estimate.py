@@ -90,7 +90,7 @@ def estimate(
         u_unit=spectra.u_unit,
         y_unit=spectra.y_unit,
         sources=spectra.sources,
-        warnings=(*spectra.warnings, *method.remarks(spectra), *serious),
+        warnings=(*spectra.warnings, *method.remarks(spectra), *_of_rank(spectra, status), *serious),
         version=__version__,
     )
 
@@ -186,6 +186,22 @@ def _check_rank(spectra: Spectra, method: AbstractMethod) -> None:
             "inputs that are excited independently of each other",
             "Excite with orthogonal or independent random phases, or leave out the channel that copies another.",
         )
+
+
+def _of_rank(spectra: Spectra, status) -> tuple[str, ...]:
+    """Why windows lose rank where the excitation does not: outputs that say the same are regressed on each other."""
+    if not (status & int(Status.RANK_DEFICIENT)).any():
+        return ()
+    Y = np.asarray(spectra.Y).reshape(spectra.n_pos, -1, spectra.n_out)
+    Y = Y[..., np.any(Y, axis=(0, 1))]  # others are dead, which screening says
+    n = Y.shape[-1]
+    rank = min((_rank(y) for y in Y), default=n) if n > 1 else n
+    if rank == n:
+        return ()
+    return (
+        f"of {n} outputs only {rank} are independent, others copy them or add them up: windows that regress outputs on "
+        "each other lose rank by that. G hardly suffers; leave those outputs out, or take lrm-miso.",
+    )
 
 
 def _rank(X) -> int:

@@ -21,6 +21,7 @@ import numpy as np
 from jax.lax import linalg
 from jaxtyping import Complex, Float, Int
 
+from .._compile import after
 from .._types import Array
 from .inverse import adjoint
 
@@ -96,8 +97,9 @@ def solve_gram(A: Complex[Array, "col col"], equations: Equations) -> Solution:
     n, top = equations.n_common, equations.n_top
     power = jnp.diagonal(A).real
     L = linalg.cholesky(jnp.asarray(A[:n, :n]), symmetrize_input=False)
-    B = linalg.triangular_solve(L, A[n:, :n], left_side=False, lower=True, transpose_a=True, conjugate_a=True)
     end = linalg.triangular_solve(L[-top:, -top:], jnp.eye(top, dtype=A.dtype), left_side=True, lower=True)
+    below = after(A[n:, :n], end)
+    B = linalg.triangular_solve(L, below, left_side=False, lower=True, transpose_a=True, conjugate_a=True)
     T = adjoint(end) @ adjoint(B[:, -top:])  # top coefficients of every other column regressed on the common ones
     S = adjoint(end) @ end
     pivot = jnp.min(jnp.diagonal(L).real ** 2 / power[:n])
@@ -222,7 +224,7 @@ def _pseudo_inverse(K):
     scale = jnp.linalg.norm(K, axis=0)
     scale = jnp.where(scale > 0, scale, 1.0)
     Q, R = jnp.linalg.qr(K / scale)
-    U, s, Vh = jnp.linalg.svd(R, full_matrices=False)
+    U, s, Vh = jnp.linalg.svd(after(R, Q), full_matrices=False)
     kept = s > s[0] * np.finfo(float).eps * max(K.shape)
     inverse = jnp.where(kept, 1 / jnp.where(kept, s, 1.0), 0.0)
     return (adjoint(Vh) * inverse) @ adjoint(Q @ U) / scale[:, None], jnp.sum(kept)

@@ -32,6 +32,18 @@ def test_a_dead_output_leaves_the_others(data):
     np.testing.assert_allclose(found.G[0, :, 1], 0.0, atol=1e-12)
 
 
+def test_outputs_that_say_the_same_are_told_apart_from_poor_excitation(data):
+    """A copy and a sum of the others: the response of both is right, and what lacks rank is said."""
+    y = np.concatenate([data.y, data.y[..., :1] + data.y[..., 1:]], axis=-1)
+    method = jf.LRM(width=24)
+    found, alone = jf.estimate(with_(data, y=y), method), jf.estimate(data, method)
+    assert any(text.startswith("of 3 outputs only 2 are independent") for text in found.warnings)
+    np.testing.assert_allclose(found.G[..., 2, :], found.G[..., 0, :] + found.G[..., 1, :], atol=1e-9)
+    off = np.abs(found.G[..., :2, :] - alone.G) / alone.std
+    assert np.median(off) < 0.5
+    assert not any("independent" in text for text in alone.warnings)
+
+
 def zippered(n_exp=1):
     """Two inputs on every other line each, five periods."""
     period, rng = 400, np.random.default_rng(0)
