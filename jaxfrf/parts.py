@@ -17,7 +17,6 @@ import numpy as np
 from . import __version__
 from ._errors import OutputError, output_error
 from ._files import replacing
-from .experiment import Source
 
 _STAMP = "jaxfrf-parts.json"
 _PACKAGE = pathlib.Path(__file__).parent
@@ -67,7 +66,7 @@ class Parts:
         self._files: tuple[str, ...] = ()  # none before `begin`: then nothing is ours to delete
         self._beside: tuple[str, ...] = ()
         self._begun: dict[str, str] | None = None
-        self._later: Future[tuple[Source, ...]] | None = None
+        self._later: Future[tuple[Any, ...]] | None = None
 
     def __enter__(self) -> "Parts":
         self._stamp()
@@ -96,14 +95,15 @@ class Parts:
         about: Mapping[str, Any],
         files: Sequence[str],
         beside: Sequence[str] = (),
-        data: tuple[str, Future[tuple[Source, ...]]] | None = None,
+        data: tuple[str, Future[tuple[Any, ...]]] | None = None,
     ) -> None:
         """Make the folder, or take over what an interrupted run left; once, before the work.
 
         **Arguments:** `about`: all that the parts depend on, by names that tell a user what to look at; numbers, texts,
         lists. `files`: patterns of the names that parts have, e.g. `round-[0-9].json`. `beside`: of files that belong
-        to parts and are none. `data`: what is known of large files at once, and their digests to come: waited for
-        only where parts are taken over that were stamped with digests; else `settle` writes them down.
+        to parts and are none. `data`: what is known of large files at once, and a future of their `jaxfrf.Source`s,
+        with digests: waited for only where parts are taken over that were stamped with digests; else `settle` writes
+        them down.
 
         **Raises:** `jaxfrf.InputError` if the folder holds parts of another run, or any without `resume`; they are left
         as they are.
