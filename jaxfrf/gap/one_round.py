@@ -123,10 +123,15 @@ class Round:
         simulated = [(r, c / before, w) for r, c, w in zip(candidates, costs, after, strict=True) if w is not None]
         if not simulated:
             return None, "no robot with more can be simulated"
-        return self._judged(simulated)
+        simulated = self._of_one_class(simulated)
+        step, against = self._judged(simulated)
+        first = simulated[0][0].hypothesis
+        numbers = [x for x in simulated[1:] if is_number_confused_with(x[0].hypothesis, first)]
+        if step is None and numbers:  # what was tried for it is not in its way
+            step, _ = self._judged(numbers)
+        return step, against
 
     def _judged(self, simulated) -> tuple[Step | None, str]:
-        simulated = self._of_one_class(simulated)
         best, cost, its = simulated[0]
         name = said(best.hypothesis.key)
         robot, before = self._to_beat(best)
@@ -253,6 +258,11 @@ class Round:
         for cost, candidate in sorted(zip(costs, candidates, strict=True), key=lambda pair: pair[0]):
             best.setdefault(candidate.hypothesis.key, (candidate, cost))
         return [r for r, _ in best.values()], [c for _, c in best.values()], before
+
+
+def is_number_confused_with(this: Hypothesis, other: Hypothesis) -> bool:
+    """Whether this is the error of a number that the other effect of its joint is confused with."""
+    return this.is_number and this.joint == other.joint and other.key[0] in this.effect.confusable
 
 
 def said(key) -> str:

@@ -21,7 +21,7 @@ from jaxfrf.gap.hypothesis import hypothesis
 from jaxfrf.gap.judge import against_it, beyond, compared, over_floor
 from jaxfrf.gap.loud_ripple import holds_no_ripple
 from jaxfrf.gap.maps import shown_samples
-from jaxfrf.gap.one_round import costs_of
+from jaxfrf.gap.one_round import costs_of, is_number_confused_with
 from jaxfrf.gap.rank import Scored, is_had
 from jaxfrf.gap.records import split
 from jaxfrf.gap.shortlist import chosen, confused
@@ -349,6 +349,19 @@ def test_what_a_spring_is_confused_with_is_fitted_beside_it():
     assert beside([*others, play], soft, ()) == [play]
     assert beside([*others, play], soft, [(play.effect, play.key)]) == []
     assert beside([play], fx.MotorInertia("shoulder", 1e-4), ()) == []
+
+
+def test_what_a_number_is_confused_with_is_not_in_its_way():
+    """An effect that was tried for a number, and that positions which decide refuse, leaves the number to be judged."""
+    rubs, damps = fx.ViscousFriction("shoulder", 1e-3), fx.ArmViscousFriction("shoulder", 1.0)
+
+    def made(effect, is_number=False):
+        return SimpleNamespace(effect=effect, joint=effect.joint, key=(effect.name, effect.joint), is_number=is_number)
+
+    assert is_number_confused_with(made(rubs, True), made(damps))
+    assert not is_number_confused_with(made(rubs), made(damps))
+    assert not is_number_confused_with(made(rubs, True), made(fx.ArmViscousFriction("elbow", 1.0)))
+    assert not is_number_confused_with(made(rubs, True), made(fx.MotorInertia("shoulder", 1e-4)))
 
 
 def test_what_promises_nothing_is_fitted_beside_what_it_is_confused_with():
