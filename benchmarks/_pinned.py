@@ -17,21 +17,29 @@ def available_cores() -> list[int]:
     return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
 
 
+def pin_to(cores: Sequence[int]) -> None:
+    """This process, and what it starts, to these cores, where the system can."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, cores)
+
+
 def run_pinned(script: str, cores: Sequence[int], threads: int, limit: float, request: dict) -> dict:
     """What `script --worker REQUEST` prints as JSON, in a fresh process on these cores.
 
     **Arguments:** `threads`: of BLAS. `limit`: s, after which the process is given up.
     """
 
-    def pin():
-        if hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(0, cores)
-
     environment = os.environ | dict.fromkeys(_THREADS, str(threads))
     environment |= {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "0", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, script, "--worker", json.dumps(request)]
     done = subprocess.run(
-        command, env=environment, preexec_fn=pin, stdout=subprocess.PIPE, text=True, timeout=limit, check=True
+        command,
+        env=environment,
+        preexec_fn=lambda: pin_to(cores),
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=limit,
+        check=True,
     )
     return {"cores": len(cores), **json.loads(done.stdout)}
 

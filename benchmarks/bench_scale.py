@@ -23,6 +23,8 @@ import sys
 import tempfile
 import time
 
+from _pinned import available_cores, pin_to
+
 BENCHMARKS = pathlib.Path(__file__).parent
 ROBOT = BENCHMARKS.parent / "jaxfrf" / "robot" / "r3x.toml"
 RUN = 56000 * 18 * 8  # bytes of a run of the paper's design: r, u and y of six axes
@@ -137,12 +139,11 @@ def alone(paths: list[pathlib.Path], method: str) -> dict[str, float]:
 def run(*words, cores: int | None = None) -> dict[str, float]:
     """A command in a process of its own: seconds, seconds of processor time, the peak of resident memory, GB, and how
     many programs the machine had to run before it. `cores`: that it and its workers may use, all by default."""
-    pinned = [] if cores is None else ["taskset", "-c", f"0-{cores - 1}"]
+    mine = available_cores()[:cores]
     load, began = os.getloadavg()[0], time.monotonic()
     with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(
-            [*pinned, sys.executable, "-m", "jaxfrf", *map(str, words)], stdout=said, stderr=said
-        )
+        command = [sys.executable, "-m", "jaxfrf", *map(str, words)]
+        process = subprocess.Popen(command, stdout=said, stderr=said, preexec_fn=lambda: pin_to(mine))
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         if process.returncode:
