@@ -19,7 +19,7 @@ from ..trajectory.measured import Measured
 from ..trajectory.ripple import Wave
 from .numbers import Number
 from .result import Round, missed
-from .ripple import found_waves
+from .ripple import found_waves, order_key, sure_waves
 from .rounds import Kept, Rounds
 from .search import Difference, Iterate, Say, Search
 
@@ -124,8 +124,14 @@ class Descent:
 
     @property
     def rests(self) -> bool:
-        """Whether the next step brings nothing."""
-        return _SAME * self.iterate.misfit < self.iterate.left < self.iterate.misfit / _SAME
+        """Whether the next step brings nothing, nor other ripple."""
+        same = _SAME * self.iterate.misfit < self.iterate.left < self.iterate.misfit / _SAME
+        return same and not (self.near and self._rounds <= _ROUNDS_AGAIN and self._has_other_ripple)
+
+    @property
+    def _has_other_ripple(self) -> bool:
+        """Whether what is sure by now is not what was simulated."""
+        return {order_key(o) for o, _ in self.sure_waves} != {order_key(o) for o, _ in self.inside}
 
     @property
     def _refines(self) -> bool:
@@ -138,6 +144,11 @@ class Descent:
         return found_waves(self.iterate.orders, self.iterate.posterior, self.inside)
 
     @property
+    def sure_waves(self) -> tuple[Wave, ...]:
+        """The part of it that is there beyond chance."""
+        return sure_waves(self.iterate.orders, self.iterate.posterior, self.inside)
+
+    @property
     def x(self) -> Float[np.ndarray, "number"]:
         """Where the numbers are."""
         if not self.settled:
@@ -145,7 +156,21 @@ class Descent:
         return self.search.followed(self.iterate.x + self.iterate.posterior.change[: len(self.numbers)])
 
     def _further(self) -> Iterate | None:
-        return self.search.further(self.iterate, self._rounds < (_ROUNDS_AGAIN if self.near else _ROUNDS_FOR_RIPPLE))
+        """One step further; near the truth with the ripple that is sure by now, as long as more was looked for: what
+        was found before some of it, or beside a robot that lacked more, may have stood for what is not ripple."""
+        more, search, inside = self._rounds < self._looks_for_more, self.search, self.inside
+        if self.near and self._rounds <= self._looks_for_more:
+            self.difference = self.iterate.difference or self.difference
+            self._take(True, self.sure_waves, search.floor)
+        found = self.search.further(self.iterate, more)
+        if found is None:  # the last simulation stands, and what it was simulated with
+            self.search, self.inside = search, inside
+        return found
+
+    @property
+    def _looks_for_more(self) -> int:
+        """Rounds in which more ripple is looked for."""
+        return _ROUNDS_AGAIN if self.near else _ROUNDS_FOR_RIPPLE
 
     def _nearer(self) -> Iterate | None:
         """The next robot, its motors turning as they were found to; `None` where it is too early, where they turn

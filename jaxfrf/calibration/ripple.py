@@ -70,12 +70,26 @@ def sure_orders(orders: Sequence[Order], posterior: Posterior, inside=0.0) -> li
 def found_waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave] = ()) -> tuple[Wave, ...]:
     """Ripple as it would be written: orders that are there beyond chance, and those that were simulated, `inside`,
     whose columns correct them. The latter stay, sure or not: two of them may be told together only."""
+    had = {order_key(o) for o, _ in inside}
+    return tuple(wave for wave, sure in _waves(orders, posterior, inside) if sure or order_key(wave[0]) in had)
+
+
+def sure_waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave] = ()) -> tuple[Wave, ...]:
+    """Ripple that is there beyond chance, whether it was simulated (`inside`) or not."""
+    return tuple(wave for wave, sure in _waves(orders, posterior, inside) if sure)
+
+
+def _waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave]) -> list[tuple[Wave, bool]]:
+    """Every order with what there is of it, and whether that is there beyond chance."""
     had = {order_key(o): np.array(w) for o, w in inside}
     own = np.array([had.get(order_key(o), np.zeros(2)) for o in orders]).reshape(-1, 2)
     waves = own + posterior.change[len(posterior.change) - 2 * len(orders) :].reshape(-1, 2)
     sure = sure_orders(orders, posterior, own)
-    kept = [i for i, o in enumerate(orders) if sure[i] or order_key(o) in had]
-    return tuple((orders[i], (float(waves[i, 0]), float(waves[i, 1]))) for i in kept if np.any(waves[i]))
+    return [
+        ((order, (float(wave[0]), float(wave[1]))), is_sure)
+        for order, wave, is_sure in zip(orders, waves, sure, strict=True)
+        if np.any(wave)
+    ]
 
 
 def order_key(order: Order) -> tuple[str, int, float]:
