@@ -19,7 +19,7 @@ from ..trajectory.measured import Measured
 from ..trajectory.ripple import Wave
 from .numbers import Number
 from .result import Round, missed
-from .ripple import found_waves, order_key, sure_waves
+from .ripple import found_waves, other_share, sure_waves
 from .rounds import Kept, Rounds
 from .search import Difference, Iterate, Say, Search
 
@@ -130,8 +130,8 @@ class Descent:
 
     @property
     def _has_other_ripple(self) -> bool:
-        """Whether what is sure by now is not what was simulated."""
-        return {order_key(o) for o, _ in self.sure_waves} != {order_key(o) for o, _ in self.inside}
+        """Whether what is sure by now, and was not simulated, matters."""
+        return other_share(self.iterate.orders, self.iterate.posterior, self.inside) > 1.0 - _SAME
 
     @property
     def _refines(self) -> bool:

@@ -59,24 +59,42 @@ def sure_orders(orders: Sequence[Order], posterior: Posterior, inside=0.0) -> li
     covariance = np.linalg.inv(posterior.normal)[first:, first:]
     out: list[int] = []
     for i in np.argsort(size):
-        rows = np.ravel([(2 * k, 2 * k + 1) for k in (*out, i)])
-        together = waves.ravel()[rows] @ np.linalg.solve(covariance[np.ix_(rows, rows)], waves.ravel()[rows])
-        if sure[i] or together > max(_MUCH * posterior.left, scipy.stats.chi2.isf(_CHANCE, len(rows))):
+        together = _squares(waves, covariance, [*out, i])
+        if sure[i] or together > max(_MUCH * posterior.left, scipy.stats.chi2.isf(_CHANCE, 2 * len(out) + 2)):
             break  # it and all that are stronger stay
         out.append(int(i))
     return [i not in out for i in range(len(orders))]
+
+
+def _squares(waves, covariance, some: Sequence[int]) -> float:
+    """What these orders take away together."""
+    rows = np.ravel([(2 * k, 2 * k + 1) for k in some])
+    return float(waves.ravel()[rows] @ np.linalg.solve(covariance[np.ix_(rows, rows)], waves.ravel()[rows]))
 
 
 def found_waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave] = ()) -> tuple[Wave, ...]:
     """Ripple as it would be written: orders that are there beyond chance, and those that were simulated, `inside`,
     whose columns correct them. The latter stay, sure or not: two of them may be told together only."""
     had = {order_key(o) for o, _ in inside}
-    return tuple(wave for wave, sure in _waves(orders, posterior, inside) if sure or order_key(wave[0]) in had)
+    waves = _waves(orders, posterior, inside)
+    return tuple(wave for wave, sure in waves if sure or (order_key(wave[0]) in had and any(wave[1])))
 
 
 def sure_waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave] = ()) -> tuple[Wave, ...]:
     """Ripple that is there beyond chance, whether it was simulated (`inside`) or not."""
     return tuple(wave for wave, sure in _waves(orders, posterior, inside) if sure)
+
+
+def other_share(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave]) -> float:
+    """What orders that are there beyond chance and were not simulated take away, and those that were and are not,
+    over what is left."""
+    had, first = {order_key(o) for o, _ in inside}, len(posterior.change) - 2 * len(orders)
+    waves = _waves(orders, posterior, inside)
+    other = [i for i, ((order, _), sure) in enumerate(waves) if sure != (order_key(order) in had)]
+    if not other:
+        return 0.0
+    covariance = np.linalg.inv(posterior.normal)[first:, first:]
+    return _squares(np.array([wave for (_, wave), _ in waves]), covariance, other) / max(posterior.left, 1e-300)
 
 
 def _waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave]) -> list[tuple[Wave, bool]]:
@@ -86,9 +104,8 @@ def _waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave]
     waves = own + posterior.change[len(posterior.change) - 2 * len(orders) :].reshape(-1, 2)
     sure = sure_orders(orders, posterior, own)
     return [
-        ((order, (float(wave[0]), float(wave[1]))), is_sure)
+        ((order, (float(wave[0]), float(wave[1]))), is_sure and bool(np.any(wave)))
         for order, wave, is_sure in zip(orders, waves, sure, strict=True)
-        if np.any(wave)
     ]
 
 

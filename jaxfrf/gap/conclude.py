@@ -34,6 +34,7 @@ from .settings import (
     HOPELESS,
     LEAST_SIZE,
     OFF,
+    OUT_OF_TOLERANCE,
     SIGNIFICANT,
     TOLERANCE,
     UNEXPLAINED,
@@ -267,21 +268,23 @@ def counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
 
 def wrong_numbers(last: Fitted) -> list[tuple[str, str, float]]:
     """Numbers that are further off than their tolerance, by the record: by how much, and the p-value of that among all
-    numbers. Those that stand out, and those that the data tell."""
+    numbers. Those that stand out, by that or beside the others, and those that the data tell."""
     data_share, out_of_tolerance = last.iterate.posterior.data_share, last.out_of_tolerance
     p_values = last.tolerance_p_values
     sure = lambda n, i: n.prior > 0 and n.kind != "smoothing" and n.positive and data_share[i] > DATA_SHARE
+    told = lambda n, i: sure(n, i) or p_values[i] < OUT_OF_TOLERANCE
     return [
         (n.name, _change(n, float(x)), float(p_values[i]))
         for i, (n, x) in enumerate(zip(last.numbers, last.x, strict=True))
-        if i in out_of_tolerance or (sure(n, i) and abs(x) > OFF)
+        if i in out_of_tolerance or (told(n, i) and abs(x) > OFF)
     ]
 
 
 def _change(number: Number, x: float) -> str:
     if number.positive:
         return f"{100 * (number.value(x) / number.given - 1.0):+.0f} %"
-    return f"{number.value(x) - number.given:+.2g} {number.unit.removesuffix('1')}".rstrip()
+    change = number.value(x) - number.given
+    return f"{100 * change:+.0f} %" if number.unit == "1" else f"{change:+.2g} {number.unit}"
 
 
 def _wrong_numbers(last: Fitted) -> str:

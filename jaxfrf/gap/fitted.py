@@ -270,12 +270,15 @@ class RobotFit:
         round = Round(iterate.misfit, iterate.left, iterate.posterior.effect)
         self.kept.done[-1] = dataclasses.replace(self.kept.done[-1], round=round)
 
-    def go_on(self, rounds: int) -> None:
+    def go_on(self, rounds: int, more: int = 0) -> None:
         """So many rounds, fewer where the misfit does not come down to the floor by itself, nor by the next step; and
-        beside another robot, where below the floor the next step brings nothing."""
+        beside another robot, where below the floor the next step brings nothing. `more`: further rounds, as long as
+        the next step promises much."""
         left = self._excess()
-        for further in reversed(range(rounds)):
+        for further in reversed(range(rounds + more)):
             was_near, iterate = self.descent.near, self.descent.iterate
+            if further < more and not _promises_much(iterate):
+                break
             if not self.descent.advance(self.kept):
                 break
             now, before, left = self.descent.iterate, left, self._excess()
@@ -284,11 +287,15 @@ class RobotFit:
                 break
             slow = now.misfit > SLOW * iterate.misfit and now.left > SLOW * iterate.left and left > SLOW * before
             end = left * min(left / before, 1.0) ** further  # where it would come at this pace
-            if slow and was_near and end > FLOOR and now.left > PROMISING * now.misfit:
+            if slow and was_near and end > FLOOR and not _promises_much(now):
                 break
 
     def _excess(self) -> float:
         return self.found.excess(self.record)
+
+
+def _promises_much(iterate: Iterate) -> bool:
+    return iterate.left <= PROMISING * iterate.misfit
 
 
 def _kept(x, orders: Sequence[Order], floor, near: bool, inside: Sequence[Wave]) -> Kept:

@@ -31,6 +31,7 @@ from .settings import (
     FIRST_ROUNDS,
     FLOOR,
     KEPT_WITHIN,
+    LATE_ROUNDS,
     MORE_ROUNDS,
     MUCH,
 )
@@ -246,7 +247,7 @@ class Round:
             return None
 
     def _finish(self, candidate: _Candidate) -> None:
-        candidate.fit.go_on(MORE_ROUNDS)
+        candidate.fit.go_on(MORE_ROUNDS, LATE_ROUNDS)
         estimates = candidate.hypothesis.estimates(candidate.found)
         values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in estimates.items())
         self.say(f"  {said(candidate.hypothesis.key)}: {values}")

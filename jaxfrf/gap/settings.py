@@ -10,6 +10,7 @@ SELECT = 3  # one of so many
 ROUNDS = 10  # simulations of the robot as given, at most
 FIRST_ROUNDS = 2  # of a candidate, before those that are far behind are given up
 MORE_ROUNDS = 4  # of a candidate that is not: it begins where the robot before was fitted
+LATE_ROUNDS = 8  # beyond these, as long as the next step promises much: short steps of a fit that is on its way
 FINAL_ROUNDS = 4  # of the robot that is left, on all opened positions: it begins where some of them have put it
 SLOW = 0.7  # of what a round before left: more, and what is far from the floor will not come down to it by itself
 PROMISING = 0.5  # of the misfit: a step that would leave less is worth another round, however short it must be
