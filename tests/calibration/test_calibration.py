@@ -18,10 +18,11 @@ import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.calibration import Calibration, rounds
 from jaxfrf.calibration.columns import number_columns
+from jaxfrf.calibration.descent import Descent
 from jaxfrf.calibration.least_squares import Posterior, solve, with_bands
 from jaxfrf.calibration.numbers import Number, numbers, with_numbers
 from jaxfrf.calibration.result import Round
-from jaxfrf.calibration.ripple import found_waves, sure_orders
+from jaxfrf.calibration.ripple import found_waves, other_share, sure_orders, sure_waves
 from jaxfrf.parts import Parts
 from jaxfrf.robot import operating_point, parameters, r3x, tolerances_from
 from jaxfrf.robot.regressor import link_parameters, link_regressor
@@ -274,6 +275,20 @@ def test_ripple_as_it_is_written():
     np.testing.assert_allclose([one, other], [[0.1, -0.2], [0.0501, 0.0]])
 
 
+def test_what_other_ripple_matters():
+    """Orders that are sure and were not simulated, and those that were and are not sure, by what they take away."""
+    orders = [Order("torque", 0, 2.0), Order("torque", 1, 3.0), Order("resolver", 1, 2.0)]
+    change = np.array([0.4, 0.1, -0.2, 1e-4, 0.0, 0.3, 0.2])
+    scatter = 1e-3 * np.random.default_rng(0).standard_normal((8, 7))
+    posterior = Posterior(change, 1.0, np.diag(np.arange(1.0, 8.0)), change + scatter, np.zeros(7), 2.0)
+    alone = sure_waves(orders, posterior)
+    assert [o for o, _ in alone] == [orders[0], orders[2]]
+    assert other_share(orders, posterior, alone) == 0.0
+    assert other_share(orders, posterior, []) == pytest.approx((2 * 0.01 + 3 * 0.04 + 6 * 0.09 + 7 * 0.04) / 2.0)
+    gone = [*alone, (orders[1], (0.0, 0.0))]  # simulated, and not there
+    assert other_share(orders, posterior, gone) == pytest.approx(4 * 1e-8 / 2.0)
+
+
 def test_finished_rounds_come_back(tmp_path, monkeypatch):
     monkeypatch.setattr(rounds, "_about", lambda *what: {})
     order = Order("torque", 1, 6.0)
@@ -319,6 +334,30 @@ def test_friction_meets_motors_that_turn_unevenly():
         for size, order in zip(np.asarray(wave.amplitude), wave.order, strict=True):
             expected = size * (scale if kind == "torque" else 1.0)
             assert amplitude[kind, axis, float(order)] == pytest.approx(expected, rel=3e-3), (wave.joint, order)
+
+
+@pytest.mark.slow
+def test_ripple_that_is_not_there_goes():
+    """A robot that was fitted with a wrong order and without a right one, as beside an effect that was missing."""
+    wave = fx.TorqueRipple("elbow", [0.03, 0.03], (3, 8), [0.7, -1.0])
+    data = jf.simulate(machine().with_effects(wave), design(1), Q, key=jr.key(2), run_in=3.0, noise=2e-5)
+    record, robot = measured(data), machine().with_tolerances(WIDE)
+    fit = Descent(robot, record, numbers(robot), lambda text: None)
+    wrong = [(Order("torque", 1, 5.0), (0.004, 0.0)), (Order("torque", 1, 3.0), (0.02, 0.02))]
+    start = rounds.Kept(
+        np.zeros(len(fit.numbers)), tuple(o for o, _ in wrong), None, Round(np.inf, np.inf, 1.0), True, wrong, []
+    )
+    kept = rounds.Rounds(None, robot, fit.numbers, record, ())
+    kept.done = [start]
+    fit.begin(kept)
+    before = fit.iterate.misfit
+    for _ in range(3):
+        fit.advance(kept)
+    inside = {o.order: np.hypot(*wave) for o, wave in fit.inside if (o.kind, o.axis) == ("torque", 1)}
+    assert 5.0 not in inside
+    assert {3.0, 8.0} <= set(inside)
+    np.testing.assert_allclose([inside[3.0], inside[8.0]], 0.03, rtol=0.02)
+    assert fit.iterate.misfit < 0.5 * before
 
 
 # --- the whole
