@@ -141,7 +141,18 @@ def with_column_errors(posterior: Posterior, gram: Gram, errors: Float[np.ndarra
     smaller tells nothing (errors in variables: Fuller, Measurement Error Models, 1987, 1.2)."""
     A = gram.A.sum(axis=0)
     deflated = _information(A, errors) / posterior.effect + np.diag(posterior.prior)
-    return dataclasses.replace(posterior, beyond=np.linalg.inv(deflated) - np.linalg.inv(posterior.normal))
+    known = np.linalg.inv(posterior.normal)
+    return dataclasses.replace(posterior, beyond=_without_negative(np.linalg.inv(deflated) - known, np.diag(known)))
+
+
+def _without_negative(covariance, like):
+    """A difference of covariances that can only be positive, its directions that rounding made negative left out;
+    `like`: variances of the same columns, which say what is small."""
+    size = np.sqrt(np.maximum(like, 1e-300))
+    scaled = covariance / np.outer(size, size)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    root = vectors * np.sqrt(np.maximum(values, 0.0)) * size[:, None]
+    return root @ root.T
 
 
 def _information(A, errors: Float[np.ndarray, "column"] | float = 0.0):

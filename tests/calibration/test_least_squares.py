@@ -59,3 +59,17 @@ def test_one_run_has_no_other():
     theirs = np.linalg.lstsq(rows, np.concatenate([right[0], np.zeros(40)]), rcond=None)[0]
     np.testing.assert_allclose(posterior.change, theirs, rtol=1e-6)
     assert posterior.effect == 1.0 and posterior.by_cluster.shape == (1, 40)
+
+
+def test_rounding_is_no_variance():
+    """Products in single precision of columns that hardly differ, of which nothing is known: their errors take nothing
+    away."""
+    rng, numbers = np.random.default_rng(8), [types.SimpleNamespace(prior=0.0)] * 6
+    columns = rng.standard_normal((RUNS, 1, ROWS)) + 1e-5 * rng.standard_normal((RUNS, 6, ROWS))
+    right = rng.standard_normal((RUNS, ROWS))
+    products = np.einsum("rjn,rkn->rjk", columns, columns).astype(np.float32).astype(float)
+    b = np.einsum("rjn,rn->rj", columns, right)
+    gram = Gram(products, b, np.sum(right**2, axis=1), np.arange(RUNS), ROWS)
+    posterior = solve(gram, numbers, np.zeros(6))
+    for errors in (np.zeros(6), np.array([0.0, 0.0, 0.0, 0.0, 0.0, ERROR])):
+        assert np.all(np.diag(with_column_errors(posterior, gram, errors).beyond) >= 0.0)
