@@ -19,7 +19,7 @@ from ..trajectory.measured import Measured
 from ..trajectory.ripple import Wave
 from .numbers import Number
 from .result import Round, missed
-from .ripple import found_waves, other_share, sure_waves
+from .ripple import LITTLE, found_waves, other_share, waves_to_simulate
 from .rounds import Kept, Rounds
 from .search import Difference, Iterate, Say, Search
 
@@ -131,7 +131,7 @@ class Descent:
     @property
     def _has_other_ripple(self) -> bool:
         """Whether what is sure by now, and was not simulated, matters."""
-        return other_share(self.iterate.orders, self.iterate.posterior, self.inside) > 1.0 - _SAME
+        return other_share(self.iterate.orders, self.iterate.posterior, self.inside) > LITTLE
 
     @property
     def _refines(self) -> bool:
@@ -144,11 +144,6 @@ class Descent:
         return found_waves(self.iterate.orders, self.iterate.posterior, self.inside)
 
     @property
-    def sure_waves(self) -> tuple[Wave, ...]:
-        """The part of it that is there beyond chance."""
-        return sure_waves(self.iterate.orders, self.iterate.posterior, self.inside)
-
-    @property
     def x(self) -> Float[np.ndarray, "number"]:
         """Where the numbers are."""
         if not self.settled:
@@ -158,12 +153,21 @@ class Descent:
     def _further(self) -> Iterate | None:
         """One step further; near the truth with the ripple that is sure by now, as long as more was looked for: what
         was found before some of it, or beside a robot that lacked more, may have stood for what is not ripple."""
-        more, search, inside = self._rounds < self._looks_for_more, self.search, self.inside
-        if self.near and self._rounds <= self._looks_for_more:
-            self.difference = self.iterate.difference or self.difference
-            self._take(True, self.sure_waves, search.floor)
+        more = self._rounds < self._looks_for_more
+        found = self._with_other_ripple(more) if self.near and self._rounds <= _ROUNDS_AGAIN else None
+        return self.search.further(self.iterate, more) if found is None else found
+
+    def _with_other_ripple(self, more: bool) -> Iterate | None:
+        """The same, the robot's ripple being what is sure; `None` where that is what it has, and where it leaves
+        more."""
+        if not self._has_other_ripple:
+            return None
+        search, inside = self.search, self.inside
+        self.difference = self.iterate.difference or self.difference
+        self._take(True, waves_to_simulate(self.iterate.orders, self.iterate.posterior, inside), search.floor)
         found = self.search.further(self.iterate, more)
-        if found is None:  # the last simulation stands, and what it was simulated with
+        if found is None:
+            self.say("with the ripple that is sure by now more is left: it stays as it was")
             self.search, self.inside = search, inside
         return found
 

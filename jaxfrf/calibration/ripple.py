@@ -15,6 +15,7 @@ TRIED = {"torque": np.arange(1, 51), "resolver": np.arange(1, 13)}  # whole orde
 _AT_ONCE = {"torque": 3, "resolver": 2}  # of every motor, in a round
 _NEAR = 3  # orders of one motor no further apart may imitate one that stands between them
 _CHANCE = 1e-3  # of an order that is kept without being there
+LITTLE = 0.01  # of the squares that are left: ripple that takes away less is not worth another simulation
 _MUCH = 0.5  # of the squares that are left: orders that take away more together stay, sure or not
 
 
@@ -80,21 +81,32 @@ def found_waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[
     return tuple(wave for wave, sure in waves if sure or (order_key(wave[0]) in had and any(wave[1])))
 
 
-def sure_waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave] = ()) -> tuple[Wave, ...]:
-    """Ripple that is there beyond chance, whether it was simulated (`inside`) or not."""
-    return tuple(wave for wave, sure in _waves(orders, posterior, inside) if sure)
+def waves_to_simulate(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave] = ()) -> tuple[Wave, ...]:
+    """Ripple that is there beyond chance, whether it was simulated (`inside`) or not, and what of the latter takes much
+    away, sure or not."""
+    return tuple(wave for wave, stays in _next(orders, posterior, inside) if stays)
 
 
 def other_share(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave]) -> float:
-    """What orders that are there beyond chance and were not simulated take away, and those that were and are not,
-    over what is left."""
-    had, first = {order_key(o) for o, _ in inside}, len(posterior.change) - 2 * len(orders)
-    waves = _waves(orders, posterior, inside)
-    other = [i for i, ((order, _), sure) in enumerate(waves) if sure != (order_key(order) in had)]
-    if not other:
-        return 0.0
-    covariance = np.linalg.inv(posterior.normal)[first:, first:]
-    return _squares(np.array([wave for (_, wave), _ in waves]), covariance, other) / max(posterior.left, 1e-300)
+    """What orders take away that are simulated next and were not, or that were and will not be, over what is left."""
+    had, waves = {order_key(o) for o, _ in inside}, _next(orders, posterior, inside)
+    other = [i for i, ((order, _), stays) in enumerate(waves) if stays != (order_key(order) in had)]
+    return _share_of([wave for (_, wave), _ in waves], posterior)(other) if other else 0.0
+
+
+def _next(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave]) -> list[tuple[Wave, bool]]:
+    """Every order with what there is of it, and whether it is simulated next."""
+    had, waves = {order_key(o) for o, _ in inside}, _waves(orders, posterior, inside)
+    share = _share_of([wave for (_, wave), _ in waves], posterior)
+    stays = [sure or (order_key(o) in had and share([i]) > LITTLE) for i, ((o, _), sure) in enumerate(waves)]
+    return [(wave, is_next) for (wave, _), is_next in zip(waves, stays, strict=True)]
+
+
+def _share_of(waves: Sequence[tuple[float, float]], posterior: Posterior):
+    """A function that says what some of these orders take away together, over what is left."""
+    first = len(posterior.change) - 2 * len(waves)
+    covariance, sizes = np.linalg.inv(posterior.normal)[first:, first:], np.array(waves)
+    return lambda some: _squares(sizes, covariance, some) / max(posterior.left, 1e-300)
 
 
 def _waves(orders: Sequence[Order], posterior: Posterior, inside: Sequence[Wave]) -> list[tuple[Wave, bool]]:

@@ -140,7 +140,8 @@ class Search:
         return Iterate(x, evidence, weighed, orders, posterior, misfit, left, rest, difference, start_floor)
 
     def further(self, iterate: Iterate, more: bool) -> Iterate | None:
-        """The next robot, by a step that is short enough to leave less."""
+        """The next robot, by a step that is short enough to leave less, or to cost less: where all of it is nearly met,
+        numbers that no motion tells must find back to what was known of them."""
         sure = sure_orders(iterate.orders, iterate.posterior)
         sure = [is_sure or order_key(o) in self.inside for o, is_sure in zip(iterate.orders, sure, strict=True)]
         orders = tuple(o for o, is_sure in zip(iterate.orders, sure, strict=True) if is_sure)
@@ -148,6 +149,7 @@ class Search:
         kept = np.flatnonzero(np.concatenate([np.ones(len(self.beside), bool), np.repeat(sure, 2)]))
         explained = np.concatenate([self._at_bound(iterate.x), len(self.numbers) + kept])
         before = _misfit(iterate.evidence, iterate.weighed, explained)
+        cost = lambda misfit, x: misfit * 2.0 * iterate.rest.size / iterate.posterior.effect + self._prior_cost(x)
         step, part, longest = self._step(iterate)
         for _ in range(_HALVINGS):
             try:
@@ -155,10 +157,15 @@ class Search:
             except InputError as error:
                 self.say(f"a step too far: {error}")
             else:
-                if found.misfit < _WORSE * before or part * longest < 0.02:
+                costs_less = cost(found.misfit, found.x) < cost(before, iterate.x)
+                if found.misfit < _WORSE * before or costs_less or part * longest < 0.02:
                     return found
             part /= 2
         return None
+
+    def _prior_cost(self, x) -> float:
+        """What numbers that are off cost; how friction is smoothed has no true value."""
+        return sum(n.prior * a**2 for n, a in zip(self.numbers, x, strict=True) if n.kind != "smoothing")
 
     def next(self, iterate: Iterate) -> Float[np.ndarray, "number"]:
         """Where the step goes, no further than columns hold."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Number = Float[Array, ""] | float
 
 _WIDTHS = (2.0, 5.0)  # rad/s, of Stribeck's hump, that are tried
+_STICKING = ((2.0, 1.5), (2.0, 4.0), (6.0, 1.5), (6.0, 4.0))  # times just visible, rad/s: where fits of loud ones begin
 _PARTS = (0.02, 0.05, 0.1, 0.2)  # of the largest speed of a measured motion: widths that are tried along it
 _TURN = 0.02  # of that speed: within it friction has changed its sign, whatever the units
 
@@ -189,6 +190,7 @@ class StribeckFriction(AbstractFriction):
     bounds: ClassVar = {"level": (0.0, 1.0), "width": (1.0, 10.0), "smoothing": (0.01, 1.0)}
     signature: ClassVar = "a hump of the torque residual near zero speed"
     confusable: ClassVar = {"coulomb_friction": "slow runs", "gear_hysteresis": "slow runs"}
+    imitated_by: ClassVar = ("viscous_friction", "coulomb_friction")
 
     joint: Joint = eqx.field(static=True)
     level: Number
@@ -204,6 +206,12 @@ class StribeckFriction(AbstractFriction):
         typical, bounds = cls.typical(robot, joint), cls.plausible(robot, joint)
         these = [eqx.tree_at(lambda e: e.width, typical, width) for width in _WIDTHS]
         return tuple(e.candidate(*bounds, f"width {e.width:g} rad/s") for e in these)
+
+    @classmethod
+    def starts(cls, robot: "Robot", fitted: "Robot", joint: Joint) -> tuple[Self, ...]:
+        """So much that the motor sticks, which no small amount of it shows."""
+        level = cls.typical(robot, joint).level
+        return tuple(cls(joint, times * level, width) for times, width in _STICKING)
 
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:

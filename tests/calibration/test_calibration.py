@@ -22,7 +22,7 @@ from jaxfrf.calibration.descent import Descent
 from jaxfrf.calibration.least_squares import Posterior, solve, with_bands
 from jaxfrf.calibration.numbers import Number, numbers, with_numbers
 from jaxfrf.calibration.result import Round
-from jaxfrf.calibration.ripple import found_waves, other_share, sure_orders, sure_waves
+from jaxfrf.calibration.ripple import found_waves, other_share, sure_orders, waves_to_simulate
 from jaxfrf.parts import Parts
 from jaxfrf.robot import operating_point, parameters, r3x, tolerances_from
 from jaxfrf.robot.regressor import link_parameters, link_regressor
@@ -281,7 +281,7 @@ def test_what_other_ripple_matters():
     change = np.array([0.4, 0.1, -0.2, 1e-4, 0.0, 0.3, 0.2])
     scatter = 1e-3 * np.random.default_rng(0).standard_normal((8, 7))
     posterior = Posterior(change, 1.0, np.diag(np.arange(1.0, 8.0)), change + scatter, np.zeros(7), 2.0)
-    alone = sure_waves(orders, posterior)
+    alone = waves_to_simulate(orders, posterior)
     assert [o for o, _ in alone] == [orders[0], orders[2]]
     assert other_share(orders, posterior, alone) == 0.0
     assert other_share(orders, posterior, []) == pytest.approx((2 * 0.01 + 3 * 0.04 + 6 * 0.09 + 7 * 0.04) / 2.0)
