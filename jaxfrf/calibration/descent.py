@@ -73,8 +73,9 @@ class Descent:
         self._keep(kept)
         return True
 
-    def begin(self, kept: Rounds) -> None:
-        """Simulate the robot as it was given, or where the last of the finished rounds had it."""
+    def begin(self, kept: Rounds, more: bool = False) -> None:
+        """Simulate the robot as it was given, or where the last of the finished rounds had it. `more`: look for more
+        ripple there, as on a record that tells more than that of these rounds."""
         if not kept.done:
             self._take(False, (), None)
             self.iterate = self.search.evaluate(np.zeros(len(self.numbers)), (), True)
@@ -84,7 +85,7 @@ class Descent:
         self._take(last.near, last.inside, last.floor)
         self._rounds = sum(one.near == last.near for one in kept.done)
         self._before = kept.done[-2].round.misfit if len(kept.done) > 1 else None
-        self.iterate = self.search.evaluate(last.x, last.orders, False)
+        self.iterate = self.search.evaluate(last.x, last.orders, more)
         self.settled = self._settles()
         self.say(f"goes on behind round {len(kept.done)}")
 

@@ -198,8 +198,10 @@ def fitted_from(robot: Robot, unknown: Tolerances, record: Measured, start: Fitt
 
 
 def further(found: Fitted, record: Measured, say: Say, rounds: int) -> Fitted:
-    """The same robot, fitted for so many rounds to another record."""
-    return fitted_from(found.robot, found.unknown, record, found, say, rounds)
+    """The same robot, fitted for so many rounds to another record, in which ripple is looked for anew."""
+    fit = RobotFit.beside(found, found.robot, found.unknown, record, say, more=True)
+    fit.go_on(rounds - 1)
+    return fit.found
 
 
 def at(robot: Robot, unknown: Tolerances, record: Measured, values, orders, floor, near, inside, say: Say) -> Fitted:
@@ -232,7 +234,6 @@ class RobotFit:
         self.robot, self.unknown, self.record, self.say = robot, unknown, record, say
         self.descent = Descent(robot, record, self.numbers, lambda text: None, difference=difference)
         self.kept = Rounds(None, robot, self.numbers, record, ())
-        self.is_beside = False
 
     @classmethod
     def beside(
@@ -243,19 +244,20 @@ class RobotFit:
         record: Measured,
         say: Say,
         anew: Collection[str] = (),
+        more: bool = False,
     ) -> "RobotFit":
         """A robot with other effects or tolerances, its numbers where those of `start` are, or as they were given
-        (`anew`).
+        (`anew`). `more`: whether more ripple is looked for there.
 
         **Raises:** `jaxfrf.InputError` where it cannot be simulated there."""
         same_motion = np.array_equal(
             np.asarray(record.data.q), [scene.still.q for scene in start.iterate.evidence.scenes]
         )
         fit = cls(robot, unknown, record, say, start.iterate.difference if same_motion else None)
-        fit.is_beside = True
         known = {n.name: (n, float(x)) for n, x in zip(start.numbers, start.x, strict=True) if n.name not in anew}
         x = np.array([_begins(n, known) for n in fit.numbers])
-        fit.begin(_kept(x, start.iterate.orders, steady_seen(start.iterate.evidence), start.near, start.inside))
+        floor = steady_seen(start.iterate.evidence)
+        fit.begin(_kept(x, start.iterate.orders, floor, start.near, start.inside), more)
         return fit
 
     @property
@@ -263,28 +265,29 @@ class RobotFit:
         d = self.descent
         return Fitted(self.robot, self.unknown, self.numbers, d.x, d.iterate, d.near, d.inside, d.settled)
 
-    def begin(self, start: Kept | None) -> None:
+    def begin(self, start: Kept | None, more: bool = False) -> None:
         self.kept.done = [] if start is None else [start]
-        self.descent.begin(self.kept)
+        self.descent.begin(self.kept, more)
         iterate = self.descent.iterate
         round = Round(iterate.misfit, iterate.left, iterate.posterior.effect)
         self.kept.done[-1] = dataclasses.replace(self.kept.done[-1], round=round)
 
     def go_on(self, rounds: int, more: int = 0) -> None:
-        """So many rounds, fewer where the misfit does not come down to the floor by itself, nor by the next step; and
-        beside another robot, where below the floor the next step brings nothing. `more`: further rounds, as long as
-        the next step promises much."""
-        left = self._excess()
+        """So many rounds, fewer where the misfit does not come down to the floor by itself, nor by the next step, and
+        where below the floor the next step brings nothing. `more`: further rounds, as long as the next step promises
+        much, or the last one brought much and the floor is not reached."""
+        left, brought_much = self._excess(), False
         for further in reversed(range(rounds + more)):
             was_near, iterate = self.descent.near, self.descent.iterate
-            if further < more and not _promises_much(iterate):
+            if further < more and not brought_much and not _promises_much(iterate):
                 break
             if not self.descent.advance(self.kept):
                 break
             now, before, left = self.descent.iterate, left, self._excess()
             self.say(f"    {now.misfit**0.5:.3g} times the floor, at most {left**0.5:.3g} behind the next step")
-            if self.is_beside and self.descent.near and self.descent.rests and now.misfit < FLOOR:
+            if self.descent.near and self.descent.rests and now.misfit < FLOOR:
                 break
+            brought_much = FLOOR < now.misfit < SLOW * iterate.misfit
             slow = now.misfit > SLOW * iterate.misfit and now.left > SLOW * iterate.left and left > SLOW * before
             end = left * min(left / before, 1.0) ** further  # where it would come at this pace
             if slow and was_near and end > FLOOR and not _promises_much(now):
