@@ -81,6 +81,12 @@ class Number(eqx.Module):
         return self.size * std * (self.value(x) if self.positive else 1.0)
 
 
+def prior_cost(numbers: Sequence[Number], x) -> float:
+    """Squares of tolerances that numbers at these coordinates are off by; how Coulomb friction is smoothed has no true
+    value."""
+    return float(sum(n.prior * a**2 for n, a in zip(numbers, x, strict=True) if n.kind != "smoothing"))
+
+
 def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) -> tuple[Number, ...]:
     """All numbers that are not exact, by the robot's tolerances.
 

@@ -18,7 +18,7 @@ from ..trajectory.remainder import remainder, usual_size
 from ..trajectory.ripple import Order, order_columns
 from .columns import number_columns
 from .least_squares import Posterior, solve, with_bands
-from .numbers import Number, with_numbers
+from .numbers import Number, prior_cost, with_numbers
 from .ripple import order_key, sure_orders, with_found_orders
 
 _LONGEST = 0.5  # of a logarithm, in one step: columns hold no further
@@ -149,7 +149,8 @@ class Search:
         kept = np.flatnonzero(np.concatenate([np.ones(len(self.beside), bool), np.repeat(sure, 2)]))
         explained = np.concatenate([self._at_bound(iterate.x), len(self.numbers) + kept])
         before = _misfit(iterate.evidence, iterate.weighed, explained)
-        cost = lambda misfit, x: misfit * 2.0 * iterate.rest.size / iterate.posterior.effect + self._prior_cost(x)
+        lines = 2.0 * iterate.rest.size / iterate.posterior.effect
+        cost = lambda misfit, x: lines * misfit + prior_cost(self.numbers, x)
         step, part, longest = self._step(iterate)
         for _ in range(_HALVINGS):
             try:
@@ -162,10 +163,6 @@ class Search:
                     return found
             part /= 2
         return None
-
-    def _prior_cost(self, x) -> float:
-        """What numbers that are off cost; how friction is smoothed has no true value."""
-        return sum(n.prior * a**2 for n, a in zip(self.numbers, x, strict=True) if n.kind != "smoothing")
 
     def next(self, iterate: Iterate) -> Float[np.ndarray, "number"]:
         """Where the step goes, no further than columns hold."""

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from ..calibration.columns import OF_LINKS
 from ..calibration.descent import Descent
 from ..calibration.least_squares import with_column_errors
-from ..calibration.numbers import Number, numbers, with_numbers
+from ..calibration.numbers import Number, numbers, prior_cost, with_numbers
 from ..calibration.result import Round
 from ..calibration.ripple import TRIED, found_waves
 from ..calibration.rounds import Kept, Rounds
@@ -50,10 +50,8 @@ class Fitted(eqx.Module):
 
     @property
     def prior_cost(self) -> float:
-        """Squares of tolerances that the numbers are off by behind the next step, as `left` is; how Coulomb friction is
-        smoothed has no true value."""
-        behind = self.iterate.x + self.iterate.posterior.change[: len(self.numbers)]
-        return float(sum(n.prior * x**2 for n, x in zip(self.numbers, behind, strict=True) if n.kind != "smoothing"))
+        """Of the numbers behind the next step, as `left` is."""
+        return prior_cost(self.numbers, self.iterate.x + self.iterate.posterior.change[: len(self.numbers)])
 
     @property
     def left(self):
