@@ -127,11 +127,14 @@ class Descent:
     def rests(self) -> bool:
         """Whether the next step brings nothing, nor other ripple."""
         same = _SAME * self.iterate.misfit < self.iterate.left < self.iterate.misfit / _SAME
-        return same and not (self.near and self._rounds <= _ROUNDS_AGAIN and self._has_other_ripple)
+        return same and not self._has_other_ripple
 
     @property
     def _has_other_ripple(self) -> bool:
-        """Whether what is sure by now, and was not simulated, matters."""
+        """Whether near the truth, as long as more ripple is looked for, what is sure by now and was not simulated
+        matters."""
+        if not self.near or self._rounds > _ROUNDS_AGAIN:
+            return False
         return other_share(self.iterate.orders, self.iterate.posterior, self.inside) > LITTLE
 
     @property
@@ -152,17 +155,14 @@ class Descent:
         return self.search.followed(self.iterate.x + self.iterate.posterior.change[: len(self.numbers)])
 
     def _further(self) -> Iterate | None:
-        """One step further; near the truth with the ripple that is sure by now, as long as more was looked for: what
-        was found before some of it, or beside a robot that lacked more, may have stood for what is not ripple."""
-        more = self._rounds < self._looks_for_more
-        found = self._with_other_ripple(more) if self.near and self._rounds <= _ROUNDS_AGAIN else None
+        """One step further; with the ripple that is sure by now where that is other: what was found before some of it,
+        or beside a robot that lacked more, may have stood for what is not ripple."""
+        more = self._rounds < (_ROUNDS_AGAIN if self.near else _ROUNDS_FOR_RIPPLE)
+        found = self._with_other_ripple(more) if self._has_other_ripple else None
         return self.search.further(self.iterate, more) if found is None else found
 
     def _with_other_ripple(self, more: bool) -> Iterate | None:
-        """The same, the robot's ripple being what is sure; `None` where that is what it has, and where it leaves
-        more."""
-        if not self._has_other_ripple:
-            return None
+        """The same, the robot's ripple being what is sure; `None` where that leaves more."""
         search, inside = self.search, self.inside
         self.difference = self.iterate.difference or self.difference
         self._take(True, waves_to_simulate(self.iterate.orders, self.iterate.posterior, inside), search.floor)
@@ -171,11 +171,6 @@ class Descent:
             self.say("with the ripple that is sure by now more is left: it stays as it was")
             self.search, self.inside = search, inside
         return found
-
-    @property
-    def _looks_for_more(self) -> int:
-        """Rounds in which more ripple is looked for."""
-        return _ROUNDS_AGAIN if self.near else _ROUNDS_FOR_RIPPLE
 
     def _nearer(self) -> Iterate | None:
         """The next robot, its motors turning as they were found to; `None` where it is too early, where they turn

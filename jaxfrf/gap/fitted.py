@@ -188,18 +188,19 @@ def as_given(robot: Robot, record: Measured, say: Say) -> Fitted:
     return fit.found
 
 
-def fitted_from(robot: Robot, unknown: Tolerances, record: Measured, start: Fitted, say: Say, rounds: int) -> Fitted:
-    """A robot with other effects or tolerances, its numbers from where those of `start` are."""
-    fit = RobotFit.beside(start, robot, unknown, record, say)
+def fitted_from(
+    robot: Robot, unknown: Tolerances, record: Measured, start: Fitted, say: Say, rounds: int, more: bool = False
+) -> Fitted:
+    """A robot with other effects or tolerances, its numbers from where those of `start` are. `more`: as of
+    `RobotFit.beside`."""
+    fit = RobotFit.beside(start, robot, unknown, record, say, more=more)
     fit.go_on(rounds - 1)
     return fit.found
 
 
 def further(found: Fitted, record: Measured, say: Say, rounds: int) -> Fitted:
     """The same robot, fitted for so many rounds to another record, in which ripple is looked for anew."""
-    fit = RobotFit.beside(found, found.robot, found.unknown, record, say, more=True)
-    fit.go_on(rounds - 1)
-    return fit.found
+    return fitted_from(found.robot, found.unknown, record, found, say, rounds, more=True)
 
 
 def at(robot: Robot, unknown: Tolerances, record: Measured, values, orders, floor, near, inside, say: Say) -> Fitted:
@@ -270,14 +271,14 @@ class RobotFit:
         round = Round(iterate.misfit, iterate.left, iterate.posterior.effect)
         self.kept.done[-1] = dataclasses.replace(self.kept.done[-1], round=round)
 
-    def go_on(self, rounds: int, more: int = 0) -> None:
+    def go_on(self, rounds: int, late: int = 0) -> None:
         """So many rounds, fewer where the misfit does not come down to the floor by itself, nor by the next step, and
-        where below the floor the next step brings nothing. `more`: further rounds, as long as the next step promises
+        where below the floor the next step brings nothing. `late`: further rounds, as long as the next step promises
         much, or the last one brought much and the floor is not reached."""
         left, brought_much = self._excess(), False
-        for further in reversed(range(rounds + more)):
+        for further in reversed(range(rounds + late)):
             was_near, iterate = self.descent.near, self.descent.iterate
-            if further < more and not brought_much and not _promises_much(iterate):
+            if further < late and not brought_much and not _promises_much(iterate):
                 break
             if not self.descent.advance(self.kept):
                 break
