@@ -28,6 +28,7 @@ _FEW_ROUNDS = 2  # with less, ripple of a motor is not found yet
 _ROUNDS_AGAIN = 2  # the same, of rounds with ripple that is simulated: weak orders drowned before
 _NEAR = 0.15  # of the misfit: where a step leaves more, the robot is near
 _SAME = 0.99  # of the misfit: rounds near the truth that leave more, one after the other, bring nothing
+_MUCH = 0.8  # of the misfit: a step that leaves less promises much
 _WORSE = 1.05  # of what was left: ripple with which more is left is not simulated
 
 
@@ -50,8 +51,8 @@ class Descent:
     ):
         self.robot, self.record, self.numbers, self.say, self.beside = robot, record, numbers, say, tuple(beside)
         self.difference = difference
-        self.settled, self._rounds = False, 0
-        self._before: float | None = None  # misfit of the round before
+        self.settled = False
+        self._misfits: list[float] = []  # of the rounds with ripple beside the robot, then of those near the truth
 
     def run(self, rounds: int, kept: Rounds) -> None:
         """So many simulations, from where an earlier run was interrupted."""
@@ -83,8 +84,7 @@ class Descent:
             return
         last = kept.done[-1]
         self._take(last.near, last.inside, last.floor)
-        self._rounds = sum(one.near == last.near for one in kept.done)
-        self._before = kept.done[-2].round.misfit if len(kept.done) > 1 else None
+        self._misfits = [one.round.misfit for one in kept.done if one.near == last.near]
         self.iterate = self.search.evaluate(last.x, last.orders, more)
         self.settled = self._settles()
         self.say(f"goes on behind round {len(kept.done)}")
@@ -101,8 +101,8 @@ class Descent:
         self.search.floor = floor
 
     def _keep(self, kept: Rounds) -> None:
-        iterate, self._rounds = self.iterate, self._rounds + 1
-        self._before = kept.done[-1].round.misfit if kept.done else None
+        iterate = self.iterate
+        self._misfits.append(iterate.misfit)
         self.settled = self._settles()
         round = Round(iterate.misfit, iterate.left, iterate.posterior.effect)
         torque = missed(iterate.evidence, self.record)
@@ -116,12 +116,20 @@ class Descent:
 
     def _settles(self) -> bool:
         """A robot whose ripple stands beside it only is not done; one whose misfit stays is, though numbers may creep
-        along what the record does not tell."""
+        along what the record does not tell. Where two rounds brought nothing, a step is believed that promises much."""
         if not self.near and self._refines:
             return False
-        before, iterate = self._before, self.iterate
-        same = before is not None and iterate.misfit > _SAME * before and self.rests
-        return self.search.has_converged(iterate) or (self.near and self._rounds > _ROUNDS_AGAIN and same)
+        if self.search.has_converged(self.iterate):
+            return True
+        if not self.near or self._rounds <= _ROUNDS_AGAIN:
+            return False
+        *before, last, now = self._misfits
+        twice = last > _SAME * min(before) and self.iterate.left > _MUCH * now and not self._has_other_ripple
+        return now > _SAME * last and (self.rests or twice)
+
+    @property
+    def _rounds(self) -> int:
+        return len(self._misfits)
 
     @property
     def rests(self) -> bool:
@@ -179,7 +187,7 @@ class Descent:
         early = self._rounds < _FEW_ROUNDS or before.left < _NEAR * before.misfit
         if self.near or early or not self._refines:
             return None
-        x, floor, self._rounds = self.search.next(before), self.search.floor, 0
+        x, floor, self._misfits = self.search.next(before), self.search.floor, []
         self._take(True, waves, floor)
         if not waves:
             return None

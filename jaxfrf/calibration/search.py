@@ -149,7 +149,8 @@ class Search:
         kept = np.flatnonzero(np.concatenate([np.ones(len(self.beside), bool), np.repeat(sure, 2)]))
         explained = np.concatenate([self._at_bound(iterate.x), len(self.numbers) + kept])
         before = _misfit(iterate.evidence, iterate.weighed, explained)
-        lines = 2.0 * iterate.rest.size / iterate.posterior.effect
+        # The floor is what is left, as in the least squares whose step this is.
+        lines = 2.0 * iterate.rest.size / (iterate.posterior.effect * max(iterate.left, 1e-300))
         cost = lambda misfit, x: lines * misfit + prior_cost(self.numbers, x)
         step, part, longest = self._step(iterate)
         for _ in range(_HALVINGS):
