@@ -59,7 +59,7 @@ def calibrate(
     Ripple stands beside the robot until its numbers are near. Then it is simulated, too, with the orders that were
     found, and looked for again: friction does not meet motors that turn evenly.
 
-    How friction turns over near standstill is left open (two more columns a motor), so that another law there does not
+    How friction turns over near standstill is left open (four more columns a motor), so that another law there does not
     go into viscous friction. The speed over which it does, `friction.smoothing`, is no sharper than the steps of the
     robot's simulation follow; a machine that sticks is fitted beyond that to first order.
 

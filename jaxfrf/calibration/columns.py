@@ -26,7 +26,7 @@ from .numbers import Number, effect_parameters, with_numbers
 
 _STEP = 1e-3  # of a coordinate's size, but at most this change of a logarithm
 _LATE = 1e-6  # s
-_NEAR_REST = (2.5, 12.5)  # times the speed that smooths the friction: within it, friction may be another
+_NEAR_REST = (1.0, 3.5, 12.5)  # times the speed that smooths the friction: within it, friction may be another
 OF_LINKS = ("mass", "com", "inertia")
 _LAWS = {
     **dict.fromkeys(("stiffness", "damping", "stiffness_ratio", "stiffness_knee", "backlash"), "spring"),
@@ -114,19 +114,30 @@ class _Law:
 
 
 def near_rest_columns(robot: Robot) -> list[Column]:
-    """What friction may be near standstill beside the robot's own law, two shapes for each motor.
+    """What friction may be near standstill beside the robot's own law, for each motor shapes of three widths over its
+    speed, and another moment at which it turns over.
 
     No machine's friction turns over as tanh(v/eps) does: presliding, stiction, the drop of Stribeck. Left out, the
-    difference would go into viscous friction, of which it can be many per cent."""
+    difference would go into viscous friction, of which it can be many per cent; and friction that follows its speed
+    late, as that of lubricated contacts does, would go into the inertia of the motor (Armstrong-Helouvry, Dupont &
+    Canudas de Wit, Automatica 30 (1994) 1083-1138, frictional memory)."""
     friction = robot.drives.friction
     if not isinstance(friction, Friction) or not np.any(np.asarray(friction.coulomb)):
         return []
+    smoothing, axes = float(friction.smoothing), np.flatnonzero(np.asarray(friction.coulomb)).tolist()
     shape = lambda axis, width: lambda scene: scene.by_motor(axis, _near_rest(scene.speed[..., axis], width))
-    return [
-        shape(axis, width)
-        for axis in np.flatnonzero(np.asarray(friction.coulomb))
-        for width in np.array(_NEAR_REST) * float(friction.smoothing)
-    ]
+    shapes = [shape(axis, width) for axis in axes for width in np.array(_NEAR_REST) * smoothing]
+    return shapes + [_later(axis, smoothing) for axis in axes]
+
+
+def _later(axis: int, smoothing: float) -> Column:
+    """Coulomb friction of one motor a moment later."""
+
+    def column(scene: Scene) -> Signature:
+        rate = 2j * np.pi * scene.still.frequency[:, None]
+        return -rate * scene.by_motor(axis, np.tanh(scene.speed[..., axis] / smoothing))
+
+    return column
 
 
 def _near_rest(speed, width: float):
