@@ -1,6 +1,6 @@
 """Whole robots from MuJoCo's records, everything uncertain: how far off numbers end, and how often intervals hold.
 
-    python benchmarks/bench_calibration.py -o calibration [--robots r3x small light] [--seeds 0 1 2 3 4]
+    python benchmarks/bench_calibration.py -o calibration [--robots r3x small light pallet] [--seeds 0 1 2 3 4]
         [--experiments 6 1] [--without-springs] [--known torque_constant]
 
 A machine is a robot as its file says; what the calibration is given is off from it, uniformly: stiffness and the
@@ -11,8 +11,9 @@ that a torque constant may be 3 % off, though none is: a whole robot may then be
 tells. `--known torque_constant` is the user who logs torques and says so.
 
     r3x    6 axes, 2 kHz, 7 random positions, 8 s, seeds 100 and more were tuned on
-    small  2 axes, 1 kHz, 7 random positions, 4 s: never tuned on
+    small  2 axes, 1 kHz, 7 random positions, 4 s: what stands beside friction was chosen on its seeds 0-2
     light  7 axes, 1 kHz, ratios of 100 and 160, slower loops, 8 random positions, 6 s: never tuned on
+    pallet 4 axes, 1 kHz, heavy, 8 random positions, 6 s: never tuned on
 
 Beside it, on the same records of r3x: the indirect fit of springs and dampers, the rest taken as exact.
 Finished entries are kept in OUTPUT/found.json, so that an interrupted run goes on; tables are printed at the end.
@@ -42,6 +43,7 @@ from jaxfrf.robot import Robot, parameters, r3x, tolerances_from, with_parameter
 from jaxfrf.trajectory import fewer
 
 _SUBSTEPS = 4  # of MuJoCo in a sample: with 2 its error (.01 %) is wider than some intervals
+ROBOT_NAMES = ("r3x", "small", "light", "pallet")
 ROBOTS = pathlib.Path(__file__).parent / "robots"
 OFF = {
     "stiffness": 0.2,
@@ -101,12 +103,19 @@ def record(name: str, seed: int):
         slow = jf.SlowSine([3, 5], [30.0, 30.0])
         plan = jf.Multisine(1000.0, 4000, np.arange(17, 240, 2), rms=[2.0, 3.0], slow=slow, seed=seed, blocks=3)
         waves = ripple(robot, seed)
-    else:
+    elif name == "light":
         robot, count = jf.io.read_robot(ROBOTS / "light.toml"), 8
         slow = jf.SlowSine([3, 4, 5, 7, 8, 9, 11], [25.0] * 7)
         plan = jf.Multisine(1000.0, 6000, np.arange(25, 421, 2), rms=[4.0] * 7, slow=slow, seed=seed)
         waves = ripple(robot, seed)
+    else:
+        robot, count = jf.io.read_robot(ROBOTS / "pallet.toml"), 8
+        slow = jf.SlowSine([3, 4, 5, 7], [25.0, 25.0, 25.0, 30.0])
+        plan = jf.Multisine(1000.0, 6000, np.arange(25, 300, 2), rms=[2.0, 2.0, 2.0, 4.0], slow=slow, seed=seed)
+        waves = ripple(robot, seed)
     q = np.asarray(jf.random_positions(count, jr.key(1000 + seed), robot.n_axes))
+    if name == "pallet":
+        q *= np.array([4 / 3, 0.6, 0.5, 5 / 3])  # of +-90 degrees, within its reach
     return robot, mujoco_experiment(robot, plan, q, seed=seed, ripple=waves, substeps=_SUBSTEPS)
 
 
@@ -141,7 +150,7 @@ def springs(given: Robot, data) -> dict:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=pathlib.Path, required=True)
-    parser.add_argument("--robots", nargs="+", choices=["r3x", "small", "light"], default=["r3x", "small", "light"])
+    parser.add_argument("--robots", nargs="+", choices=ROBOT_NAMES, default=ROBOT_NAMES)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(5)))
     parser.add_argument("--experiments", type=int, nargs="+", default=[6, 1])
     parser.add_argument(
@@ -174,7 +183,7 @@ def main() -> None:
 
 def report(done: dict) -> None:
     """Errors by kind, and how often intervals hold."""
-    print(f"\n{'':42}{'mean error, % (range over seeds)':>40}{'largest, %':>14}")
+    print(f"\n{'':44}{'mean error, % (range over seeds)':>40}{'largest, %':>14}")
     for group in sorted({key.rpartition(" ")[0] for key in done if not key.startswith("springs")}):
         entries = [v for k, v in done.items() if k.rpartition(" ")[0] == group]
         for kind in (*(k for k in OFF if k not in ("com", "inertia")), "payload"):
@@ -184,16 +193,16 @@ def report(done: dict) -> None:
                 continue
             means = [100 * np.mean(r) for r in rows]
             spread = f"{np.median(means):.2f} ({min(means):.2f}-{max(means):.2f})"
-            print(f"{group:26}{kind:16}{spread:>40}{100 * max(map(max, rows)):>14.2f}")
+            print(f"{group:28}{kind:16}{spread:>40}{100 * max(map(max, rows)):>14.2f}")
         determined = [r for e in entries for r in e["numbers"].values() if r["determined_by"] == "data"]
         determined = [r for r in determined if r["kind"] != "smoothing"]
         held, after = sum(r["held"] for r in determined), np.concatenate([e["missed"]["after"] for e in entries])
         low, high = scipy.stats.binomtest(held, len(determined)).proportion_ci(method="exact")
         hold = f"{held} of {len(determined)} hold ({low:.1%} to {high:.1%})"
-        print(f"{group:26}95 % intervals of what the data determine: {hold}")
-        print(f"{group:26}torque missed {100 * np.median(after):.2f} % (largest {100 * max(after):.2f} %)")
+        print(f"{group:28}95 % intervals of what the data determine: {hold}")
+        print(f"{group:28}torque missed {100 * np.median(after):.2f} % (largest {100 * max(after):.2f} %)")
         seconds, rounds = (np.median([e[name] for e in entries]) for name in ("seconds", "rounds"))
-        print(f"{group:26}{seconds:.0f} s, {rounds:.0f} rounds (medians)")
+        print(f"{group:28}{seconds:.0f} s, {rounds:.0f} rounds (medians)")
     determined = [r for k, v in done.items() if not k.startswith("springs") for r in v["numbers"].values()]
     determined = [r["held"] for r in determined if r["determined_by"] == "data" and r["kind"] != "smoothing"]
     low, high = scipy.stats.binomtest(sum(determined), len(determined)).proportion_ci(method="exact")
