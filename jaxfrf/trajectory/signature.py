@@ -59,7 +59,9 @@ def _(effect: AbstractArmTorque, scene: Scene) -> Signature:
 @signature.register
 def _(effect: AbstractMotorTorque, scene: Scene) -> Signature:
     axis = axis_of(scene.robot, effect.joint)
-    return scene.by_motor(axis, -_law(effect, "torque", scene.angle[..., axis]))
+    # Over the angle as it was read, as columns of ripple are: else all of a robot, made heavier by one part, would not
+    # ask what stronger motors give.
+    return scene.by_motor(axis, -_law(effect, "torque", scene.reading[..., axis]))
 
 
 @signature.register
