@@ -28,12 +28,14 @@ KINDS = {
     "stiffness_knee": "spring knee",
 }
 CALIBRATED = {
-    "r3x 6": "R3X, 6 experiments",
-    "r3x 6 torque_constant=0": "torque constants known",
-    "r3x 1": "R3X, 1",
-    "small 6": "small, 6",
-    "small 1": "small, 1",
-    "light 6": "light, 6",
+    "r3x 6": "R3X",
+    "r3x 6 torque_constant=0": "R3X, torque constants known",
+    "r3x 1 torque_constant=0": "the same, 1 experiment",
+    "small 6": "small",
+    "light 6": "light",
+    "pallet 6": "palletiser",
+    "light 6 torque_constant=0": "light, torque constants known",
+    "pallet 6 torque_constant=0": "palletiser, the same",
 }
 HIDDEN: tuple[tuple[str, tuple[str, ...]], ...] = (
     (
