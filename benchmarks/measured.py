@@ -32,8 +32,6 @@ CALIBRATED = {
     "r3x 6 torque_constant=0": "R3X, torque constants known",
     "r3x 1 torque_constant=0": "the same, 1 experiment",
     "small 6": "small",
-    "light 6": "light",
-    "pallet 6": "palletiser",
     "light 6 torque_constant=0": "light, torque constants known",
     "pallet 6 torque_constant=0": "palletiser, the same",
 }
