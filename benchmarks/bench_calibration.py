@@ -92,6 +92,7 @@ def ripple(robot: Robot, seed: int) -> Ripple:
 
 def record(name: str, seed: int):
     """The machine and its record."""
+    reach: float | np.ndarray = 1.0  # of the range of random positions
     if name == "r3x":
         robot, count = r3x(), 7
         slow = jf.SlowSine([5, 7, 9, 11, 13, 15], [30.0] * 3 + [40.0] * 3)
@@ -113,10 +114,9 @@ def record(name: str, seed: int):
         slow = jf.SlowSine([3, 4, 5, 7], [25.0, 25.0, 25.0, 30.0])
         plan = jf.Multisine(1000.0, 6000, np.arange(25, 300, 2), rms=[2.0, 2.0, 2.0, 4.0], slow=slow, seed=seed)
         waves = ripple(robot, seed)
+        reach = np.array([4 / 3, 0.6, 0.5, 5 / 3])
     q = np.asarray(jf.random_positions(count, jr.key(1000 + seed), robot.n_axes))
-    if name == "pallet":
-        q *= np.array([4 / 3, 0.6, 0.5, 5 / 3])  # of +-90 degrees, within its reach
-    return robot, mujoco_experiment(robot, plan, q, seed=seed, ripple=waves, substeps=_SUBSTEPS)
+    return robot, mujoco_experiment(robot, plan, reach * q, seed=seed, ripple=waves, substeps=_SUBSTEPS)
 
 
 def entry(machine: Robot, given: Robot, data) -> dict:

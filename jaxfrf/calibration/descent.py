@@ -124,7 +124,7 @@ class Descent:
         if not self.near or self._rounds <= _ROUNDS_AGAIN:
             return False
         *before, last, now = self._misfits
-        twice = last > _SAME * min(before) and self.iterate.left > _MUCH * now and not self._has_other_ripple
+        twice = last > _SAME * min(before) and self.iterate.left > _MUCH * now
         return now > _SAME * last and (self.rests or twice)
 
     @property

@@ -111,8 +111,8 @@ def test_friction_a_moment_later():
 
 
 def test_no_record_tells_how_heavy_all_is():
-    """All of a robot heavier by one part, its motors stronger by as much, moves alike, ripple and all: not a billionth
-    of what motors give is left, or a record would seem to know it, and 2 to 4 % too much (R3X, six experiments)."""
+    """All of a robot heavier by one part, its motors stronger by as much, moves alike, ripple and all: not a part in
+    1e8 of what motors give is left, or a record seems to know it, 2 to 4 % off on R3X."""
     waves = [(Order("torque", 0, 2.0), (0.05, 0.02)), (Order("torque", 1, 3.0), (0.0, 0.03))]
     robot = alike(model(), [*waves, (Order("resolver", 1, 2.0), (1e-3, 0.0))])
     scene, uncertain = Evidence(robot, measured(played())).scenes[0], numbers(model())
@@ -121,8 +121,7 @@ def test_no_record_tells_how_heavy_all_is():
         if number.kind == "torque_constant":
             given += column(scene) / number.size
         elif number.kind in ("mass", "inertia", "motor_inertia", "stiffness", "damping") or "friction" in number.kind:
-            if number.kind != "smoothing":
-                asked += column(scene) * ((1.0 if number.positive else number.given) / number.size)
+            asked += column(scene) * ((1.0 if number.positive else number.given) / number.size)
     for order, wave in waves:
         asked += sum(size * column for size, column in zip(wave, order.columns(scene), strict=True))
     np.testing.assert_allclose(asked, -given, rtol=0, atol=1e-8 * np.abs(given).max())
@@ -458,11 +457,11 @@ def test_records_with_payloads_and_other_numbers_of_experiments():
 
 @pytest.mark.slow
 def test_friction_need_not_follow_its_speed():
-    """MuJoCo's turns over some ms before its motor does: without a column for that, inertias come out .1 % off."""
+    """MuJoCo's turns over about a ms before its motor does: without a column for that, rotors come out .1 % heavy."""
     q = np.concatenate([Q, Q[:, ::-1] + 0.2])
     data = mujoco_experiment(machine(), design(0), q, seed=0, run_in=3.0, noise=2e-5, ripple=None, substeps=8)
-    known = tolerances_from({"torque_constant": 0}, robot_names())
-    given = model().with_tolerances(model().tolerances.updated(known))
+    sure = tolerances_from({"torque_constant": 0}, robot_names())
+    given = model().with_tolerances(model().tolerances.updated(sure))
     found = jf.calibrate(given, data)
     truth = {n.name: n.given for n in numbers(machine())}
     for kind, known in (("motor_inertia", 1e-4), ("coulomb_friction", 1e-3), ("stiffness", 5e-3)):
