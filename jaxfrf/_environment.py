@@ -38,10 +38,16 @@ def prepare() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for many small matrices its threads cost more than they give
     os.environ.setdefault("NPROC", str(max(_THREADS, cores)))
     flags = os.environ.get("XLA_FLAGS", "")
-    if _LOOPS not in flags and importlib.metadata.version("jaxlib").startswith("0.10."):
-        os.environ["XLA_FLAGS"] = f"{flags} {_LOOPS}=false".strip()
+    added = [flag for flag in known_flags() if flag.partition("=")[0] not in flags]
+    if added:
+        os.environ["XLA_FLAGS"] = " ".join([flags, *added]).strip()
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+
+
+def known_flags() -> list[str]:
+    """Those of XLA that are wanted, as far as the installed version is known to have them."""
+    return [f"{_LOOPS}=false"] if importlib.metadata.version("jaxlib").startswith("0.10.") else []
 
 
 def _give_memory_back() -> None:

@@ -15,6 +15,8 @@ os.environ.setdefault("MPLBACKEND", "agg")
 
 import pytest
 
+from jaxfrf._environment import known_flags
+
 gc.set_threshold(50_000, 20, 10)  # what tracing allocates stays: looking for garbage at every turn costs a tenth
 WORKERS = min(4, os.cpu_count() or 1)  # each needs some 3 GB
 MAPS = 15_000  # of the 65 530 that the system allows a process; some 2 GB of programs
@@ -34,7 +36,8 @@ def pytest_cmdline_main(config):
 def pytest_configure(config):
     """The quick tests mostly compile: XLA optimises little for them. The slow ones run what users run."""
     if "not slow" in config.option.markexpr:
-        os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
+        flags = ["--xla_backend_optimization_level=0", *known_flags()]
+        os.environ.setdefault("XLA_FLAGS", " ".join(flags))
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 
 from .._compile import compiled
+from .._device import on_accelerator
 from .._errors import input_error
 from .._status import Status
 from .._text import counted
@@ -79,7 +80,10 @@ class AbstractAverage(AbstractMethod):
         blocks = jax.tree.map(
             lambda x: x[: n_block * size].reshape(n_block, size, *x.shape[1:]), _by_experiment(signals)
         )
-        return jax.lax.map(lambda b: self.inner.at_point(dataclasses.replace(signals, **b), lines), blocks)
+        together = n_block if on_accelerator() else None
+        return jax.lax.map(
+            lambda b: self.inner.at_point(dataclasses.replace(signals, **b), lines), blocks, batch_size=together
+        )
 
     def of_blocks(self, each: Estimate, signals: Signals) -> Estimate:
         """The mean of the blocks' estimates, (block, freq, ...)."""

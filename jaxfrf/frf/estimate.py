@@ -10,6 +10,7 @@ import numpy as np
 
 from .. import __version__
 from .._arguments import wrong_kind
+from .._device import on_accelerator
 from .._errors import input_error
 from .._status import SERIOUS, Status, describe
 from .._threads import lapack_threads, with_settings
@@ -24,6 +25,9 @@ from .response import FRF
 from .select import Auto
 
 _BLOCK_BYTES = 4e8  # operating points are estimated in groups that need about this much memory
+_ACCELERATED = (
+    20  # times as much, on a GPU: what it starts a group with takes longer than the arithmetic of a few points
+)
 _SHARED = 1000  # lines of all operating points, from which on more than one core takes part
 _compiled: set = set()  # programs that the first group has compiled for the others
 _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
@@ -138,8 +142,10 @@ def _groups(spectra: Spectra) -> list[np.ndarray]:
     with the last point, so that one compilation serves them."""
     vec = spectra.n_in * spectra.n_out
     bytes_each = 16 * len(spectra.lines) * (4 * vec**2 + spectra.n_exp * 8 * (spectra.n_in + spectra.n_out) ** 2)
-    n_group = -(-spectra.n_pos // max(1, int(_BLOCK_BYTES / bytes_each)))
-    if spectra.n_pos * len(spectra.lines) > _SHARED:
+    accelerated = on_accelerator()
+    available = _BLOCK_BYTES * (_ACCELERATED if accelerated else 1)
+    n_group = -(-spectra.n_pos // max(1, int(available / bytes_each)))
+    if spectra.n_pos * len(spectra.lines) > _SHARED and not accelerated:
         n_group = -(-n_group // lapack_threads()) * lapack_threads()
     size = -(-spectra.n_pos // n_group)
     last = spectra.n_pos - 1
@@ -177,8 +183,8 @@ def _check_rank(spectra: Spectra, method: AbstractMethod) -> None:
     n = spectra.n_in
     if n == 1:
         return
-    rank = [_rank(np.asarray(U).reshape(-1, n)) for U in spectra.U]
-    if min(rank) < n:
+    rank = _ranks(np.asarray(spectra.U).reshape(spectra.n_pos, -1, n))
+    if rank.min() < n:
         pos = int(np.argmin(rank))
         raise input_error(
             "u",
@@ -195,7 +201,7 @@ def _of_rank(spectra: Spectra, status) -> tuple[str, ...]:
     Y = np.asarray(spectra.Y).reshape(spectra.n_pos, -1, spectra.n_out)
     Y = Y[..., np.any(Y, axis=(0, 1))]  # others are dead, which screening says
     n = Y.shape[-1]
-    rank = min((_rank(y) for y in Y), default=n) if n > 1 else n
+    rank = int(_ranks(Y).min()) if n > 1 else n
     if rank == n:
         return ()
     return (
@@ -204,15 +210,21 @@ def _of_rank(spectra: Spectra, status) -> tuple[str, ...]:
     )
 
 
-def _rank(X) -> int:
-    """The rank of (row, channel), channels scaled: of the first rows, where these have full rank already."""
-    for part in (X[: 4 * X.shape[1]], X):
-        size = np.linalg.norm(part, axis=0)
-        singular = np.linalg.svd(np.linalg.qr(part / np.where(size > 0, size, 1.0), mode="r"), compute_uv=False)
-        rank = int((singular > _DEPENDENT * singular[0]).sum())
-        if rank == X.shape[1]:
-            break
-    return rank
+def _ranks(X) -> np.ndarray:
+    """The rank of every position's (row, channel), channels scaled: of its first rows, where these have full rank."""
+    n = X.shape[-1]
+    ranks = _ranks_of(X[:, : 4 * n])
+    lacking = ranks < n
+    if lacking.any():
+        ranks[lacking] = _ranks_of(X[lacking])
+    return ranks
+
+
+def _ranks_of(X) -> np.ndarray:
+    size = np.linalg.norm(X, axis=1, keepdims=True)
+    R = np.linalg.qr(X / np.where(size > 0, size, 1.0), mode="r")
+    singular = np.linalg.svd(R, compute_uv=False)
+    return (singular > _DEPENDENT * singular[:, :1]).sum(axis=1)
 
 
 def _excitation_status(spectra: Spectra, method: AbstractMethod) -> np.ndarray:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Complex, Float, Int
 
 from .._annotated import check_fields
 from .._compile import compiled
+from .._device import at_once, on_accelerator
 from .._status import Status
 from .._types import Array
 from ..spectra import Spectra
@@ -155,14 +156,22 @@ def _at_point(method: AbstractMethod, signals: Signals) -> Estimate:
 
 
 def _run(estimate, method: AbstractMethod, points: dict, frequency):
-    """One operating point after the other: the moments of one fit the cache."""
+    return over_points(lambda point: estimate(method, Signals(**point, frequency=frequency)), points)
 
-    def one_point(point):
-        return estimate(method, Signals(**point, frequency=frequency))
 
+def over_points(estimate, points: dict):
+    """`estimate(point)` of every operating point, whose arrays are `points` without their leading axis: one after the
+    other, as the moments of one fit the cache; on an accelerator as many at once as it holds."""
     if points["U"].shape[0] == 1:
-        return jax.tree.map(lambda x: x[None], one_point(jax.tree.map(lambda x: x[0], points)))
-    return jax.lax.map(one_point, points)
+        return jax.tree.map(lambda x: x[None], estimate(jax.tree.map(lambda x: x[0], points)))
+    return jax.lax.map(estimate, points, batch_size=_points_at_once(points) if on_accelerator() else None)
+
+
+def _points_at_once(points: dict) -> int:
+    """Operating points whose windows, each experiment's its own, an accelerator solves together."""
+    n_pos, n_exp, n_freq, n_in = points["U"].shape
+    columns = 4 * (n_in + points["Y"].shape[-1])  # those of a fraction of order 2 are three to four of each
+    return min(n_pos, max(1, at_once(columns) // (n_exp * n_freq)))
 
 
 def _run_again(method: AbstractMethod, point: dict, frequency, lines) -> Estimate:

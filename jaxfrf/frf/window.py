@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
+from .._device import at_once, on_accelerator
 from .._errors import input_error
 from .._types import Array
 
@@ -109,8 +110,9 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequen
     so that only what `solve` returns is ever kept of all.
     """
     n_freq, of = signals.shape[1], products(signals)
-    size = min(_PART, n_freq)
-    n_part = max(min(_TILE // len(several), n_freq) // size, 1)
+    size, accelerated = min(_PART, n_freq), on_accelerator()
+    tile = at_once(len(columns.power)) if accelerated else _TILE
+    n_part = max(min(tile // len(several), n_freq + size - 1) // size, 1)
     number = np.repeat(np.arange(len(several)), n_part * size)
 
     def one_part(windows, first):
@@ -121,9 +123,15 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequen
         near = source + np.arange(span)
         return jax.vmap(lambda line: moments(*local_variable(windows, line, near), part, max(columns.power)))(lines)
 
+    def parts(windows, first):
+        if accelerated:
+            every = jax.vmap(lambda i: one_part(windows, first + i * size))(np.arange(n_part))
+            return [every.reshape(-1, *every.shape[2:])]
+        return [one_part(windows, first + i * size) for i in range(n_part)]
+
     def one_tile(first):
-        parts = [one_part(windows, first + i * size) for windows in several for i in range(n_part)]
-        return jax.vmap(lambda moments, number: solve(gram(moments, columns), number))(jnp.concatenate(parts), number)
+        every = jnp.concatenate([x for windows in several for x in parts(windows, first)])
+        return jax.vmap(lambda moments, number: solve(gram(moments, columns), number))(every, number)
 
     def in_order(x):
         x = jnp.moveaxis(x.reshape(len(x), len(several), n_part * size, *x.shape[2:]), 1, 0)

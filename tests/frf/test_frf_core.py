@@ -1,6 +1,7 @@
 """The estimators as pure functions: derivatives, composition, doubtful windows, covariances as factors."""
 
 import dataclasses
+import importlib
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,10 @@ import scipy.linalg
 from marks import slow
 
 import jaxfrf as jf
+from jaxfrf._device import at_once, on_accelerator
 from jaxfrf.frf import KroneckerSum, OuterSum, Signals
+from jaxfrf.frf.covariance import dense
+from jaxfrf.frf.method import arrays_of, over_points
 from jaxfrf.frf.scaled import Widened
 from jaxfrf.frf.window import windows
 
@@ -189,19 +193,48 @@ def test_estimates_keep_their_covariance_as_factors(tmp_path):
 
 def test_positions_in_threads_are_those_one_by_one(monkeypatch):
     """Three positions for two threads: groups of two, the last filled up."""
-    import importlib
-
     module = importlib.import_module("jaxfrf.frf.estimate")
     monkeypatch.setattr(module, "_SHARED", 1)
     monkeypatch.setattr(module, "lapack_threads", lambda: 2)
     spectra, told = records(n_pos=3).spectra(), []
-    for _ in range(2):  # compiled by the first group, then by none
-        together = jf.estimate(spectra, jf.H1(), progress=lambda *now: told.append(now))
-    monkeypatch.undo()
-    alone = jf.estimate(spectra, jf.H1())
+    with jax.default_device(jax.devices("cpu")[0]):  # a GPU takes them all at once
+        for _ in range(2):  # compiled by the first group, then by none
+            together = jf.estimate(spectra, jf.H1(), progress=lambda *now: told.append(now))
+        monkeypatch.undo()
+        alone = jf.estimate(spectra, jf.H1())
     assert told == [(2, 3), (3, 3)] * 2
     np.testing.assert_allclose(together.G, alone.G, rtol=1e-12)
     np.testing.assert_allclose(np.asarray(together.cov), np.asarray(alone.cov), rtol=1e-10)
+
+
+@pytest.mark.parametrize("method", [jf.LRM(width=11), jf.LogMean(jf.MisoLRM(width=14)), jf.JointInputOutput(jf.LPM())])
+def test_all_windows_at_once_as_a_gpu_takes_them(monkeypatch, method):
+    """Positions, blocks and windows side by side, in one tile or several: the same numbers as one after the other."""
+    points, frequency = arrays_of(records(n_pos=3).spectra())
+
+    def estimated():
+        def at_point(point):
+            return method.at_point(Signals(**point, frequency=frequency))
+
+        return jax.jit(lambda points: over_points(at_point, points))(points)
+
+    one_by_one = estimated()
+    for module in map(importlib.import_module, ("jaxfrf.frf.window", "jaxfrf.frf.method", "jaxfrf.frf.average")):
+        monkeypatch.setattr(module, "on_accelerator", lambda: True)
+    for count in (10_000, 40):
+        monkeypatch.setattr("jaxfrf.frf.window.at_once", lambda n_column, count=count: count)
+        monkeypatch.setattr("jaxfrf.frf.method.at_once", lambda n_column, count=count: count)
+        together = estimated()
+        np.testing.assert_allclose(together.G, one_by_one.G, rtol=1e-9)
+        np.testing.assert_allclose(dense(together.cov), dense(one_by_one.cov), rtol=1e-7, atol=1e-18)
+        np.testing.assert_array_equal(together.status, one_by_one.status)
+
+
+def test_whether_a_gpu_is_meant():
+    assert not on_accelerator()
+    with jax.default_device("cpu"):
+        assert not on_accelerator()
+    assert at_once(100) == 6250 and at_once(10**6) == 1
 
 
 def test_logarithmic_mean_of_what_has_no_logarithm():
