@@ -124,6 +124,14 @@ def found(case: Judged, first: int | None = None) -> list[str]:
     return hits
 
 
+def told(case: Judged) -> bool:
+    """Whether the hidden effect of a single case is named on its joint, or, being a number of the robot that is wrong,
+    is among those that are said to be off."""
+    true = case.truth["effects"][0]
+    of_numbers = case.result.get("says", "").partition(_OFF)[2]
+    return len(found(case, 1)) == 1 or f" {true['joint']}.{true['name']} by " in of_numbers
+
+
 def rate(hits) -> dict:
     """k of n, with the interval of Clopper and Pearson."""
     hits = [bool(x) for x in hits]
@@ -143,6 +151,7 @@ def summary(judged: list[Judged]) -> dict:
         "cases": len(judged),
         "single": _top(singles),
         "single_clear": _top(clear),
+        "single_clear_told": rate(map(told, clear)),
         "believed": rate(case.names for case in singles if case.believed),
         "double": {
             "both": rate(len(found(case)) == 2 for case in doubles),
@@ -292,7 +301,7 @@ def report(scores: dict) -> str:
     rows = [(label, [_cell(get(s)) for s in groups.values()]) for label, get in _LINES]
     rows = [("", list(groups)), *rows]
     width = [2 + max(len(cells[i]) for _, cells in rows) for i in range(len(groups))]
-    lines = [f"{label:38}" + "".join(f"{c:>{w}}" for c, w in zip(cells, width, strict=True)) for label, cells in rows]
+    lines = [f"{label:42}" + "".join(f"{c:>{w}}" for c, w in zip(cells, width, strict=True)) for label, cells in rows]
     lines += ["", _MEAN, "", "Failures", *_table(scores["failures"])]
     return "\n".join(lines)
 
@@ -309,6 +318,7 @@ _LINES = [
     ("  effect and joint", lambda s: s["single_clear"]["effect_and_joint"]),
     ("  class and joint", lambda s: s["single_clear"]["class_and_joint"]),
     ("  ranked first, class and joint", lambda s: s["single_clear"]["ranked_first"]),
+    ("  named, or told as a number that is off", lambda s: s["single_clear_told"]),
     ("two effects: both", lambda s: s["double"]["both"]),
     ("  at least one", lambda s: s["double"]["one_or_both"]),
     ("  of all effects", lambda s: s["double"]["effects"]),

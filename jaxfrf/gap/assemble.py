@@ -49,6 +49,7 @@ def assembled(found: Selection, records: Records, given: Robot, compared: str) -
         next_experiment=next_experiment(end.verdict, end.effects),
         sources=tuple(records.whole.data.sources),
         settings={"lines": len(records.whole.frequency), "highest_hz": float(records.whole.frequency[-1])},
+        wrong_numbers=end.wrong,
     )
 
 

@@ -25,7 +25,7 @@ from .loud_ripple import loud_ripple, stated_waves, without_ripple
 from .one_round import Step, said
 from .quantised import resolution
 from .records import Records
-from .result import EstimatedValue, Named
+from .result import EstimatedValue, Named, WrongNumber
 from .selection import Selection
 from .settings import (
     DATA_SHARE,
@@ -53,6 +53,7 @@ class Conclusion(eqx.Module):
     last: Fitted
     steps: tuple[Step, ...]
     records: Records
+    wrong: tuple[WrongNumber, ...]
 
 
 def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
@@ -85,9 +86,9 @@ def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
         says += taken_back + everywhere
     if steps and np.array_equal(records.select, records.fit):
         says += " With so few positions those that were fitted decided, too: p-values are too small."
-    if verdict != "unexplained":  # else numbers imitate what is missing
-        says += _wrong_numbers(last)
-    return Conclusion(verdict, says, effects, base, extended, last, steps, records)
+    wrong = wrong_numbers(last) if verdict != "unexplained" else ()  # else numbers imitate what is missing
+    says += _wrong_numbers(wrong)
+    return Conclusion(verdict, says, effects, base, extended, last, steps, records, wrong)
 
 
 def _worst(last: Fitted, extended: Written, there: Written | None) -> float:
@@ -266,18 +267,27 @@ def counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
     return tuple(found)
 
 
-def wrong_numbers(last: Fitted) -> list[tuple[str, str, float]]:
-    """Numbers that are further off than their tolerance, by the record: by how much, and the p-value of that among all
-    numbers. Those that stand out, by that or beside the others, and those that the data tell."""
+def wrong_numbers(last: Fitted) -> tuple[WrongNumber, ...]:
+    """Numbers that are further off than their tolerance, by the record: those that stand out among all numbers, by
+    their p-value or beside the others, and those that the data tell."""
     data_share, out_of_tolerance = last.iterate.posterior.data_share, last.out_of_tolerance
     p_values = last.tolerance_p_values
     sure = lambda n, i: n.prior > 0 and n.kind != "smoothing" and n.positive and data_share[i] > DATA_SHARE
     told = lambda n, i: sure(n, i) or p_values[i] < OUT_OF_TOLERANCE
-    return [
-        (n.name, _change(n, float(x)), float(p_values[i]))
-        for i, (n, x) in enumerate(zip(last.numbers, last.x, strict=True))
+    spread = np.sqrt(np.diag(last.iterate.posterior.covariance))
+    return tuple(
+        WrongNumber(
+            name=n.name,
+            value=n.value(x),
+            std=n.deviation(x, float(spread[i])),
+            unit=n.unit,
+            given=n.given,
+            change=_change(n, x),
+            p_value=float(p_values[i]),
+        )
+        for i, (n, x) in enumerate(zip(last.numbers, map(float, last.x), strict=True))
         if i in out_of_tolerance or (told(n, i) and abs(x) > OFF)
-    ]
+    )
 
 
 def _change(number: Number, x: float) -> str:
@@ -287,12 +297,11 @@ def _change(number: Number, x: float) -> str:
     return f"{100 * change:+.0f} %" if number.unit == "1" else f"{change:+.2g} {number.unit}"
 
 
-def _wrong_numbers(last: Fitted) -> str:
-    wrong = wrong_numbers(last)
+def _wrong_numbers(wrong: Sequence[WrongNumber]) -> str:
     if not wrong:
         return ""
     chance = lambda p: f"p = {p:.2g}" if p < SIGNIFICANT else "as one of so many may be"
-    changes = [f"{name} by {change} ({chance(p)})" for name, change, p in wrong]
+    changes = [f"{number.name} by {number.change} ({chance(number.p_value)})" for number in wrong]
     return f" Numbers of the robot that are off by more than is known of them: {', '.join(changes)}."
 
 

@@ -48,6 +48,23 @@ class Named(eqx.Module):
         return self.effect.name
 
 
+class WrongNumber(eqx.Module):
+    """A number of the robot that is further off than is known of it, where no term need be missing for that.
+
+    **Fields:** `name`: e.g. `joint3.coulomb_friction`. `value`, `std`: as fitted, in `unit`; `given`: as the robot's
+    file states it; `change`: from there, in words. `p_value`: of so large an error among all numbers of the robot, were
+    their tolerances true.
+    """
+
+    name: str = eqx.field(static=True)
+    value: float = eqx.field(static=True)
+    std: float = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    given: float = eqx.field(static=True)
+    change: str = eqx.field(static=True)
+    p_value: float = eqx.field(static=True)
+
+
 class Ranked(eqx.Module):
     """A candidate in the order of what it explains alone.
 
@@ -120,7 +137,8 @@ class Diagnosis(eqx.Module):
 
     **Fields:** `verdict`: `sufficient` (nothing is missing), `named` (by `effects`), `ambiguous` (several explain it as
     well), `unexplained` or `inconclusive` (the data do not tell); `says`: the verdict in a sentence or two. `effects`:
-    named ones, in the order in which they were found. `ranking`: of all candidates, the first few. `where`: the largest
+    named ones, in the order in which they were found. `wrong_numbers`: of the robot, off by more than is known of them,
+    where what the robot is made of holds. `ranking`: of all candidates, the first few. `where`: the largest
     cells before. `gap`, `maps`. `parameters`: of the extended model, by name, with `changed` the relative change from
     the given robot in the same order. `given`, `base`, `extended`: robots: as given, refitted, with the effects; the
     last two have the ripple that their motors show, too, and gap and maps are theirs, simulated. `compared`: how
@@ -147,6 +165,7 @@ class Diagnosis(eqx.Module):
     next_experiment: str = eqx.field(static=True)
     sources: tuple = ()
     settings: dict = eqx.field(default_factory=dict)
+    wrong_numbers: tuple[WrongNumber, ...] = ()
 
     @property
     def axis_names(self) -> tuple[str, ...]:

@@ -5,6 +5,8 @@
                    separating_experiment, explains, visible, kind, equation, signature}], in the order in which they
                    were found; kind: "a term is missing", or "a number is wrong" that the robot has; signature: how it
                    shows in data
+    wrong_numbers  [{name, value, std, unit, interval95, given, change, p_value}]: numbers of the robot that are off by
+                   more than is known of them; given: as its file states it; change: from there, in words
     ranking        [{name, joint, score, p_value, expected, visible, why}]: candidates by what each explains alone
     where          [{position, channel, band_hz, z, says}], position null: at all
     gap            {before, after, floor, shrink, unit, on, quantity, torque_before, torque_after: {axis: part}}
@@ -84,6 +86,7 @@ def gap_contents(diagnosis: Any) -> dict[str, Any]:
         "verdict": d.verdict,
         "says": d.says,
         "effects": [_named(x) for x in d.effects],
+        "wrong_numbers": [_wrong(x) for x in d.wrong_numbers],
         "ranking": [_ranked(x) for x in d.ranking],
         "where": [_cell(x) for x in d.where],
         "gap": _gap(d.gap, d.axis_names),
@@ -125,6 +128,10 @@ def _named(x) -> dict[str, Any]:
         "equation": equation(x.effect),
         "signature": x.effect.signature,
     }
+
+
+def _wrong(x) -> dict[str, Any]:
+    return {"name": x.name, **_estimate(x), "given": x.given, "change": x.change, "p_value": x.p_value}
 
 
 def _ranked(x) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from jaxfrf import effects as fx
 from jaxfrf.__main__ import main
 from jaxfrf.gap import diagnose
 from jaxfrf.gap.judge import over_floor
+from jaxfrf.io.gaps import gap_contents
 from jaxfrf.robot import Tolerances, parameters, with_parameters
 from jaxfrf.trajectory.evidence import Evidence
 from jaxfrf.trajectory.measured import measured
@@ -128,12 +129,15 @@ def test_wrong_numbers_are_no_missing_effect(seed):
     """Everything off as a data sheet is (springs and their shape 20 %, friction 30 %, links 5 %), default tolerances:
     nothing is missing, and a friction level that is off by more than is known of it is told."""
     given = dataclasses.replace(model(), tolerances=Tolerances())
-    level = parameters(given, ["coulomb_friction"])["elbow.coulomb_friction"]
+    level = float(parameters(given, ["coulomb_friction"])["elbow.coulomb_friction"])
     machine = with_parameters(off(seed), {"elbow.coulomb_friction": 1.9 * level})
     data = mujoco_experiment(machine, design(seed), Q, seed=seed, run_in=3.0, noise=2e-5, ripple=None)
     found = diagnose(given, data)
     assert (found.verdict, found.effects) == ("sufficient", ()), found.says
     assert "elbow.coulomb_friction by +9" in found.says or "elbow.coulomb_friction by +8" in found.says
+    (wrong,) = [number for number in found.wrong_numbers if number.name == "elbow.coulomb_friction"]
+    assert wrong.value == pytest.approx(1.9 * level, rel=0.05) and wrong.given == pytest.approx(level)
+    assert gap_contents(found)["wrong_numbers"][0]["interval95"][0] < wrong.value
     assert found.gap.before < 1.0 and found.given is given
 
 
