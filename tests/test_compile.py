@@ -18,7 +18,7 @@ def options(monkeypatch):
 
 
 def test_options_that_are_not_known_are_left_out(options):
-    assert options(xla_cpu_use_fusion_emitters=False, xla_cpu_no_such_thing=1) == {"xla_cpu_use_fusion_emitters": False}
+    assert options(xla_cpu_enable_fast_math=False, xla_cpu_no_such_thing=1) == {"xla_cpu_enable_fast_math": False}
 
 
 def test_without_any_option(options):

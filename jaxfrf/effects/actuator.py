@@ -23,6 +23,18 @@ if TYPE_CHECKING:
 Number = Float[Array, ""] | float
 
 
+_ROOM = (
+    2e-3,
+    2e-2,
+)  # s, that a delay is given at least, as a fit moves it, and at most: more is taken for a wrong unit
+
+
+def _room(delay: Number) -> float:
+    if isinstance(delay, jax.core.Tracer) or not float(delay) > _ROOM[0]:
+        return _ROOM[0]
+    return min(math.ceil(1e3 * float(delay) - 1e-9) / 1e3, _ROOM[1])
+
+
 class TorqueDelay(AbstractActuator):
     """The torque comes late, u(t - delay): e^{-s delay}.
 
@@ -30,7 +42,7 @@ class TorqueDelay(AbstractActuator):
     the mean torque of a step is.
 
     **Arguments:** `joint`: a driven joint, name or number. `delay`: s; 0.3 ms is visible. `longest`: s, how much of the
-    past is kept.
+    past is kept; by default 2 ms, or, where `delay` is a longer one, as many whole ms as hold it, up to 20.
 
     In data: phase -omega delay in the motor's column of G. In the linearised robot: exactly.
 
@@ -49,12 +61,19 @@ class TorqueDelay(AbstractActuator):
 
     joint: Joint = eqx.field(static=True)
     delay: Number
-    longest: float = eqx.field(static=True, default=2e-3)
+    longest: float = eqx.field(static=True)
+
+    def __init__(self, joint: Joint, delay: Number, longest: float | None = None):
+        self.joint, self.delay = joint, delay
+        self.longest = _room(delay) if longest is None else longest
 
     def __check_init__(self):
         if isinstance(self.delay, int | float | np.ndarray) and not 0.0 <= float(self.delay) <= self.longest:
             raise input_error(
-                "torque_delay: delay", f"{self.delay} s", f"0 to longest = {self.longest:g} s", "Raise longest."
+                "torque_delay: delay",
+                f"{self.delay} s",
+                f"0 to longest = {self.longest:g} s",
+                "State it in seconds, or raise longest.",
             )
 
     @classmethod

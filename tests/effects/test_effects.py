@@ -300,8 +300,25 @@ class TestLibrary:
             jf.robot.r3x().with_effects(ef.TorqueDelay("joint7", 1e-4))
         with pytest.raises(jf.InputError, match=r"rigid transmission"):
             one_joint(stiffness=np.inf).with_effects(ef.Backlash(0, 1e-4))
-        with pytest.raises(jf.InputError, match=r"delay: found 0.01 s"):
-            ef.TorqueDelay(0, 0.01)
+
+    def test_a_long_delay(self):
+        """What a fit found comes back from its file, beyond the 2 ms that are kept by default, too; not what seems to
+        be no seconds."""
+        found = ef.TorqueDelay("joint2", jnp.asarray(2.0021e-3))
+        again = ef.effect_from_table(ef.effect_to_table(found, "joint2"))
+        assert (again.longest, ef.TorqueDelay(0, 2e-3).longest, ef.TorqueDelay(0, 1e-3, 5e-3).longest) == (
+            3e-3,
+            2e-3,
+            5e-3,
+        )
+        assert float(again.delay) == pytest.approx(2.0021e-3)
+        line = jnp.arange(1.0, 41.0)
+        late, _ = again.advance(again.start(line[0], 1e-4) * 0.0, line, 1e-4)
+        np.testing.assert_allclose(late[25:], line[25:] - 20.021, rtol=1e-12)
+        with pytest.raises(jf.InputError, match=r"delay: found 0.4 s; expected 0 to longest = 0.02 s. State it in sec"):
+            ef.TorqueDelay(0, 0.4)
+        with pytest.raises(jf.InputError, match=r"delay: found -0.1 s"):
+            ef.TorqueDelay(0, -0.1)
 
 
 def test_further_starts_of_what_numbers_imitate():
