@@ -69,7 +69,7 @@ def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
         extended, there = _each_there([(last.written(), judged), (last.written(), deciding)])
     extended = extended or simulated(given, judged)
     louder = loud_ripple(last, extended, there, deciding, judged)
-    effects = (*(_named(step, last, given) for step in steps), *louder, *counting(records.whole, given))
+    effects, counts = (*(_named(step, last, given) for step in steps), *louder), counting(records.whole, given)
     base = (before if steps else without_ripple(last, louder, extended, judged)) or extended
     worst, everywhere = _worst(last, extended, there), ""
     again = _at_all_positions(last, records) if worst > UNEXPLAINED and not effects else None
@@ -77,10 +77,12 @@ def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
         records, last, extended, worst = again
         base, judged, everywhere = extended, records.every, _EVERYWHERE
     looked_for, heldout = bool(found.refused or found.steps), bool(len(records.heldout))
-    verdict, says = _verdict(base, looked_for, steps, effects, last, extended, judged, worst, heldout)
+    verdict, says = _verdict(base, looked_for, steps, effects, counts, last, extended, judged, worst, heldout)
     if verdict == "unexplained":
         last, effects, steps = found.base, (), ()
         base = extended = written(found.base.written(), judged) or base
+    elif counts:
+        effects, extended = (*effects, *counts), _with_effects(extended, counts)
     if verdict not in ("named", "ambiguous"):
         taken_back = "".join(f" {text[0].upper() + text[1:]}." for text in (*refused, found.refused) if text)
         says += taken_back + everywhere
@@ -158,6 +160,7 @@ def _verdict(
     looked_for: bool,
     steps,
     effects,
+    counts: Sequence[Named],
     last: Fitted,
     extended: Written,
     judged: Measured,
@@ -171,9 +174,9 @@ def _verdict(
             "robot's numbers are, and no effect of the library mends that: something is missing that it does not hold. "
             "The maps show where."
         )
-    if effects:
+    if effects or counts:
         on = "the held-out positions" if heldout else "the fitted positions, none being held out"
-        return _named_verdict(steps, effects, base, extended, on)
+        return _named_verdict(steps, effects, counts, base, extended, on)
     met = relative_torque(judged, extended.residual)
     why = "no effect explains more of the rest on the positions that decide"
     if not looked_for:
@@ -186,7 +189,9 @@ def _verdict(
     return "inconclusive", "No effect stands out, but the gap is not bounded below the tolerance either."
 
 
-def _named_verdict(steps: Sequence[Step], effects, base: Written, extended: Written, on: str) -> tuple[str, str]:
+def _named_verdict(
+    steps: Sequence[Step], effects, counts: Sequence[Named], base: Written, extended: Written, on: str
+) -> tuple[str, str]:
     names = lambda some: " and ".join(said((e.name, e.joint)).replace(" of ", " on ") for e in some)
     rivals = close_rivals(steps)
     if rivals:
@@ -194,11 +199,15 @@ def _named_verdict(steps: Sequence[Step], effects, base: Written, extended: Writ
         return "ambiguous", f"{text[0].upper() + text[1:]} explains the gap; {others} does so nearly as well."
     before, after = (float(np.mean(np.abs(x.residual / base.evidence.plain) ** 2)) for x in (base, extended))
     left = 100 * float(np.clip(after / max(before, 1e-12), 0.0, 1.0))
-    missing, wrong = names(e for e in effects if not e.is_number), names(e for e in effects if e.is_number)
+    every = (*effects, *counts)
+    missing, wrong = names(e for e in every if not e.is_number), names(e for e in every if e.is_number)
     texts = [f"Missing: {missing}."] if missing else []
     texts += [f"A number of the robot is wrong: {wrong}."] if wrong else []
-    kind = "it" if len(effects) == 1 else "them"
-    texts.append(f"The robot that is written with {kind} leaves {left:.0f} % of the misfit on {on}.")
+    kind = "it" if len(every) == 1 else "them"
+    if effects:
+        texts.append(f"The robot that is written with {kind} leaves {left:.0f} % of the misfit on {on}.")
+    if counts:
+        texts.append("That encoders count so coarsely is seen in their readings, whatever torque is missed.")
     return "named", " ".join(texts)
 
 
@@ -212,6 +221,11 @@ def close_rivals(steps: Sequence[Step]) -> list[tuple[str, str]]:
         for rival in step.rivals
         if rival.near and rival.key not in named and not one_class(step.hypothesis.effect, step.key, rival.key)
     ]
+
+
+def _with_effects(robot: Written, effects: Sequence[Named]) -> Written:
+    """The same with effects that are seen in the readings and leave its residual as it is."""
+    return Written(robot.robot.with_effects(*(x.effect for x in effects)), robot.evidence)
 
 
 def _named(step: Step, last: Fitted, given: Robot) -> Named:

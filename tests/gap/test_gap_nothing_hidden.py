@@ -89,6 +89,25 @@ def test_a_delay_is_still_found(quantity, tmp_path):
     np.testing.assert_allclose(np.sqrt(np.mean(axes**2)), found.gap.after, rtol=0.02)
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_an_encoder_that_counts_coarsely_is_written(tmp_path):
+    """It is seen in the readings, and the robot that is written states it: asked again, nothing is missing."""
+    data, size = (
+        logged(played(1, 0.0), "position", 1),
+        float(fx.EncoderQuantisation.typical(small_robot(), 1).resolution),
+    )
+    readings = np.array(data.y)
+    readings[..., 1] = np.round(readings[..., 1] / (3.0 * size)) * 3.0 * size
+    data = dataclasses.replace(data, y=readings)
+    found = diagnose(small_robot(), data)
+    assert [(x.name, x.joint) for x in found.effects] == [("encoder_quantisation", "elbow")], found.says
+    assert "leaves" not in found.says and "seen in their readings" in found.says
+    jf.io.write_robot(found.extended, tmp_path / "extended.toml")
+    again = diagnose(jf.io.read_robot(tmp_path / "extended.toml"), data)
+    assert (again.verdict, again.effects) == ("sufficient", ()), again.says
+
+
 def stated_nothing():
     """The small robot, whose file says nothing of how well it is known: the defaults hold."""
     return dataclasses.replace(small_robot(), tolerances=Tolerances())
