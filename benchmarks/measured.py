@@ -102,12 +102,12 @@ def _inside(found: Any, path: Sequence[str]) -> Any:
     return found
 
 
-def speed() -> str:
+def speed(cores: int = 1, files: Sequence[str] = ("local_busy.txt", "local.txt")) -> str:
     """`jaxfrf.estimate` with covariance against the loop that its table begins with; the newest run of each case."""
-    case = re.compile(r"(.+): (\d+) windows, (1) core; compiled in ([\d.]+) s")
+    case = re.compile(rf"(.+): (\d+) windows, ({cores}) cores?; compiled in ([\d.]+) s")
     row = re.compile(r" +(.+?) +([\d.]+) +([\d.]+) +([\d.]+) \(([\d.]+)-([\d.]+)\) +([\d.]+) +\S+$")
     found: dict[str, list[str]] = {}
-    for file in ("local_busy.txt", "local.txt"):
+    for file in files:
         commit, now, first = "", None, ""
         for line in results(file).splitlines():
             if line.lower().startswith("commit "):
@@ -255,6 +255,7 @@ def _origin(name: str, text: str) -> str:
 TABLES: dict[str, Callable[[], str]] = {
     "kept": kept,
     "speed": speed,
+    "two_cores": lambda: speed(2, ("local_two_cores.txt",)),
     "growth": growth,
     "coverage": coverage,
     "calibration": calibration,
