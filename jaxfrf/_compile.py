@@ -35,7 +35,7 @@ def compiled(function):
 
 
 @functools.cache
-def _compiled(function, beside_others: bool):
+def _compiled(function, beside_others):
     options = (_known_options() or {}) | (_known_beside_others() if beside_others else {})
     return eqx.filter_jit(function, compiler_options=options or None)
 

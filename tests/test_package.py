@@ -277,6 +277,7 @@ BASE = LOWEST | {
     "annotated",
     "memory",
     "compile",
+    "device",
     "threads",
     "units",
 }

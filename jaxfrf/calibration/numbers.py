@@ -263,9 +263,9 @@ def _with_drives(robot: Robot, values) -> Robot:
         if kind == "torque_constant" and value != 0.0:
             kept.append(TorqueConstant(joint, jnp.asarray(value, float)))
         elif kind == "delay" and value > 0.0:
-            now = TorqueDelay(joint, jnp.asarray(value, float))
-            longest = max([now.longest, *(e.longest for e in had if isinstance(e, TorqueDelay))])
-            kept.append(TorqueDelay(joint, now.delay, longest))
+            late = TorqueDelay(joint, jnp.asarray(value, float))
+            longest = max([late.longest, *(e.longest for e in had if isinstance(e, TorqueDelay))])
+            kept.append(TorqueDelay(joint, late.delay, longest))
         elif kind == "torque_offset" and value != 0.0:
             level = sum(float(e.level) for e in had if isinstance(e, FrictionAsymmetry))
             kept.append(FrictionAsymmetry(joint, value, level))
