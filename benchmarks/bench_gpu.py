@@ -13,7 +13,6 @@ Without a GPU it says so, and measures the processor alone.
 """
 
 import argparse
-import json
 import os
 import pathlib
 import statistics
@@ -35,6 +34,7 @@ from _pinned import commit, machine, machine_text
 
 import jaxfrf as jf
 from jaxfrf.frf import method as runs
+from jaxfrf.io._json import write_json
 
 EACH = ("lpm", "miso", "lrm", "jio")  # every experiment on its own
 CASES = ("h1", "jio-h1", "log", *EACH, "log-lrm", "log-jio", "stacked", "stacked-jio", "auto")
@@ -48,11 +48,8 @@ def main() -> None:
     result = {"machine": machine(), "commit": commit(), "seed": bench_local.SEED, "devices": {}, "rows": [], "fit": []}
     result["devices"] = {name: device.device_kind for name, device in devices.items()}
     print(machine_text(result["machine"]), f"commit {result['commit']}; {result['devices']}", sep="\n", flush=True)
-    print(
-        f"\n{'':34}{'positions':>10}{'device':>8}{'estimate':>12}{'program':>12}{'NumPy loop':>12}{'compiled':>10}",
-        end="",
-    )
-    print(f"{'difference':>12}")
+    names = f"{'estimate':>12}{'program':>12}{'NumPy loop':>12}{'compiled':>10}{'difference of G, std':>22}"
+    print(f"\n{'':34}{'positions':>10}{'device':>8}{names}")
     for case in arguments.cases:
         for n_pos in arguments.positions:
             rows = _measured(case, n_pos, devices, arguments.loop)
@@ -66,9 +63,7 @@ def main() -> None:
                 f"  {row['device']:8}{row['starts']:4} starts{row['ms']:10.1f}   compiled in {row['compile_s']:.1f} s"
             )
     if arguments.json:
-        temporary = arguments.json.with_name(arguments.json.name + ".part")
-        temporary.write_text(json.dumps(result, indent=1))
-        temporary.replace(arguments.json)
+        write_json(arguments.json, result)
 
 
 def _arguments():
@@ -168,9 +163,7 @@ def _loop_ms(case: str) -> float:
 
 def _differences(found, reference) -> tuple[float, float]:
     """Largest relative difference of a window's response, and of a standard deviation."""
-    G = np.linalg.norm(found.G - reference.G, axis=(2, 3)) / np.linalg.norm(reference.G, axis=(2, 3))
-    S = np.abs(found.std / reference.std - 1)
-    return float(np.max(G)), float(np.nanmax(S))
+    return bench_local._difference(found.G, reference.G), float(np.nanmax(np.abs(found.std / reference.std - 1)))
 
 
 def _line(row: dict) -> str:

@@ -23,16 +23,14 @@ if TYPE_CHECKING:
 Number = Float[Array, ""] | float
 
 
-_ROOM = (
-    2e-3,
-    2e-2,
-)  # s, that a delay is given at least, as a fit moves it, and at most: more is taken for a wrong unit
+_LEAST_ROOM = 2e-3  # s, that a delay is given: a fit moves it
+_MOST_ROOM = 2e-2  # s: a longer delay is taken for a wrong unit
 
 
 def _room(delay: Number) -> float:
-    if isinstance(delay, jax.core.Tracer) or not float(delay) > _ROOM[0]:
-        return _ROOM[0]
-    return min(math.ceil(1e3 * float(delay) - 1e-9) / 1e3, _ROOM[1])
+    if isinstance(delay, jax.core.Tracer) or not float(delay) > _LEAST_ROOM:
+        return _LEAST_ROOM
+    return min(math.ceil(1e3 * float(delay) - 1e-9) / 1e3, _MOST_ROOM)
 
 
 class TorqueDelay(AbstractActuator):

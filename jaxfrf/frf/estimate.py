@@ -26,9 +26,7 @@ from .response import FRF
 from .select import Auto
 
 _BLOCK_BYTES = 4e8  # operating points are estimated in groups that need about this much memory
-_ACCELERATED = (
-    20  # times as much, on a GPU: what it starts a group with takes longer than the arithmetic of a few points
-)
+_ACCELERATED = 20  # times as much, on a GPU: to start a group takes longer than the arithmetic of a few points
 _SHARED = 1000  # lines of all operating points, from which on more than one core takes part
 _compiled: set = set()  # programs that the first group has compiled for the others
 _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding

@@ -93,10 +93,8 @@ def test_a_delay_is_still_found(quantity, tmp_path):
 @pytest.mark.timeout(900)
 def test_an_encoder_that_counts_coarsely_is_written(tmp_path):
     """It is seen in the readings, and the robot that is written states it: asked again, nothing is missing."""
-    data, size = (
-        logged(played(1, 0.0), "position", 1),
-        float(fx.EncoderQuantisation.typical(small_robot(), 1).resolution),
-    )
+    data = logged(played(1, 0.0), "position", 1)
+    size = float(fx.EncoderQuantisation.typical(small_robot(), 1).resolution)
     readings = np.array(data.y)
     readings[..., 1] = np.round(readings[..., 1] / (3.0 * size)) * 3.0 * size
     data = dataclasses.replace(data, y=readings)
