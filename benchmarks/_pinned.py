@@ -58,9 +58,9 @@ def machine() -> dict:
 
 
 def commit() -> str:
-    """That a result is made with, as its short name; empty outside a clone."""
-    call = ["git", "rev-parse", "--short", "HEAD"]
-    return subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+    """That a result is made with, "-dirty" behind it where files differ; "unknown" outside a clone."""
+    call = ["git", "describe", "--always", "--dirty"]
+    return subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
 
 
 def _processor() -> str:

@@ -11,7 +11,6 @@ the share of elements whose 95 % region holds the truth. Seeds 0.. report; choic
 
 import argparse
 import dataclasses
-import json
 import os
 import pathlib
 import time
@@ -21,6 +20,7 @@ import scipy.stats
 
 import jaxfrf as jf
 from jaxfrf._environment import prepare
+from jaxfrf.io._json import write_json
 
 TUNING_SEEDS = range(100, 110)
 MEASURES = ("error", "tail")
@@ -70,9 +70,7 @@ def main() -> None:
         result["auto"] = _sweep(TUNING[5::3] if arguments.quick else TUNING, tuning_seeds)
     print(f"\n{time.perf_counter() - began:.0f} s")
     if arguments.json:
-        temporary = arguments.json.with_name(arguments.json.name + ".part")
-        temporary.write_text(json.dumps(result, indent=1))
-        temporary.replace(arguments.json)
+        write_json(arguments.json, result)
 
 
 def _arguments():

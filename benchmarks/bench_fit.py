@@ -60,9 +60,9 @@ def main() -> None:
     result["machine"]["load_after"] = os.getloadavg()
     print(f"\nload average at the end: {load_text(result['machine']['load_after'])}")
     if arguments.json:
-        temporary = arguments.json.with_name(arguments.json.name + ".part")
-        temporary.write_text(json.dumps(result, indent=1))
-        temporary.replace(arguments.json)
+        from jaxfrf.io._json import write_json
+
+        write_json(arguments.json, result)
 
 
 def _arguments():

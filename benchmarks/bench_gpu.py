@@ -86,31 +86,11 @@ def _devices(only: str | None) -> dict:
     return {name: device for name, device in found.items() if only in (None, name)}
 
 
-def _method(case: str):
-    local = {"order": bench_local.ORDER, "width": bench_local.WIDTH}
-    lrm = jf.LRM(**local)
-    joint = jf.JointInputOutput(lrm)
-    return {
-        "h1": jf.H1(),
-        "jio-h1": jf.JointInputOutput(),
-        "log": jf.LogMean(),
-        "lpm": jf.LPM(**local),
-        "miso": jf.MisoLRM(**local),
-        "lrm": lrm,
-        "jio": joint,
-        "log-lrm": jf.LogMean(lrm),
-        "log-jio": jf.LogMean(joint),
-        "stacked": lrm,
-        "stacked-jio": joint,
-        "auto": jf.Auto(),
-    }[case]
-
-
 def _measured(case: str, n_pos: int, devices: dict, loop: bool) -> list[dict]:
     """One row a device."""
-    method = _method(case)
-    spectra = bench_local._spectra(n_pos, bench_local.N_EXP)
-    spectra = bench_local._one_by_one(spectra) if case in EACH else spectra
+    method = bench_local.method_of(case)
+    spectra = bench_local.spectra_of(n_pos, bench_local.N_EXP)
+    spectra = bench_local.one_by_one(spectra) if case in EACH else spectra
     numpy_ms = _loop_ms(case) * n_pos if loop else float("nan")
     rows, found, calls = [], {}, {}
     for name, device in devices.items():
@@ -157,13 +137,13 @@ def _loop_ms(case: str) -> float:
     """NumPy's loop over the windows of one position."""
     if case == "auto":
         return float("nan")
-    loop = next(iter(bench_local._contenders(case)[1].values()))
+    loop = next(iter(bench_local.contenders_of(case)[1].values()))
     return min(_ms(loop) for _ in range(2))
 
 
 def _differences(found, reference) -> tuple[float, float]:
     """Largest relative difference of a window's response, and of a standard deviation."""
-    return bench_local._difference(found.G, reference.G), float(np.nanmax(np.abs(found.std / reference.std - 1)))
+    return bench_local.difference(found.G, reference.G), float(np.nanmax(np.abs(found.std / reference.std - 1)))
 
 
 def _line(row: dict) -> str:

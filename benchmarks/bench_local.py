@@ -23,7 +23,7 @@ import subprocess
 import sys
 import time
 
-from _pinned import ROOT, available_cores, load_text, machine, machine_text, run_pinned
+from _pinned import ROOT, available_cores, commit, load_text, machine, machine_text, run_pinned
 
 SEED = 1
 DISTURBANCE = 0.02
@@ -59,7 +59,7 @@ def main() -> None:
         request = json.loads(arguments.worker)
         print(json.dumps(_WORKERS[request.pop("measure")](**request)))
         return
-    result = {"machine": machine(), "commit": _commit(), "seed": SEED, "speed": [], "memory": [], "growth": {}}
+    result = {"machine": machine(), "commit": commit(), "seed": SEED, "speed": [], "memory": [], "growth": {}}
     print(machine_text(result["machine"]), f"commit {result['commit']}", sep="\n")
     rounds = 3 if arguments.quick else 5
     for case in arguments.cases:
@@ -84,9 +84,9 @@ def main() -> None:
     result["machine"]["load_after"] = os.getloadavg()
     print(f"load average at the end: {load_text(result['machine']['load_after'])}")
     if arguments.json:
-        temporary = arguments.json.with_name(arguments.json.name + ".part")
-        temporary.write_text(json.dumps(result, indent=1))
-        temporary.replace(arguments.json)
+        from jaxfrf.io._json import write_json
+
+        write_json(arguments.json, result)
 
 
 def _arguments():
@@ -118,13 +118,13 @@ def _run(cores: int, **request) -> dict:
 
 
 def _measure_speed(case: str, rounds: int) -> dict:
-    n_windows, contenders = _contenders(case)
+    n_windows, contenders = contenders_of(case)
     began = time.perf_counter()
     contenders[FULL]()
     first = time.perf_counter() - began
     base = next(iter(contenders))
     reference = contenders[base]()
-    results = {name: _difference(f(), reference) for name, f in contenders.items()}
+    results = {name: difference(f(), reference) for name, f in contenders.items()}
     turns = [{name: _time(f) for name, f in contenders.items()} for _ in range(rounds)]
     rows = [_summary(name, base, turns, n_windows) | {"difference": results[name]} for name in contenders]
     compile_time = first - statistics.median(turn[FULL][0] for turn in turns)
@@ -157,7 +157,7 @@ def _time(f) -> tuple[float, float]:
 
 
 def _measure_memory(case: str, contender: str) -> dict:
-    n_windows, contenders = _contenders(case)
+    n_windows, contenders = contenders_of(case)
     before = _peak_mb()
     contenders[contender]()
     return {"name": contender, "windows": n_windows, "before_mb": before, "peak_mb": _peak_mb()}
@@ -168,11 +168,11 @@ def _measure_growth(sizes) -> dict:
     rows = []
     for size in sizes:
         n_pos, n_exp, n_lines, n_axes = size
-        spectra = _spectra(n_pos, n_exp, n_lines, n_axes)
+        spectra = spectra_of(n_pos, n_exp, n_lines, n_axes)
         width = WIDTH if n_axes == 6 else None
         rows.append(_grown(spectra, size, width, stacked=True))
         if n_axes == 6 and n_exp > 1:
-            rows.append(_grown(_one_by_one(spectra), size, width, stacked=False))
+            rows.append(_grown(one_by_one(spectra), size, width, stacked=False))
     return {"sizes": rows}
 
 
@@ -198,7 +198,7 @@ def _grown(spectra, size, width, stacked: bool) -> dict:
 
 def _measure_rate() -> dict:
     """What LRM's windows need at least, beside what NumPy's complex matrix product does on the same core."""
-    spectra = _one_by_one(_spectra(1, N_EXP))
+    spectra = one_by_one(spectra_of(1, N_EXP))
     import numpy as np
 
     import jaxfrf as jf
@@ -221,10 +221,10 @@ def _measure_sdynpy(python: str, rounds: int) -> dict:
 
     import numpy as np
 
-    n_windows, contenders = _contenders("lrm")
+    n_windows, contenders = contenders_of("lrm")
     contenders[FULL]()
     with tempfile.TemporaryDirectory() as folder:
-        spectra = _spectra(1, N_EXP)
+        spectra = spectra_of(1, N_EXP)
         np.savez(f"{folder}/spectra.npz", U=spectra.U[0, :2], Y=spectra.Y[0, :2], width=WIDTH, order=ORDER)
         command = [python, str(ROOT / "benchmarks/_sdynpy.py"), f"{folder}/spectra.npz"]
 
@@ -285,7 +285,7 @@ _WORKERS = {
 # Data and contenders -------------------------------------------------------------------------------------------------
 
 
-def _spectra(n_pos: int, n_exp: int, n_lines: int = 336, n_axes: int = 6):
+def spectra_of(n_pos: int, n_exp: int, n_lines: int = 336, n_axes: int = 6):
     from jaxfrf._environment import prepare
 
     prepare()
@@ -298,46 +298,62 @@ def _spectra(n_pos: int, n_exp: int, n_lines: int = 336, n_axes: int = 6):
     return _plants.experiment(plants, n_exp, DISTURBANCE, rng, lines)[0]
 
 
-def _one_by_one(spectra):
+def one_by_one(spectra):
     """Every experiment as an operating point of its own."""
     return dataclasses.replace(
         spectra, **{name: getattr(spectra, name).reshape(-1, 1, *spectra.U.shape[2:]) for name in ("U", "Y", "R")}
     )
 
 
-def _contenders(case: str):
+def method_of(case: str):
+    """The method of one of `CASES`."""
+    import jaxfrf as jf
+
+    local = {"order": ORDER, "width": WIDTH}
+    if case == "auto":
+        return jf.Auto()
+    classical = {"h1": jf.H1, "jio-h1": jf.JointInputOutput, "log": jf.LogMean}
+    if case in classical:
+        return classical[case]()
+    rational = jf.LRM(**local)
+    kinds = {"lpm": jf.LPM(**local), "miso": jf.MisoLRM(**local), "lrm": rational, "jio": jf.JointInputOutput(rational)}
+    method = kinds[_kind(case)]
+    return jf.LogMean(method) if case.startswith("log-") else method
+
+
+def _kind(case: str) -> str:
+    """The local method in one of `CASES`."""
+    return {"stacked": "lrm", "stacked-jio": "jio"}.get(case, case.removeprefix("log-"))
+
+
+def contenders_of(case: str):
     """How many windows there are, and functions by name that return G (pos, freq, out, in), the baseline first."""
-    spectra = _spectra(1, N_EXP)
+    spectra = spectra_of(1, N_EXP)
     import _baselines as baselines
 
     import jaxfrf as jf
 
     U, Y, R = spectra.U, spectra.Y, spectra.R
-    local = {"order": ORDER, "width": WIDTH}
-    joint = jf.JointInputOutput(jf.LRM(**local))
-    kind = case.removeprefix("log-").removeprefix("stacked-")
-    method = {"lpm": jf.LPM(**local), "miso": jf.MisoLRM(**local), "jio": joint}.get(kind, jf.LRM(**local))
+    method = method_of(case)
 
     def public(spectra, method):
         return lambda: jf.estimate(spectra, method).G
 
     n_lines = len(spectra.lines)
-    if case == "h1":
-        return n_lines, {BATCHED: lambda: baselines.classical(U, Y), FULL: public(spectra, jf.H1())}
-    if case == "jio-h1":
-        found = public(spectra, jf.JointInputOutput())
-        return n_lines, {BATCHED: lambda: baselines.classical(U, Y, R), FULL: found}
+    if case in ("h1", "jio-h1"):
+        reference = (R,) if case == "jio-h1" else ()
+        return n_lines, {BATCHED: lambda: baselines.classical(U, Y, *reference), FULL: public(spectra, method)}
     if case == "log":
-        return n_lines, {LOOP: lambda: baselines.log_loop(U, Y), FULL: public(spectra, jf.LogMean())}
+        return n_lines, {LOOP: lambda: baselines.log_loop(U, Y), FULL: public(spectra, method)}
     if case == "auto":
         stacked = jf.JointInputOutput(jf.LRM())
-        return n_lines, {STACKED: public(spectra, stacked), FULL: public(spectra, jf.Auto())}
+        return n_lines, {STACKED: public(spectra, stacked), FULL: public(spectra, method)}
 
-    each = spectra if case.startswith("stacked") else _one_by_one(spectra)
+    each, kind = spectra if case.startswith("stacked") else one_by_one(spectra), _kind(case)
     X, targets = (each.R, (each.Y, each.U)) if kind == "jio" else (each.U, (each.Y,))
     problem = baselines.Problem(X, targets, WIDTH, ORDER, rational=kind != "lpm", shared=kind != "miso")
     if case.startswith("log-"):
-        found = public(spectra, jf.LogMean(method))
+        found = public(spectra, method)
         return problem.n_windows, {LOOP: lambda: baselines.log_means(baselines.loop(problem))[None], FULL: found}
     return problem.n_windows, {
         LOOP: lambda: baselines.loop(problem),
@@ -348,7 +364,7 @@ def _contenders(case: str):
     }
 
 
-def _difference(G, reference) -> float:
+def difference(G, reference) -> float:
     """Largest relative difference of a window's response."""
     import numpy as np
 
@@ -369,12 +385,6 @@ def _growth_sizes(quick: bool) -> dict:
 
 
 # Printing ------------------------------------------------------------------------------------------------------------
-
-
-def _commit() -> str:
-    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
-    found = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, check=False)
-    return found.stdout.strip() or "unknown"
 
 
 def _speed_table(found: dict) -> str:

@@ -23,7 +23,7 @@ import sys
 import tempfile
 import time
 
-from _pinned import available_cores, pin_to
+from _pinned import available_cores, commit, pin_to
 
 BENCHMARKS = pathlib.Path(__file__).parent
 ROBOT = BENCHMARKS.parent / "jaxfrf" / "robot" / "r3x.toml"
@@ -176,10 +176,8 @@ def equal(one: pathlib.Path, two: pathlib.Path) -> bool:
 
 
 def heading(given) -> str:
-    git = ["git", "-C", str(BENCHMARKS), "describe", "--always", "--dirty"]
-    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip() or "no repository"
     load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
-    return f"{time.strftime('%Y-%m-%d')}, commit {commit}, {platform.machine()}, {os.cpu_count()} cores{load}"
+    return f"{time.strftime('%Y-%m-%d')}, commit {commit()}, {platform.machine()}, {os.cpu_count()} cores{load}"
 
 
 if __name__ == "__main__":
