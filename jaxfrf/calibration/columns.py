@@ -64,7 +64,7 @@ def _column(robot: Robot, numbers, x, i: int, given: "_OnceAScene") -> Column:
     if number.kind == "delay":
         return lambda scene: signature(TorqueDelay(joint, _LATE), scene) * (number.size / _LATE)
     step = _step(number)
-    if number.kind == "effect":
+    if number.of_effect:
         _, name, parameter = number.name.split(".")
         now = next(
             e

@@ -5,13 +5,13 @@ are not: friction meets motors that do not turn evenly, above all where they are
 no column of any number.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
-from ..effects import AbstractFriction
 from ..robot import Robot
 from ..trajectory.alike import alike
 from ..trajectory.evidence import Column
@@ -33,7 +33,7 @@ _WORSE = 1.05  # of what was left: ripple with which more is left is not simulat
 
 
 class Descent:
-    """A robot's numbers on their way, round by round. `difference`: as of `Search`.
+    """A robot's numbers on their way, round by round. `differences`: as of `Search`.
 
     **Fields:** `iterate`: the last simulation. `near`: whether the robot is so near the truth that ripple and the
     smoothing of its friction are simulated. `inside`: ripple that it had beside the robot's own. `settled`: whether the
@@ -47,10 +47,10 @@ class Descent:
         numbers: Sequence[Number],
         say: Say,
         beside: Sequence[Column] = (),
-        difference: Difference | None = None,
+        differences: Mapping[str, Difference] = MappingProxyType({}),
     ):
         self.robot, self.record, self.numbers, self.say, self.beside = robot, record, numbers, say, tuple(beside)
-        self.difference = difference
+        self.differences = differences
         self.settled = False
         self._misfits: list[float] = []  # of the rounds with ripple beside the robot, then of those near the truth
 
@@ -93,11 +93,7 @@ class Descent:
         self.near, self.inside = near, tuple(inside)
         robot = alike(self.robot, inside)
         orders = [o for o, _ in inside]
-        # Laws of friction with a smoothing of their own tell it together with the robot's.
-        by_difference = near and not any(isinstance(e, AbstractFriction) for e in robot.effects)
-        self.search = Search(
-            robot, self.record, self.numbers, self.say, self.beside, orders, by_difference, self.difference
-        )
+        self.search = Search(robot, self.record, self.numbers, self.say, self.beside, orders, near, self.differences)
         self.search.floor = floor
 
     def _keep(self, kept: Rounds) -> None:
@@ -172,7 +168,7 @@ class Descent:
     def _with_other_ripple(self, more: bool) -> Iterate | None:
         """The same, the robot's ripple being what is sure; `None` where that leaves more."""
         search, inside = self.search, self.inside
-        self.difference = self.iterate.difference or self.difference
+        self.differences = self.iterate.differences or self.differences
         self._take(True, waves_to_simulate(self.iterate.orders, self.iterate.posterior, inside), search.floor)
         found = self.search.further(self.iterate, more)
         if found is None:

@@ -75,7 +75,7 @@ def calibrate_from_motion(
     largest = np.max([np.abs(np.asarray(record.u)).max(axis=(0, 1, 2)) for record in records], axis=0)
     uncertain = numbers(robot, offset_size=0.05 * largest)
     # Filters that have no phase would hide a delay, and how much motors of a wrist turn each other is exact.
-    uncertain = tuple(number for number in uncertain if number.kind not in ("delay", "effect"))
+    uncertain = tuple(number for number in uncertain if number.kind != "delay" and not number.of_effect)
     rows: list[Rows] = []
     owner: list[int] = []
     for record, payload in zip(records, payloads, strict=True):

@@ -9,7 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import input_error
-from ..effects import AbstractEffect, EncoderQuantisation, FrictionAsymmetry, TorqueConstant, TorqueDelay, library
+from ..effects import (
+    AbstractEffect,
+    AbstractFriction,
+    EncoderQuantisation,
+    FrictionAsymmetry,
+    TorqueConstant,
+    TorqueDelay,
+    library,
+)
 from ..effects._place import axis_of, stated
 from ..robot import PARAMETER_UNITS, Robot, parameter_unit, parameters
 from ..robot.drive import Friction, Spring
@@ -57,8 +65,13 @@ class Number(eqx.Module):
     prior: float = eqx.field(static=True)
 
     @property
+    def of_effect(self) -> bool:
+        """Whether it is a parameter of an effect: joint4.stribeck_friction.level."""
+        return self.kind == "effect" or (self.kind == "smoothing" and self.name.count(".") == 2)
+
+    @property
     def joint(self) -> str:
-        if self.kind == "effect":
+        if self.of_effect:
             return self.name.split(".")[0]
         return self.name[: self.name.rindex(f".{self.kind}")] if f".{self.kind}" in self.name else ""
 
@@ -129,7 +142,9 @@ def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) 
             for joint, effect, parameter in effect_parameters(robot):
                 if offset_size is None or not isinstance(effect, FrictionAsymmetry):
                     name, value = f"{joint}.{effect.name}.{parameter}", float(getattr(effect, parameter))
-                    add(name, kind, value, unit=unit_at(robot, joint, effect.units[parameter]))
+                    turns = isinstance(effect, AbstractFriction) and parameter == "smoothing"
+                    unit = unit_at(robot, joint, effect.units[parameter])
+                    add(name, "smoothing" if turns else kind, value, unit=unit)
         elif kind == "backlash":
             for name, gap in _gaps(robot).items():
                 add(f"{name}.{kind}", kind, gap)
@@ -214,7 +229,7 @@ def with_numbers(robot: Robot, numbers: Sequence[Number], x: Float[np.ndarray, "
         value, joint = number.value(float(at)), number.joint
         if number.kind in _DRIVE:
             drives.append((number.kind, joint, value))
-        elif number.kind == "effect":
+        elif number.of_effect:
             robot = _with_parameter(robot, number.name, value)
         elif number.kind == "backlash":
             row = robot.spring_names.index(joint)

@@ -1,7 +1,8 @@
 """One robot on its way by Gauss-Newton: simulated, differentiated, moved."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 import equinox as eqx
 import numpy as np
@@ -10,7 +11,7 @@ from jaxtyping import Complex, Float
 from .._errors import InputError
 from .._threads import lapack_threads, shared
 from ..robot import Robot
-from ..simulation import finest_smoothing
+from ..simulation import smoothing_factor
 from ..trajectory.evidence import Column, Evidence, Weighed, has_few_runs, refloored, scattered, weigh
 from ..trajectory.joined import places
 from ..trajectory.measured import Measured
@@ -39,7 +40,7 @@ Say = Callable[[str], None]
 
 
 class Difference(eqx.Module):
-    """The column of the friction's smoothing as the difference of two simulations: `slope`, N m per unit of the
+    """The column of a smoothing of friction as the difference of two simulations: `slope`, N m per unit of the
     coordinate, at the coordinate `at`."""
 
     at: float
@@ -50,7 +51,7 @@ class Iterate(eqx.Module):
     """A point x of the Gauss-Newton search: the robot simulated there, and the step that follows.
 
     **Fields:** `misfit`: mean square over the plain floor that ripple alone leaves. `left`: what all columns leave;
-    `rest`: that itself, N m. `difference`: the column of the friction's smoothing, where it was simulated.
+    `rest`: that itself, N m. `differences`: the columns of smoothings, by their names, where they were simulated.
     `start_floor`: the floor that it began with, and with which it can be made again; `None`: the plain one.
     """
 
@@ -62,7 +63,7 @@ class Iterate(eqx.Module):
     misfit: float
     left: float
     rest: Complex[np.ndarray, "pos exp line axis"]
-    difference: Difference | None
+    differences: dict[str, Difference]
     start_floor: Float[np.ndarray, "line axis"] | None
 
     def without_columns(self) -> "Iterate":
@@ -74,10 +75,10 @@ class Search:
     """What stays the same from round to round, and the floor, which follows what is left.
 
     `beside`: columns that stand beside those of the numbers. `inside`: orders of ripple that the robot has, whose
-    columns correct them. `by_difference`: whether the column of the friction's smoothing is the difference of two
-    simulations: a motor that stands still for a moment moves as its friction lets it, and the column along a given
-    motion is many times too large. The smoothing is not simulated finer than the robot's steps follow; beyond, its
-    column stands beside the robot. `difference`: that column, where it is known from another robot nearby.
+    columns correct them. `by_difference`: whether the columns of smoothings, of the friction's and of its effects', are
+    differences of two simulations: a motor that stands still for a moment moves as its friction lets it, and a column
+    along a given motion is many times too large. Nothing is simulated finer than the robot's steps follow; beyond,
+    columns stand beside the robot. `differences`: these columns, where they are known from another robot nearby.
 
     All rounds with their beginning and end: `descent`."""
 
@@ -90,13 +91,11 @@ class Search:
         beside: Sequence[Column] = (),
         inside: Sequence[Order] = (),
         by_difference: bool = False,
-        difference: Difference | None = None,
+        differences: Mapping[str, Difference] = MappingProxyType({}),
     ):
         self.robot, self.record, self.numbers, self.say = robot, record, numbers, say
-        kinds = [n.kind for n in numbers]
-        self.smoothing = kinds.index("smoothing") if "smoothing" in kinds else -1
-        self.by_difference = by_difference and self.smoothing >= 0
-        self._difference = difference
+        self.by_difference = [i for i, n in enumerate(numbers) if n.kind == "smoothing" and by_difference]
+        self._differences = dict(differences)
         self.floor: np.ndarray | None = None
         self.beside = tuple(beside)
         self.inside = {order_key(o) for o in inside}
@@ -104,17 +103,21 @@ class Search:
     def evaluate(self, x, orders: tuple[Order, ...], more: bool) -> Iterate:
         """Simulate, differentiate, solve; `more`: whether to look for more orders of ripple."""
         x = self.followed(x)
-        evidence, *perturbed = shared(
+        perturbed = self._perturbed(x)
+        evidence, *others = shared(
             lambda x: Evidence(with_numbers(self.robot, self.numbers, x), self.record),
-            [x, *self._perturbations(x)],
+            [x, *perturbed.values()],
             lapack_threads(),
         )
+        for i, other in zip(perturbed, others, strict=True):
+            slope = (evidence.residual - other.residual) * (self.numbers[i].size / _PERTURBATION)
+            self._differences[self.numbers[i].name] = Difference(float(x[i]), slope)
         start_floor = self.floor
         if start_floor is not None:
             evidence.floor = start_floor
         own = number_columns(self.robot, self.numbers, x)
-        if self.by_difference:
-            own[self.smoothing] = self._difference_column(x, evidence, perturbed)
+        for i in self.by_difference:
+            own[i] = self._difference_column(i, evidence)
         weighed = weigh(evidence, [*own, *self.beside, *order_columns(orders)])
         posterior = solve(weighed.gram, self.numbers, x)
         if more:
@@ -135,9 +138,9 @@ class Search:
         evidence.forget()
         rest = remainder(evidence, weighed, posterior.change)
         left = mean_square(rest / evidence.plain)
-        difference = self._difference if self.by_difference else None
+        differences = dict(self._differences) if self.by_difference else {}
         x = np.asarray(x, float)
-        return Iterate(x, evidence, weighed, orders, posterior, misfit, left, rest, difference, start_floor)
+        return Iterate(x, evidence, weighed, orders, posterior, misfit, left, rest, differences, start_floor)
 
     def further(self, iterate: Iterate, more: bool) -> Iterate | None:
         """The next robot, by a step that is short enough to leave less, or to cost less: where all of it is nearly met,
@@ -172,55 +175,49 @@ class Search:
 
     def _step(self, iterate: Iterate):
         step = iterate.posterior.change[: len(self.numbers)].copy()
-        if self.by_difference:
-            farthest = _FARTHEST / self.numbers[self.smoothing].size
-            step[self.smoothing] = np.clip(step[self.smoothing], -farthest, farthest)
-        logarithms = [n.positive and not self._is_perturbed(n) for n in self.numbers]
+        for i in self.by_difference:
+            farthest = _FARTHEST / self.numbers[i].size
+            step[i] = np.clip(step[i], -farthest, farthest)
+        logarithms = [n.positive and i not in self.by_difference for i, n in enumerate(self.numbers)]
         lengths = [abs(n.size * s) for n, s, is_log in zip(self.numbers, step, logarithms, strict=True) if is_log]
         longest = max(lengths, default=0.0)
         return step, min(1.0, _LONGEST / longest) if longest > 0 else 1.0, longest
 
-    def _is_perturbed(self, number: Number) -> bool:
-        return self.by_difference and number.kind == "smoothing"
-
-    def _finest(self, x) -> float:
-        """Where the friction's smoothing is what the robot's steps follow, as a coordinate."""
-        number = self.numbers[self.smoothing]
-        now = with_numbers(self.robot, self.numbers, x)
-        return number.coordinate(_MARGIN * finest_smoothing(now, like=self.robot))
+    def _finest(self, x) -> Float[np.ndarray, "smoothing"]:
+        """Where smoothings are what the robot's steps follow, as coordinates."""
+        least = _MARGIN * float(smoothing_factor(with_numbers(self.robot, self.numbers, x), like=self.robot))
+        some = [(self.numbers[i], float(x[i])) for i in self.by_difference]
+        return np.array([number.coordinate(least * number.value(at)) for number, at in some])
 
     def followed(self, x) -> Float[np.ndarray, "number"]:
         """The same coordinates, the friction no sharper than it is simulated."""
         x = np.array(x, float)
         if self.by_difference:
-            x[self.smoothing] = max(x[self.smoothing], self._finest(x))
+            x[self.by_difference] = np.maximum(x[self.by_difference], self._finest(x))
         return x
 
     def _at_bound(self, x) -> np.ndarray:
-        """The smoothing's column, where it may not become less."""
-        if self.by_difference and x[self.smoothing] <= self._finest(x) + _AT_BOUND:
-            return np.array([self.smoothing])
-        return np.array([], int)
-
-    def _perturbations(self, x) -> list[np.ndarray]:
-        """Where the robot is simulated, too, for the finite difference by its friction's smoothing; nowhere, where
-        another round had nearly the same."""
+        """Columns of smoothings that may not become less."""
         if not self.by_difference:
-            return []
-        size, at = self.numbers[self.smoothing].size, float(x[self.smoothing])
-        if self._difference is not None and abs(at - self._difference.at) * size <= _SAME_COLUMN:
-            return []
-        more = x.copy()
-        more[self.smoothing] += _PERTURBATION / size
-        return [more]
+            return np.array([], int)
+        places = np.array(self.by_difference)
+        return places[x[places] <= self._finest(x) + _AT_BOUND]
 
-    def _difference_column(self, x, evidence: Evidence, perturbed: Sequence[Evidence]) -> Column:
-        """The column of the friction's smoothing, from this perturbed simulation or that of another round."""
-        for other in perturbed:
-            slope = (evidence.residual - other.residual) * (self.numbers[self.smoothing].size / _PERTURBATION)
-            self._difference = Difference(float(x[self.smoothing]), slope)
-        assert self._difference is not None
-        columns = {id(scene): column for scene, column in zip(evidence.scenes, self._difference.slope, strict=True)}
+    def _perturbed(self, x) -> dict[int, np.ndarray]:
+        """Where the robot is simulated, too, for finite differences by its smoothings; not by those of which another
+        round had nearly the same."""
+        found = {}
+        for i in self.by_difference:
+            size, known = self.numbers[i].size, self._differences.get(self.numbers[i].name)
+            if known is None or abs(float(x[i]) - known.at) * size > _SAME_COLUMN:
+                found[i] = x.copy()
+                found[i][i] += _PERTURBATION / size
+        return found
+
+    def _difference_column(self, i: int, evidence: Evidence) -> Column:
+        """The column of a smoothing, from this round or another."""
+        slope = self._differences[self.numbers[i].name].slope
+        columns = {id(scene): column for scene, column in zip(evidence.scenes, slope, strict=True)}
         return lambda scene: columns[id(scene)]
 
     def has_converged(self, iterate: Iterate) -> bool:

@@ -1,5 +1,6 @@
 """Friction of motors and joints."""
 
+import math
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import equinox as eqx
@@ -17,15 +18,21 @@ if TYPE_CHECKING:
 
 Number = Float[Array, ""] | float
 
+_SMOOTHING = 0.2  # rad/s, where nothing says which
 _WIDTHS = (2.0, 5.0)  # rad/s, of Stribeck's hump, that are tried
 _STICKING = ((2.0, 1.5), (2.0, 4.0), (6.0, 1.5), (6.0, 4.0))  # times just visible, rad/s: where fits of loud ones begin
 _PARTS = (0.02, 0.05, 0.1, 0.2)  # of the largest speed of a measured motion: widths that are tried along it
 _TURN = 0.02  # of that speed: within it friction has changed its sign, whatever the units
 
 
+def _robots(robot: "Robot", otherwise: float) -> float:
+    """Over which the robot's own friction changes its sign, rad/s."""
+    return float(getattr(robot.drives.friction, "smoothing", otherwise))
+
+
 def _smoothing(robot: "Robot", reach: Reach) -> float:
-    """Over which friction changes its sign along a measured motion, rad/s."""
-    return min(float(getattr(robot.drives.friction, "smoothing", jnp.inf)), _TURN * reach.speed)
+    """The same of friction along a measured motion."""
+    return min(_robots(robot, math.inf), _TURN * reach.speed)
 
 
 def _turning(typical: Any, robot: "Robot", reach: Reach) -> tuple[Candidate, ...]:
@@ -195,11 +202,12 @@ class StribeckFriction(AbstractFriction):
     joint: Joint = eqx.field(static=True)
     level: Number
     width: Number = 2.0
-    smoothing: Number = 0.2
+    smoothing: Number = _SMOOTHING
 
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
-        return cls(joint, 0.3 * own(robot, joint, coulomb(robot), 0.1))
+        level = 0.3 * own(robot, joint, coulomb(robot), 0.1)
+        return cls(joint, level, smoothing=_robots(robot, _SMOOTHING))
 
     @classmethod
     def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
@@ -210,8 +218,8 @@ class StribeckFriction(AbstractFriction):
     @classmethod
     def starts(cls, robot: "Robot", fitted: "Robot", joint: Joint) -> tuple[Self, ...]:
         """So much that the motor sticks, which no small amount of it shows."""
-        level = cls.typical(robot, joint).level
-        return tuple(cls(joint, times * level, width) for times, width in _STICKING)
+        typical = cls.typical(robot, joint)
+        return tuple(cls(joint, times * typical.level, width, typical.smoothing) for times, width in _STICKING)
 
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
@@ -252,11 +260,12 @@ class FrictionAsymmetry(AbstractFriction):
     joint: Joint = eqx.field(static=True)
     offset: Number
     level: Number = 0.0
-    smoothing: Number = 0.2
+    smoothing: Number = _SMOOTHING
 
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
-        return cls(joint, 0.1 * own(robot, joint, coulomb(robot), 0.1))
+        offset = 0.1 * own(robot, joint, coulomb(robot), 0.1)
+        return cls(joint, offset, smoothing=_robots(robot, _SMOOTHING))
 
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
@@ -287,11 +296,11 @@ class LoadDependentFriction(AbstractFriction):
 
     joint: Joint = eqx.field(static=True)
     coefficient: Number
-    smoothing: Number = 0.2
+    smoothing: Number = _SMOOTHING
 
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
-        return cls(joint, 0.02)
+        return cls(joint, 0.02, _robots(robot, _SMOOTHING))
 
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:

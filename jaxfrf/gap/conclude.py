@@ -286,21 +286,21 @@ def wrong_numbers(last: Fitted) -> tuple[WrongNumber, ...]:
     their p-value or beside the others, and those that the data tell."""
     data_share, out_of_tolerance = last.iterate.posterior.data_share, last.out_of_tolerance
     p_values = last.tolerance_p_values
+    another = dict(last.unknown.stated)  # what an effect has made something else of, or a number of its own
     sure = lambda n, i: n.prior > 0 and n.kind != "smoothing" and n.positive and data_share[i] > DATA_SHARE
     told = lambda n, i: sure(n, i) or p_values[i] < OUT_OF_TOLERANCE
-    spread = np.sqrt(np.diag(last.iterate.posterior.covariance))
     return tuple(
         WrongNumber(
             name=n.name,
             value=n.value(x),
-            std=n.deviation(x, float(spread[i])),
+            std=last.deviation(n.name),
             unit=n.unit,
             given=n.given,
             change=_change(n, x),
             p_value=float(p_values[i]),
         )
         for i, (n, x) in enumerate(zip(last.numbers, map(float, last.x), strict=True))
-        if i in out_of_tolerance or (told(n, i) and abs(x) > OFF)
+        if n.name not in another and (i in out_of_tolerance or (told(n, i) and abs(x) > OFF))
     )
 
 

@@ -5,7 +5,8 @@ The fit is the calibration's (`calibration.descent`): ripple beside the robot fi
 
 import dataclasses
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from types import MappingProxyType
 
 import equinox as eqx
 import numpy as np
@@ -227,11 +228,16 @@ class RobotFit:
     compiled."""
 
     def __init__(
-        self, robot: Robot, unknown: Tolerances, record: Measured, say: Say, difference: Difference | None = None
+        self,
+        robot: Robot,
+        unknown: Tolerances,
+        record: Measured,
+        say: Say,
+        differences: Mapping[str, Difference] = MappingProxyType({}),
     ):
         self.numbers = numbers(robot.with_tolerances(unknown))
         self.robot, self.unknown, self.record, self.say = robot, unknown, record, say
-        self.descent = Descent(robot, record, self.numbers, lambda text: None, difference=difference)
+        self.descent = Descent(robot, record, self.numbers, lambda text: None, differences=differences)
         self.kept = Rounds(None, robot, self.numbers, record, ())
 
     @classmethod
@@ -252,7 +258,7 @@ class RobotFit:
         same_motion = np.array_equal(
             np.asarray(record.data.q), [scene.still.q for scene in start.iterate.evidence.scenes]
         )
-        fit = cls(robot, unknown, record, say, start.iterate.difference if same_motion else None)
+        fit = cls(robot, unknown, record, say, start.iterate.differences if same_motion else {})
         known = {n.name: (n, float(x)) for n, x in zip(start.numbers, start.x, strict=True) if n.name not in anew}
         x = np.array([_begins(n, known) for n in fit.numbers])
         floor = steady_seen(start.iterate.evidence)

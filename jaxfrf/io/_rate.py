@@ -11,6 +11,7 @@ from ._variables import File, numbers, scalar, scaled
 
 _RATE = 1e-3  # relative difference of fs and the time vector that counts as a contradiction
 _UNIFORM = 0.05  # sample intervals that a time stamp may stand off the uniform grid
+_UNITS_OF_TIME = (1.0, 1e-3, 1e-6, 1e-9)  # s
 _WHOLE = 1e-6  # a rate this close to a whole number of Hz is that number (time stamps are rounded)
 
 
@@ -20,7 +21,7 @@ def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
     time = file.get("t")
     named = "t" in file.given.names
     if fs is not None and not named and not _is_time(time, n_time):
-        return fs, []
+        return fs, _contradictions(file, fs, n_time)
     if time is None or (not named and np.size(time) == 1):
         raise _no_rate(file, n_time)
     rate, deviation = _rate(file, scaled(file, "t", column(numbers(file, "t", time))), n_time)
@@ -46,6 +47,25 @@ def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
             "grid: samples may be missing or late."
         ]
     return fs, []
+
+
+def _contradictions(file: File, fs: float, n_time: int) -> list[str]:
+    """Remarks on columns that sound like time, go in even steps, and whose steps are the interval of this rate in no
+    unit from s to ns."""
+    found = []
+    for name in time_like(file.variables, n_time):
+        stamps = np.asarray(file.variables[name])
+        if not _is_time(stamps, n_time):
+            continue
+        stamps = stamps.ravel().astype(np.float64)
+        step = (stamps[-1] - stamps[0]) / (n_time - 1)
+        even = np.max(np.abs((stamps - stamps[0]) / step - np.arange(n_time))) <= _UNIFORM
+        if even and all(abs(step * fs * unit - 1) > _RATE for unit in _UNITS_OF_TIME):
+            found.append(
+                f"fs is said to be {fs:g} Hz, but {name} goes in steps of {number(step, 6)}: one of them is wrong. "
+                f"--map {_argument(name)} instead of fs takes the rate from there."
+            )
+    return found
 
 
 def _is_time(value, n_time: int) -> bool:
@@ -109,7 +129,7 @@ def _no_rate(file: File, n_time: int) -> InputError:
             "fs",
             "neither fs nor a time vector",
             "the sampling frequency fs (Hz)",
-            "Set it, e.g. --set fs=2000, or say what it is called: --map fs=NAME.",
+            "Set it, e.g. --set fs=2000, or name it, or a column of times: --map fs=NAME or t=NAME.",
         )
     return file.error(
         "fs",

@@ -134,7 +134,7 @@ def sounds_like(key: str, name: str) -> bool:
     return last == key or any(hint in last for hint in _HINTS[key])
 
 
-_TIME = re.compile(r"t|t[\W_].*|tim.*")
+_TIME = re.compile(r"t|t[\W_].*|(tim|zeit|temps|tempo).*")
 
 
 def time_like(variables: Mapping[str, Leaf], samples: int) -> list[str]:

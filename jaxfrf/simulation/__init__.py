@@ -6,4 +6,4 @@ from .positions import (
     random_positions as random_positions,
     read_positions as read_positions,
 )
-from .steps import fine_steps as fine_steps, finest_smoothing as finest_smoothing
+from .steps import fine_steps as fine_steps, smoothing_factor as smoothing_factor

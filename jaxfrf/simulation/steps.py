@@ -8,7 +8,7 @@ from .._errors import input_error
 from .._text import number
 from ..effects import AbstractGearTorque
 from ..effects.acting import groups
-from ..robot import Friction, OperatingPoint, Robot, friction_effects, linearise, local_stiffness, spring_directions
+from ..robot import OperatingPoint, Robot, friction_effects, linearise, local_stiffness, spring_directions
 
 _LEAST = 3  # steps at which the error of R3X is below that of holding the inertia over a sample
 _DECAY = 2.2  # rate times step up to which friction near rest is stable: the limit of the method is 2.79
@@ -48,19 +48,17 @@ def fine_steps(robot: Robot, point: OperatingPoint) -> int:
     return max(_LEAST, math.ceil(needed))
 
 
-def finest_smoothing(robot: Robot, like: Robot) -> float:
-    """Smoothing of the friction, rad/s, that needs no more steps than that of another robot, or than the fewest.
+def smoothing_factor(robot: Robot, like: Robot) -> float:
+    """How many times its smoothing a robot's friction needs, that of its effects included, to take no more steps than
+    that of another robot, or than the fewest; below 1 where it could be sharper.
 
-    **Arguments:** `robot`: whose friction is `jaxfrf.robot.Friction`. `like`: another one, whose steps are to be
-    enough.
+    **Arguments:** `robot`: any. `like`: another one, whose steps are to be enough.
 
-    **Returns:** rad/s.
+    **Returns:** the factor.
 
     **Source:** the rate c/(eps J) of `fine_steps`, solved for the smoothing.
     """
-    most = max(_friction_rate(like), _LEAST * _DECAY * robot.sampling_frequency)
-    assert isinstance(robot.drives.friction, Friction)  # another law has none
-    return float(robot.drives.friction.smoothing) * _friction_rate(robot) / most
+    return _friction_rate(robot) / max(_friction_rate(like), _LEAST * _DECAY * robot.sampling_frequency)
 
 
 def _friction_rate(robot: Robot) -> float:

@@ -27,7 +27,7 @@ from jaxfrf.parts import Parts
 from jaxfrf.robot import operating_point, parameters, r3x, tolerances_from
 from jaxfrf.robot.regressor import link_parameters, link_regressor
 from jaxfrf.robot.tolerances import KINDS
-from jaxfrf.simulation import fine_steps, finest_smoothing
+from jaxfrf.simulation import fine_steps, smoothing_factor
 from jaxfrf.trajectory.alike import alike
 from jaxfrf.trajectory.evidence import Evidence, Gram, Weighed, precise, scattered
 from jaxfrf.trajectory.joined import joined, places
@@ -76,6 +76,8 @@ def test_numbers_of_effects():
     assert uncertain["shoulder.backlash"].prior == 0.0 and uncertain["shoulder.backlash"].unit == "rad"
     assert uncertain["elbow.current_loop_lag.time_constant"].size == pytest.approx(0.2)
     assert "elbow.stribeck_friction.width" not in uncertain
+    turns = uncertain["elbow.stribeck_friction.smoothing"]
+    assert (turns.kind, turns.joint, turns.unit) == ("smoothing", "elbow", "rad/s")
     moved = with_numbers(robot, list(uncertain.values()), np.full(len(uncertain), 0.3))
     again = {n.name: n.given for n in numbers(moved)}
     for name in ("shoulder.backlash", "elbow.stribeck_friction.level", "elbow.current_loop_lag.time_constant"):
@@ -563,7 +565,7 @@ def test_springs_have_options_of_their_own(commanded, capsys):
 def test_friction_is_simulated_as_sharp_as_steps_follow():
     robot = model()
     point = operating_point(robot, Q)
-    smoothing = finest_smoothing(robot, like=robot)
+    smoothing = smoothing_factor(robot, like=robot) * float(robot.drives.friction.smoothing)
     turned = lambda eps: eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(eps))
     steps = fine_steps(robot, point)
     assert fine_steps(turned(1.001 * smoothing), point) == steps < fine_steps(turned(0.9 * smoothing), point)

@@ -471,6 +471,17 @@ def test_late_samples_are_remarked_where_the_rate_is_given(tmp_path):
     assert any("0.4 sample intervals off a uniform grid" in text for text in data.warnings)
 
 
+@pytest.mark.parametrize(("step", "told"), [(1.0, False), (1e3, False), (0.5, True), (0.0, False)])
+def test_a_column_of_times_that_contradicts_the_rate(tmp_path, step, told):
+    """In s or ms it is the interval; half of it is another rate; a counter that stands still says nothing."""
+    u, y = signals()
+    path = tmp_path / "a.csv"
+    table = np.column_stack([np.arange(200) * step / FS, np.ravel(u)[:200], np.ravel(y)[:200]])
+    path.write_text("Zeit;u;y\n" + "\n".join(";".join(f"{v:.9g}" for v in row) for row in table))
+    warnings = read(path, values={"fs": FS}).warnings
+    assert any("Zeit goes in steps of 0.001: one of them is wrong" in text for text in warnings) == told
+
+
 # --- wrong files
 
 

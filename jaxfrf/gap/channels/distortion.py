@@ -31,7 +31,8 @@ _LINEAR = 1e-6  # of a torque: less at detection lines is rounding, the law is l
 
 
 class DistortionChannel(AbstractLines):
-    """Fourier coefficients at detection lines in bands where they stand clear of the noise, over their rms.
+    """Fourier coefficients at detection lines in bands where they stand clear of the noise between periods, over their
+    rms.
 
     The drive's linear model is found first, from the FRF of the same records (`ResponseChannel`), with what it says of
     the torque's way to the motor; effects act along the measured motion with that taken off. Blind without detection
@@ -63,7 +64,7 @@ class DistortionChannel(AbstractLines):
 
     @classmethod
     def takes(cls, robot: Robot | None, data: Sequence[Any]) -> bool:
-        """Records of one drive of which nothing is known, with lines left unexcited."""
+        """Records of one drive of which nothing is known, of two periods and more, with lines left unexcited."""
         return robot is None and all(one_drive(x) and _detects(x) for x in data)
 
     @classmethod
@@ -81,8 +82,9 @@ class DistortionChannel(AbstractLines):
     def _compared(cls, drive: Diagnosis, record: Experiment, order: int) -> "DistortionChannel":
         rest = unexcited_spectra(record)
         f, U, Y = np.asarray(rest.frequency), np.mean(rest.U[0], axis=0)[:, 0], np.mean(rest.Y[0], axis=0)[:, 0]
-        D = Y - _response(drive.extended, f, order) * U
-        noise = np.zeros(len(f)) if rest.noise is None else np.mean(rest.noise[0, :, :, 0, 0].real, axis=0)
+        assert rest.noise is not None  # there are two periods
+        G = _response(drive.extended, f, order)
+        D, noise = Y - G * U, _noise(np.asarray(rest.noise[0]), G)
         bands = _bands(f, rest.lines, D, Y, noise)
         clear = np.concatenate([np.flatnonzero(b.here) for b in bands if b.clear] or [np.arange(len(f))])
         rms = lambda x: float(np.sqrt(np.mean(x)))
@@ -198,9 +200,16 @@ def _bands(f, lines, D, Y, noise) -> list[_Band]:
 
 def _detects(record: Experiment) -> bool:
     try:
-        return len(unexcited_spectra(record).lines) >= 2 * BANDS
+        return record.n_periods > 1 and len(unexcited_spectra(record).lines) >= 2 * BANDS
     except InputError:
         return False
+
+
+def _noise(covariance, G) -> Float[np.ndarray, "line"]:
+    """Variance of D by that of [Y, U], (exp, line, 2, 2), over the mean of the experiments: in closed loop that of Y
+    alone is what the loop leaves of it."""
+    own = np.stack([np.ones_like(G), -G], axis=-1)
+    return np.einsum("li,elij,lj->l", own, covariance, own.conj()).real / len(covariance) ** 2
 
 
 def _response(robot: Robot, f, order: int):

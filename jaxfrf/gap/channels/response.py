@@ -4,6 +4,7 @@ The inertia is free in units of u, so that neither a wrong torque constant nor a
 effect, nor be found.
 """
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -13,7 +14,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from ..._errors import input_error
-from ...effects import AbstractArmTorque, AbstractStructure
+from ...effects import AbstractActuator, AbstractArmTorque, AbstractStructure
 from ...experiment import QUANTITIES
 from ...frf import FRF, LRM, estimate
 from ...robot import Robot
@@ -34,7 +35,7 @@ class ResponseChannel(AbstractLines):
     It fails where nonlinear distortion is as large as the effect: FRFs of other realisations, held out, show it.
 
     **Fields:** `numbers`: of the robot; `G`: (line,); `variance`: of log G. `order`: 0 position, 1 speed, 2
-    acceleration.
+    acceleration. `sample`: of the record, s; `None` of an FRF.
     """
 
     compared: ClassVar = "the FRF of a single drive against the model's, log(measured/model)"
@@ -53,6 +54,7 @@ class ResponseChannel(AbstractLines):
     group: Int[np.ndarray, "row"]
     fold: Int[np.ndarray, "row"]
     order: int = eqx.field(static=True)
+    sample: float | None = eqx.field(static=True)
 
     @classmethod
     def takes(cls, robot: Robot | None, data: Sequence[Any]) -> bool:
@@ -81,7 +83,9 @@ class ResponseChannel(AbstractLines):
         numbers, n = DriveNumbers.of(robot), len(f)
         start = np.log(G / drive_response(numbers, robot.effects, f, order)) * weight
         rows = {"measured": parts(start), "group": np.zeros(2 * n, int), "fold": folds(n)}
-        return cls(robot=robot, numbers=numbers, G=G, variance=variance, frequency=f, order=order, **rows)
+        sample = None if isinstance(first, FRF) else 1.0 / first.fs
+        common = {"variance": variance, "frequency": f, "order": order, "sample": sample}
+        return cls(robot=robot, numbers=numbers, G=G, **common, **rows)
 
     def of(self, data):
         return ResponseChannel.opened(self.robot, data)
@@ -138,3 +142,18 @@ class ResponseChannel(AbstractLines):
                 z = float(np.sqrt(np.mean(np.abs(error[here]) ** 2)))
                 found.append(Cell(None, self.robot.axis_names[0], (float(low), float(high)), z, says))
         return tuple(sorted(found, key=lambda c: -c.z))
+
+    def joined(self, found):
+        """With a word on delays: a torque that is held from sample to sample, which no FRF tells from one that is
+        measured, has one."""
+        acting = (e.effect for e in found.effects if isinstance(e.effect, AbstractActuator))
+        delay = sum(float(e.dead_time()) for e in acting)
+        if delay <= 0.0:
+            return found
+        here = "" if self.sample is None else f" ({500.0 * self.sample:.3g} ms here)"
+        says = (
+            f"{found.says} A torque that is commanded and held to the next sample acts half a sample late{here}: that "
+            "much of a delay is not missing, and simulations of the written robot, which hold it too, would have it "
+            "twice."
+        )
+        return dataclasses.replace(found, says=says)
