@@ -23,6 +23,7 @@ from .arguments import (
 )
 from .each import add_each_options
 from .progress import Progress
+from .remarks import warn
 
 _PROGRAM, _COPIES = 1.2e9, 23.0  # bytes beside the records, and how often these are held: R3X, friction missing, 193 MB
 
@@ -73,8 +74,7 @@ def run(given) -> dict:
     robot = with_tolerances(read_robot(given.robot, own), given.tolerance) if given.robot else None
     with kept_parts(given, own_effects.about(given)) as parts:
         data = _read(given)
-        for text in dict.fromkeys(w for x in data for w in x.warnings):
-            print(f"warning: {text}", file=sys.stderr)
+        warn(w for x in data for w in x.warnings)
         found = _diagnosed(given, robot, data, own, parts)
         write_gap(given.output, found)
         written = [given.output, *_write_more(given, found, own)]

@@ -1,7 +1,6 @@
 """`jaxfrf distortion`."""
 
 import pathlib
-import sys
 
 from ..io._formats import RECORDS, SAVED
 from .arguments import (
@@ -16,6 +15,7 @@ from .arguments import (
     range_of,
     read_records,
 )
+from .remarks import warn
 
 EXAMPLES = ("jaxfrf distortion run.nc -o frf.nc --plot levels.png",)
 
@@ -55,8 +55,7 @@ def run(given) -> dict:
             data = select_periods(data, periods[0] or 0, periods[1])
         found = distortion_of(estimate(spectra_of(data, chosen, band=band), chosen), data)
     written = _write(given, found)
-    for warning in found.frf.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+    warn(found.frf.warnings)
     about = distortion_summary(found)
     return {
         "text": [*about.lines(), *([f"wrote {', '.join(written)}"] if written else []), *_next(given, about)],

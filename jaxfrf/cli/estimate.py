@@ -2,7 +2,6 @@
 
 import dataclasses
 import pathlib
-import sys
 
 from ..io._formats import FRFS, RECORDS
 from .arguments import (
@@ -23,6 +22,7 @@ from .arguments import (
 )
 from .each import add_each_options, sharing
 from .progress import Progress
+from .remarks import warn
 
 _READ_BY = ("map", "set", "factor", "anyway", "periods", "band", "robust", "segment")  # options
 
@@ -77,8 +77,7 @@ def run(given) -> dict:
             )
         about = summary(made.spectra, made.frf)
         written = [given.output, *_write_picture(given, made.frf), *_write_report(given, made.frf, about)]
-    for warning in made.frf.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+    warn(made.frf.warnings)
     return {
         "text": [
             *about.lines(),

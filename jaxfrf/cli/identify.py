@@ -2,7 +2,6 @@
 
 import pathlib
 import shlex
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -31,6 +30,7 @@ from .arguments import (
 )
 from .each import add_each_options
 from .progress import Progress
+from .remarks import warn
 
 _RECORDS_ONLY = ("method", "option", "map", "set", "factor", "periods")
 _SPRINGS_ONLY = (
@@ -125,8 +125,7 @@ def run(given) -> dict:
         write_fit(given.output, contents)
         written = [given.output, *_write_more(given, found, whole)]
     warnings = [w for record in data for w in record.warnings] if whole else found.measured.warnings
-    for warning in dict.fromkeys(warnings):
-        print(f"warning: {warning}", file=sys.stderr)
+    warn(warnings)
     text = [*found.lines(), f"wrote {', '.join(written)}", f"next: {'; '.join(_next(given, data, robot, whole))}"]
     return {"text": text, "json": (contents if whole else _brief(contents)) | {"output": written}}
 

@@ -1,7 +1,5 @@
 """`jaxfrf simulate`."""
 
-import sys
-
 from .._errors import InputError
 from .._text import counted
 from ..io._formats import SAVED
@@ -17,6 +15,7 @@ from .arguments import (
 )
 from .each import add_worker_options, sharing
 from .progress import Progress
+from .remarks import warn
 
 _MOST = 100_000  # positions
 
@@ -75,8 +74,7 @@ def run(given) -> dict:
             progress=progress,
             say=say,
         )
-    for warning in made.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+    warn(made.warnings)
     text = [
         f"{robot.name}: {made.positions * made.experiments} runs ({made.positions} positions, {made.experiments} "
         f"experiments) of {made.samples / design.fs:g} s, {counted(made.periods, 'steady period')} of "

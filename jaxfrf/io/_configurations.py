@@ -9,7 +9,7 @@ from ._select import column
 from ._variables import File, numbers, scaled
 
 _STILL = 0.5  # rad (m): farther, peak to peak, no joint of an experiment about an operating point moves
-_NEAR = 0.02  # rad (m): means of records that differ by less are of one position
+_NEAR = 0.02  # rad (m): means of records that differ by less are of one position, and those within half a movement
 
 
 def logged(file: File, signal: tuple[int, ...]) -> bool:
@@ -28,8 +28,9 @@ def stated_configurations(file: File) -> np.ndarray | None:
     return None if q is None else scaled(file, "q", numbers(file, "q", q))
 
 
-def mean_configurations(file: File, steady: slice, positions: int) -> tuple[np.ndarray, str]:
-    """The mean of what was logged, (pos, joint), rad, and what is to be said of it.
+def mean_configurations(file: File, steady: slice, positions: int) -> tuple[np.ndarray, np.ndarray, str]:
+    """The mean of what was logged, (pos, joint), rad; how far off another mean is of the same position, (joint,), rad,
+    as a slow motion that begins elsewhere has another mean; and what is to be said of it.
 
     **Arguments:** `steady`: the samples that count. `positions`: how many the record has.
 
@@ -49,23 +50,23 @@ def mean_configurations(file: File, steady: slice, positions: int) -> tuple[np.n
             "on purpose, leave q out.",
         )
     means = x.mean(axis=2)
-    apart = np.ptp(means, axis=1)
-    if apart.max() > _NEAR:
+    apart, near = np.ptp(means, axis=1), np.maximum(_NEAR, 0.5 * travel.max(axis=(0, 1)))
+    if np.any(apart > near):
         raise file.error(
             "q",
             f"experiments of one position that stand {number(apart.max(), 2)} rad apart",
-            f"{_NEAR:g} rad at most",
+            f"{number(near[int(np.argmax((apart - near).max(axis=0)))], 2)} rad at most",
             "Store other positions in files of their own, or along the first axis, (position, experiment, time, ...).",
         )
     said = f"{file.label('q')}: a record; its mean is the arm configuration, about which it moves by up to "
-    return means.mean(axis=1), said + f"{number(travel.max(), 2)} rad."
+    return means.mean(axis=1), near, said + f"{number(travel.max(), 2)} rad."
 
 
-def gathered(configurations: Sequence, means: Sequence[bool]) -> list:
-    """Configurations of files, (pos, joint) or `None`; of those that are means of records, the ones near each other
-    become the first of them."""
+def gathered(configurations: Sequence, near: Sequence[np.ndarray | None]) -> list:
+    """Configurations of files, (pos, joint) or `None`; of those that are means of records, the ones that are `near`
+    each other, as `mean_configurations` says, become the first of them. `None`: no mean."""
     found: list = []
-    for i, (q, mean) in enumerate(zip(configurations, means, strict=True)):
-        firsts = (found[j] for j in range(i) if means[j] and mean)
-        found.append(next((p for p in firsts if p.shape == q.shape and np.all(np.abs(p - q) < _NEAR)), q))
+    for i, (q, within) in enumerate(zip(configurations, near, strict=True)):
+        firsts = (found[j] for j in range(i) if near[j] is not None and within is not None)
+        found.append(next((p for p in firsts if p.shape == q.shape and np.all(np.abs(p - q) < within)), q))
     return found

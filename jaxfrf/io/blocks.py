@@ -178,7 +178,7 @@ def data_set(
     files = [pathlib.Path(path) for path in paths]
     if len(files) > 1 and any(part_of(name, files) for name in given.names.values()):
         return None
-    found, heads, at, means, kept = [], [], [], [], {}
+    found, heads, at, nears, kept = [], [], [], [], {}
     for path in files:
         check_file(path)
     digested = _begun(files)
@@ -186,18 +186,18 @@ def data_set(
         for path in files:
             n_pos = positions_in(path)
             source = Source(path.name)
-            head, remarks, mean = record_of(path, given, source, slice(0, 1) if n_pos else None)
+            head, remarks, near = record_of(path, given, source, slice(0, 1) if n_pos else None)
             if n_pos is None and 8 * head.u.size < _SMALL:
                 kept[path] = head, remarks
-            if mean and n_pos is not None and n_pos > 1:
+            if near is not None and n_pos is not None and n_pos > 1:
                 return None  # of all positions the whole record must be seen
             found.append(_File(path, source, n_pos or head.n_pos, n_pos is not None))
             heads.append(_short(head))
             at.append(_places(path, given, n_pos, head))
-            means.append(mean)
+            nears.append(near)
     for other in heads[1:]:
         check_compatible(heads[0], other)
-    groups = places(gathered(at, means), [h.n_exp for h in heads])
+    groups = places(gathered(at, nears), [h.n_exp for h in heads])
     experiments = [sum(heads[i].n_exp for i in group) for group in groups]
     if len(set(experiments)) > 1 or any(len({found[i].n_pos for i in group}) > 1 for group in groups):
         return None  # reading it whole says what is wrong

@@ -49,7 +49,7 @@ def read(
       `parse_map`). Where one names its file, `{"u": "currents.csv:tau1", "y": "angles.csv:q1"}`, all files are one
       record.
       Where `q` names a record as long as the others, its mean is the configuration; files whose means agree within
-      .02 rad are of one position.
+      .02 rad, or half of the movement within one, are of one position.
     - `values`: what the files do not say or say wrongly, `{"fs": 2500, "period": 2500, "samples": slice(0,
       18720)}` (see `parse_values`). `samples` is the part of the record to keep.
     - `factor`: factors that make the units SI, `{"y": np.pi / 180}`, one for all or one for each channel.
@@ -100,7 +100,7 @@ def _each(paths: Sequence[str | os.PathLike], names, values, factor, anyway: boo
         return [_read_one(files, dataclasses.replace(given, names=expanded(given.names, files)))[0]]
     with joinable(files):
         read = [_read_one([file], given) for file in files]
-    places = gathered([data.q for data, _ in read], [mean for _, mean in read])
+    places = gathered([data.q for data, _ in read], [near for _, near in read])
     return [data if q is data.q else rebuilt(data, q=q) for (data, _), q in zip(read, places, strict=True)]
 
 
@@ -163,17 +163,18 @@ def writing(
         yield put
 
 
-def _read_one(paths: Sequence[pathlib.Path], given: Given) -> tuple[Experiment, bool]:
-    """The record in one file, or the one whose channels several files hold, screened; and whether its q is a mean."""
+def _read_one(paths: Sequence[pathlib.Path], given: Given) -> tuple[Experiment, np.ndarray | None]:
+    """The record in one file, or the one whose channels several files hold, screened; and, where its q is the mean of a
+    record, how near others are of one position."""
     path = paths[0] if len(paths) == 1 else pathlib.Path(" + ".join(x.name for x in paths))
     variables = load(path) if len(paths) == 1 else joined({x: load(x) for x in paths}, given.anyway)
     sources = tuple(source_of(x) for x in paths)
-    data, remarks, mean = _record(File(path, _with_units(variables), given), sources)
+    data, remarks, near = _record(File(path, _with_units(variables), given), sources)
     del variables  # the arrays live on in `data` alone
     with _naming(File(path, Variables({}), given)):
         data = screened(data, checks=CHECKS, anyway=given.anyway)
     warnings = tuple(f"{path}: {text}" for text in (*remarks, *data.warnings))
-    return (dataclasses.replace(data, warnings=warnings) if warnings else data), mean
+    return (dataclasses.replace(data, warnings=warnings) if warnings else data), near
 
 
 @contextlib.contextmanager
@@ -201,9 +202,9 @@ def source_of(path: pathlib.Path) -> Source:
 
 def record_of(
     path: pathlib.Path, given: Given, source: Source, part: slice | None = None
-) -> tuple[Experiment, list[str], bool]:
-    """The record in a file, or at some of its positions, not screened; what is to be said of reading it; and whether
-    its q is the mean of a record."""
+) -> tuple[Experiment, list[str], np.ndarray | None]:
+    """The record in a file, or at some of its positions, not screened; what is to be said of reading it; and, where
+    its q is the mean of a record, how near others are of one position (`gathered`)."""
     variables = load(path, part=part)
     values = dict(given.values)
     q = np.asarray(values.get("q", 0.0))
@@ -212,18 +213,19 @@ def record_of(
     return _record(File(path, _with_units(variables), dataclasses.replace(given, values=values)), (source,))
 
 
-def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[str], bool]:
-    """The record as the file has it, what is to be said of that, and whether its q is the mean of a record."""
+def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[str], np.ndarray | None]:
+    """The record as the file has it, what is to be said of that, and, where its q is the mean of a record, how near
+    others are of one position."""
     u, y = (_signal(file, key) for key in ("u", "y"))
     r = _signal(file, "r") if file.get("r") is not None else None
     signals = {"r": r, "u": u, "y": y}
     fs, late = sampling_frequency(file, u.shape[-2])
     y_quantity, asked = _output_quantity(file)
     remarks = [*late, *_restored_axes(file, signals), *asked, *_conversions(file)]
-    mean = logged(file, u.shape)
     q: np.ndarray | None
-    if mean:
-        q, said = mean_configurations(file, _steady(file, u.shape[-2]), len(u) if u.ndim == 4 else 1)
+    near: np.ndarray | None = None
+    if logged(file, u.shape):
+        q, near, said = mean_configurations(file, _steady(file, u.shape[-2]), len(u) if u.ndim == 4 else 1)
         remarks.append(said)
     else:
         q = stated_configurations(file)
@@ -243,7 +245,7 @@ def _record(file: File, sources: tuple[Source, ...]) -> tuple[Experiment, list[s
             y_unit=_kept_unit(file, "y", UNITS.get(y_quantity, "")),
             sources=sources,
         )
-    return data, remarks, mean
+    return data, remarks, near
 
 
 def _steady(file: File, n_time: int) -> slice:

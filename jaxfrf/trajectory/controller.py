@@ -29,6 +29,7 @@ _ANOTHER = 0.02  # of the torque command left unexplained, and several times wha
 _OVER_NOISE = 5.0
 _TOLD = 1e-3  # relative change of a gain that is worth a word, where it is three of its deviations
 _UNKNOWN = 10.0  # of the logarithm: a gain of which nothing is known
+_NEAR = 2.0  # times: a position gain and 1/integral time that are nearer are hardly told apart
 _LIMITED = 0.999  # of the torque limit: clipped commands follow no linear law
 _LEAST = 1e-5  # of the command: rounding of logs
 _TIMES = 3  # fits, each weighed by what the one before left
@@ -81,9 +82,18 @@ class ShownController(eqx.Module):
         gain, axis = divmod(int(np.argmax(np.where(told, np.abs(self.change), 0.0))), told.shape[1])
         way = "above" if self.change[gain, axis] > 0 else "below"
         return (
-            f"gains are those that the record shows ({_GAINS[gain].replace('_', ' ')} of "
-            f"{self.robot.axis_names[axis]} {percent(np.expm1(abs(self.change[gain, axis])))} {way} the written one)"
+            f"gains are those that the record shows ({_GAINS[gain].replace('_', ' ')} of {self.robot.axis_names[axis]} "
+            f"{percent(np.expm1(abs(self.change[gain, axis])))} {way} the written one{self._hardly_told(gain, axis)})"
         )
+
+    def _hardly_told(self, gain: int, axis: int) -> str:
+        """Where a position gain and 1/integral time are nearly the same, in words."""
+        other = {"position_gain": "integral_time", "integral_time": "position_gain"}.get(_GAINS[gain])
+        if other is None or self.robot.controller is None:
+            return ""
+        position, _, time = _gains(self.robot.controller, self.robot.n_axes)[:, axis]
+        near = 1.0 / _NEAR < position * time < _NEAR
+        return f", as far as it is told from the {other.replace('_', ' ')}" if near else ""
 
 
 def shown_controller(robot: Robot, record: Measured) -> ShownController:

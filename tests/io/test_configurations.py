@@ -62,6 +62,15 @@ def test_files_are_experiments_of_the_positions_that_they_were_logged_at(tmp_pat
     assert jf.concatenate(apart).u.shape == data.u.shape
 
 
+def test_slow_motions_that_begin_elsewhere_are_of_one_position(tmp_path):
+    """Means within half of the movement; farther, or without a movement, they are two positions."""
+    shape = lambda apart, sway: read(
+        *(log(tmp_path / f"{i}.csv", [0.3 + i * apart, -0.7], i, sway=sway) for i in (0, 1))
+    ).u.shape[:2]
+    assert shape(0.05, 0.06) == (1, 2)
+    assert shape(0.07, 0.06) == shape(0.05, 0.002) == (2, 1)
+
+
 def test_stated_configurations_are_taken_exactly():
     """A hundredth of a radian apart are two positions; where one has more experiments, every record is one."""
 
