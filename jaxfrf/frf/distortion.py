@@ -18,6 +18,7 @@ from .average import ArithmeticMean
 from .causes import by_output, noise_level, running_mean
 from .covariance import variances
 from .estimate import estimate
+from .from_record import spectra_of
 from .method import AbstractMethod
 from .response import FRF
 from .scaled import Scaled
@@ -79,8 +80,8 @@ def best_linear_approximation(data: Experiment, method: AbstractMethod | None = 
 
     **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, section 4.3.
     """
-    frf = estimate(data, Auto() if method is None else method)
-    return distortion_of(frf, data)
+    chosen = Auto() if method is None else method
+    return distortion_of(estimate(spectra_of(data, chosen), chosen), data)
 
 
 def with_distortion(frf: FRF, data: Experiment, spectra: Spectra | None = None) -> FRF:

@@ -43,7 +43,8 @@ def estimate(
     - `data`: spectra, e.g. from `jaxfrf.dft`; or a record, of which `jaxfrf.dft` then takes the mean steady period, or,
       where it is not periodic, `jaxfrf.record_spectra` the whole, for methods that can have a transient term (local
       ones and `jaxfrf.Auto`; see `jaxfrf.frf.adapted` for what becomes of them), and `jaxfrf.segment_spectra` segments
-      for `jaxfrf.Welch`, as `jaxfrf estimate` does.
+      for `jaxfrf.Welch`, as `jaxfrf estimate` does. Of a record the FRF is given with what it says of noise and
+      distortion together, see `jaxfrf.with_distortion`.
     - `method`: e.g. `jaxfrf.LRM(order=2)`, `jaxfrf.LogMean()`, `jaxfrf.JointInputOutput(jaxfrf.LRM())`;
       `jaxfrf.Auto()` where none is given.
     - `progress`: called with (operating points done, of how many) after every group of them.
@@ -77,7 +78,7 @@ def estimate(
     status = whole.status | _excitation_status(spectra, method)
     status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
     serious = [text for text in describe(status & int(SERIOUS))]
-    return FRF(
+    found = FRF(
         G=whole.G,
         frequency=np.asarray(spectra.frequency),
         cov=whole.cov,
@@ -96,6 +97,13 @@ def estimate(
         warnings=(*spectra.warnings, *method.remarks(spectra), *_of_rank(spectra, status), *serious),
         version=__version__,
     )
+    return _with_distortion(found, data) if isinstance(data, Experiment) else found
+
+
+def _with_distortion(frf: FRF, data: Experiment) -> FRF:
+    from .distortion import with_distortion  # whose room estimates, too
+
+    return with_distortion(frf, data)
 
 
 def _spectra(data: Experiment | Spectra, method: AbstractMethod) -> Spectra:
