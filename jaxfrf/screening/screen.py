@@ -9,6 +9,7 @@ from ..experiment import Experiment
 from .belongs import copied, foreign, halves, marked_twice, marks, twice
 from .clock import clock
 from .finding import Finding, Severity, shifted
+from .follows import other_unit
 from .gain import gain_drift
 from .glitch import glitch
 from .levels import clipped, coarse, dead, held, saturated
@@ -41,6 +42,7 @@ CHECKS: tuple[Check, ...] = (
     jitter,
     noise,
     quiet_lines,
+    other_unit,
     noncausal,
 )
 ACROSS: tuple[Check, ...] = (copied, twice, foreign)

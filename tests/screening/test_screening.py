@@ -57,6 +57,20 @@ def test_silent_on_noise_of_few_periods(seed):
     assert screen(experiment(*record(n_pos=2, n_in=3, noise=0.2, n_periods=3, seed=seed))) == ()
 
 
+@pytest.mark.parametrize(("signal", "unit"), [("y", "rev/min"), ("r", "degrees"), ("", "")])
+def test_signals_that_follow_in_another_unit(signal, unit):
+    """All channels by the same factor; behind gears of 8 and 50 they are not, nor where speeds follow torques."""
+    r, u, y = record()
+    factor = {"rev/min": 9.549, "degrees": 57.3, "": 1.0}[unit]
+    said = screen(experiment(r * (factor if signal == "r" else 1.0), u, 0.9 * y * (factor if signal == "y" else 1.0)))
+    if unit:
+        the_one(said, rf"is {signal} in {unit}, and . in rad\? Say so \(--set {signal}_unit")
+    else:
+        assert not said and not screen(experiment(r, u, y * np.array([8.0, 50.0])))
+        driven = 1e3 * np.cumsum(r - r.mean(axis=2, keepdims=True), axis=2) / FS
+        assert not any("in rad?" in text for text in screen(experiment(r, u, driven)))
+
+
 @pytest.mark.parametrize("seed", [74, 397])
 def test_a_few_high_crests_are_no_limit(seed):
     u = np.tile(multisine(seed, 1), (4, 1))
