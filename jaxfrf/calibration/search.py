@@ -34,6 +34,7 @@ _PERTURBATION = 0.3  # of the logarithm of the friction's smoothing, by which it
 _SAME_COLUMN = 0.1  # of that logarithm: a column is not simulated again
 _FARTHEST = 1.0  # of that logarithm, in one step
 _AT_BOUND = 1e-9
+_NOTHING = 1e-9  # squares over the floor that one unit of a column takes: less is none
 _MARGIN = 1.03  # between the sharpest friction that steps follow and the one that is simulated
 
 Say = Callable[[str], None]
@@ -237,6 +238,7 @@ def mean_square(z) -> float:
 def _misfit(evidence: Evidence, weighed: Weighed, ripple) -> float:
     """Of the robot as it was simulated, what these columns explain taken away; over the plain floor."""
     gram = weighed.gram
+    ripple = ripple[np.diag(gram.A.sum(axis=0))[ripple] > _NOTHING]  # others are rounding: the turn of no friction
     A, b = gram.A.sum(axis=0)[np.ix_(ripple, ripple)], gram.b.sum(axis=0)[ripple]
     change = np.zeros(gram.b.shape[1])
     if len(b):

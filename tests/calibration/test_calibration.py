@@ -23,6 +23,7 @@ from jaxfrf.calibration.least_squares import Posterior, solve, with_bands
 from jaxfrf.calibration.numbers import Number, numbers, with_numbers
 from jaxfrf.calibration.result import Round
 from jaxfrf.calibration.ripple import found_waves, other_share, sure_orders, waves_to_simulate
+from jaxfrf.calibration.search import _misfit
 from jaxfrf.parts import Parts
 from jaxfrf.robot import operating_point, parameters, r3x, tolerances_from
 from jaxfrf.robot.regressor import link_parameters, link_regressor
@@ -569,3 +570,19 @@ def test_friction_is_simulated_as_sharp_as_steps_follow():
     turned = lambda eps: eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(eps))
     steps = fine_steps(robot, point)
     assert fine_steps(turned(1.001 * smoothing), point) == steps < fine_steps(turned(0.9 * smoothing), point)
+
+
+def test_the_turn_of_no_friction_tells_nothing():
+    """An asymmetry without a level of its own turns over at no speed: the difference of two simulations is rounding,
+    of which no multiple, however large, explains anything."""
+    rng = np.random.default_rng(0)
+    part = rng.standard_normal((1, 3, 8)).astype(np.float32)  # two columns and the residual: real, then imaginary parts
+    part[:, 1] *= 1e-22
+    precise_part = part.astype(float)
+    J, r = precise_part[:, :2], precise_part[:, 2]
+    gram = Gram(np.einsum("rkn,rln->rkl", J, J), np.einsum("rkn,rn->rk", J, r), np.sum(r * r, axis=1), np.zeros(1), 2)
+    evidence = SimpleNamespace(residual=np.zeros((1, 1, 4, 1), complex), floor=1.0, plain=1.0)
+    with np.errstate(all="raise", under="ignore"):
+        misfit = _misfit(evidence, Weighed((part,), gram), np.array([0, 1]))
+    left = r[0] - J[0, 0] * (J[0, 0] @ r[0]) / (J[0, 0] @ J[0, 0])
+    assert misfit == pytest.approx(0.5 * np.sum(left**2) / 4, rel=1e-5)
