@@ -190,6 +190,10 @@ class AbstractEffect(eqx.Module):
         """Numbers of a robot that has it of which little is known then, with their relative standard deviations."""
         return {}
 
+    def redefines(self, robot: "Robot") -> tuple[str, ...]:
+        """Numbers of a robot that mean something else once it has the effect: how far they are off says nothing."""
+        return ()
+
     def check(self, robot: "Robot") -> None:
         """**Raises:** `jaxfrf.InputError` where the effect cannot act on its joint of this robot."""
         axis_of(robot, self.joint)

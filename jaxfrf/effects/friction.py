@@ -25,19 +25,19 @@ _PARTS = (0.02, 0.05, 0.1, 0.2)  # of the largest speed of a measured motion: wi
 _TURN = 0.02  # of that speed: within it friction has changed its sign, whatever the units
 
 
-def _robots(robot: "Robot", otherwise: float) -> float:
+def _own_smoothing(robot: "Robot", otherwise: float) -> float:
     """Over which the robot's own friction changes its sign, rad/s."""
     return float(getattr(robot.drives.friction, "smoothing", otherwise))
 
 
-def _smoothing(robot: "Robot", reach: Reach) -> float:
+def _along_motion(robot: "Robot", reach: Reach) -> float:
     """The same of friction along a measured motion."""
-    return min(_robots(robot, math.inf), _TURN * reach.speed)
+    return min(_own_smoothing(robot, math.inf), _TURN * reach.speed)
 
 
 def _turning(typical: Any, robot: "Robot", reach: Reach) -> tuple[Candidate, ...]:
     """Friction with a smoothing of its own, which follows the speed of a measured motion."""
-    effect = eqx.tree_at(lambda e: e.smoothing, typical, _smoothing(robot, reach))
+    effect = eqx.tree_at(lambda e: e.smoothing, typical, _along_motion(robot, reach))
     return (effect.candidate(*effect.plausible(robot, effect.joint)),)
 
 
@@ -207,7 +207,7 @@ class StribeckFriction(AbstractFriction):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         level = 0.3 * own(robot, joint, coulomb(robot), 0.1)
-        return cls(joint, level, smoothing=_robots(robot, _SMOOTHING))
+        return cls(joint, level, smoothing=_own_smoothing(robot, _SMOOTHING))
 
     @classmethod
     def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
@@ -225,7 +225,7 @@ class StribeckFriction(AbstractFriction):
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
         level, smoothing, bounds = (
             cls.typical(robot, joint).level,
-            _smoothing(robot, reach),
+            _along_motion(robot, reach),
             cls.plausible(robot, joint),
         )
         these = [cls(joint, level, part * reach.speed, smoothing) for part in _PARTS]
@@ -265,7 +265,7 @@ class FrictionAsymmetry(AbstractFriction):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         offset = 0.1 * own(robot, joint, coulomb(robot), 0.1)
-        return cls(joint, offset, smoothing=_robots(robot, _SMOOTHING))
+        return cls(joint, offset, smoothing=_own_smoothing(robot, _SMOOTHING))
 
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
@@ -300,7 +300,7 @@ class LoadDependentFriction(AbstractFriction):
 
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
-        return cls(joint, 0.02, _robots(robot, _SMOOTHING))
+        return cls(joint, 0.02, _own_smoothing(robot, _SMOOTHING))
 
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:

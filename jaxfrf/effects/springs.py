@@ -76,6 +76,11 @@ class StiffnessHardening(AbstractStructure):
         joint = robot.axis_names[axis_of(robot, self.joint)]
         return OwnNumber(f"{joint}.stiffness_ratio", "ratio"), OwnNumber(f"{joint}.stiffness_knee", "knee")
 
+    def redefines(self, robot: "Robot") -> tuple[str, ...]:
+        """The stiffness of a spring that was straight: it becomes that at high deflection."""
+        straight = float(robot.springs.stiffness_ratio[spring_of(robot, self.joint)]) >= 1.0
+        return (f"{robot.axis_names[axis_of(robot, self.joint)]}.stiffness",) if straight else ()
+
     def apply(self, robot: "Robot"):
         spring = spring_of(robot, self.joint)
         robot = changed(robot, lambda r: r.springs.stiffness_ratio, lambda x: x.at[spring].set(self.ratio))

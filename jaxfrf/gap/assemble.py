@@ -10,8 +10,7 @@ from ..experiment import Experiment
 from ..frf import LRM
 from ..graybox.indirect import default_method, measured_frf
 from ..robot import Robot
-from .conclude import Conclusion, concluded, next_experiment
-from .fitted import Fitted
+from .conclude import Conclusion, concluded, next_experiment, redefined
 from .judge import Written, each_written, over_floor, relative_torque
 from .maps import largest_cells, maps_of
 from .records import Records
@@ -27,7 +26,7 @@ def assembled(found: Selection, records: Records, given: Robot, compared: str) -
     """The result: of the robots that would be written, judged on the held-out positions."""
     end = concluded(found, records, given)
     records = end.records
-    values, changed = _parameters(end.last, given)
+    values, changed = _parameters(end, given)
     maps = _maps(records, end)
     return Diagnosis(
         verdict=end.verdict,
@@ -77,14 +76,15 @@ def gap_between(records: Records, base: Written, extended: Written) -> Gap:
     return Gap(b, a, float(low), shrink, "1", on, before, after)
 
 
-def _parameters(last: Fitted, given: Robot):
-    """Stiffnesses and dampings of the robot that is written, and what else is told of the robot's positive numbers."""
-    values, changed = {}, {}
+def _parameters(end: Conclusion, given: Robot):
+    """Stiffnesses and dampings of the robot that is written, and their changes where they mean what they did."""
+    values, changed, last = {}, {}, end.last
+    other = redefined(end.steps, given)
     for number in last.numbers:
         if number.kind in ("stiffness", "damping") and number.joint in given.joint_names:
             value = last.value(number.name)
             values[number.name] = EstimatedValue(value, last.deviation(number.name), number.unit)
-            changed[number.name] = value / number.given - 1.0
+            changed[number.name] = float("nan") if number.name in other else value / number.given - 1.0
     return values, changed
 
 

@@ -1,6 +1,6 @@
 """What stands of a selection once the held-out positions are opened: verdict, words, effects, the robot to write."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -88,7 +88,9 @@ def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
         says += taken_back + everywhere
     if steps and np.array_equal(records.select, records.fit):
         says += " With so few positions those that were fitted decided, too: p-values are too small."
-    wrong = wrong_numbers(last) if verdict != "unexplained" else ()  # else numbers imitate what is missing
+    wrong: tuple[WrongNumber, ...] = ()
+    if verdict != "unexplained":  # else numbers imitate what is missing
+        wrong = wrong_numbers(last, redefined(steps, given))
     says += _wrong_numbers(wrong)
     return Conclusion(verdict, says, effects, base, extended, last, steps, records, wrong)
 
@@ -281,12 +283,17 @@ def counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
     return tuple(found)
 
 
-def wrong_numbers(last: Fitted) -> tuple[WrongNumber, ...]:
+def redefined(steps: Sequence[Step], given: Robot) -> set[str]:
+    """Numbers of the robot that mean something else beside the effects that were found."""
+    return {name for step in steps for name in step.hypothesis.effect.redefines(given)}
+
+
+def wrong_numbers(last: Fitted, but: Collection[str] = ()) -> tuple[WrongNumber, ...]:
     """Numbers that are further off than their tolerance, by the record: those that stand out among all numbers, by
-    their p-value or beside the others, and those that the data tell."""
+    their p-value or beside the others, and those that the data tell. `but`: these are not looked at."""
     data_share, out_of_tolerance = last.iterate.posterior.data_share, last.out_of_tolerance
     p_values = last.tolerance_p_values
-    another = dict(last.unknown.stated)  # what an effect has made something else of, or a number of its own
+    skipped = {*but, *dict(last.unknown.stated)}  # the latter are effects' own, or set free with one
     sure = lambda n, i: n.prior > 0 and n.kind != "smoothing" and n.positive and data_share[i] > DATA_SHARE
     told = lambda n, i: sure(n, i) or p_values[i] < OUT_OF_TOLERANCE
     return tuple(
@@ -300,7 +307,7 @@ def wrong_numbers(last: Fitted) -> tuple[WrongNumber, ...]:
             p_value=float(p_values[i]),
         )
         for i, (n, x) in enumerate(zip(last.numbers, map(float, last.x), strict=True))
-        if n.name not in another and (i in out_of_tolerance or (told(n, i) and abs(x) > OFF))
+        if n.name not in skipped and (i in out_of_tolerance or (told(n, i) and abs(x) > OFF))
     )
 
 

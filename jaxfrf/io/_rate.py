@@ -57,12 +57,10 @@ def _contradictions(file: File, fs: float, n_time: int) -> list[str]:
         stamps = np.asarray(file.variables[name])
         if not _is_time(stamps, n_time):
             continue
-        stamps = stamps.ravel().astype(np.float64)
-        step = (stamps[-1] - stamps[0]) / (n_time - 1)
-        even = np.max(np.abs((stamps - stamps[0]) / step - np.arange(n_time))) <= _UNIFORM
-        if even and all(abs(step * fs * unit - 1) > _RATE for unit in _UNITS_OF_TIME):
+        rate, deviation = _grid(stamps.ravel().astype(np.float64))
+        if deviation <= _UNIFORM and all(abs(fs * unit / rate - 1) > _RATE for unit in _UNITS_OF_TIME):
             found.append(
-                f"fs is said to be {fs:g} Hz, but {name} goes in steps of {number(step, 6)}: one of them is wrong. "
+                f"fs is said to be {fs:g} Hz, but {name} goes in steps of {number(1 / rate, 6)}: one of them is wrong. "
                 f"--map {_argument(name)} instead of fs takes the rate from there."
             )
     return found
@@ -87,10 +85,15 @@ def _rate(file: File, time: np.ndarray, n_time: int) -> tuple[float, float]:
     span = t[-1] - t[0]
     if not (np.isfinite(t).all() and span > 0):
         raise file.error("t", f"times from {t[0]:g} to {t[-1]:g}", "finite, increasing times in s", "Correct it.")
-    rate = (n_time - 1) / span
-    deviation = np.max(np.abs((t - t[0]) * rate - np.arange(n_time)))
+    rate, deviation = _grid(t)
     whole = round(rate)
-    return float(whole) if abs(rate - whole) <= _WHOLE * rate else float(rate), float(deviation)
+    return float(whole) if abs(rate - whole) <= _WHOLE * rate else rate, deviation
+
+
+def _grid(t: np.ndarray) -> tuple[float, float]:
+    """Mean rate of increasing time stamps, and how far they stand off it, in sample intervals."""
+    rate = (len(t) - 1) / (t[-1] - t[0])
+    return float(rate), float(np.max(np.abs((t - t[0]) * rate - np.arange(len(t)))))
 
 
 def _rate_advice(ratio: float, rate: float) -> str:

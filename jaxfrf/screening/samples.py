@@ -30,8 +30,8 @@ _END_SHORTEST = 8  # ... and so many must differ, ...
 _END_SURE = 40.0  # ... by this many times more energy than one sample of the usual: e^20 against 2e4 lags and places
 _SMOOTHED = 21  # lines over which the spectrum of the difference is averaged
 _END_USUAL = 0.9  # of the blocks have less energy than the usual one
-_BEGIN = 500  # samples of the record, in which a machine may not be steady yet
 _END_EXPLAINED = 0.25  # of the difference may be left
+_BEGIN = 0.25  # of the first period, in which a machine may not be steady yet
 _DISTURBED = 30.0  # energy of a block over that of the quieter half ...
 _DISTURBED_FEW = 300.0  # ... with two or three periods, which do not show what is usual at each place
 _DISTURBED_SHARE = 0.5  # of all difference, in ...
@@ -52,14 +52,15 @@ def lost(c: Channel) -> Iterator[Finding]:
         lag, at, effect = found
         what = f"has lost {_samples(lag)}" if lag > 0 else f"holds {_samples(-lag)} too many"
         leave = _leave_out(c, at, at + 1)
-        begins = " Or the machine was not steady there yet: --set transient_periods=1." if at < _BEGIN else ""
+        begins = c.first == 0 and at < _BEGIN * c.period
+        unsteady = " Or the machine was not steady there yet: --set transient_periods=1." if begins else ""
         yield c.finding(
             "lost",
             Severity.WARNED,
             effect,
             f"{what} at about sample {at}: from there on it comes {abs(lag)} "
             f"{'early' if lag > 0 else 'late'} against the periods before. The FRF may be off by "
-            f"{percent(effect)}. Keep the part before or after it ({leave}).{begins}",
+            f"{percent(effect)}. Keep the part before or after it ({leave}).{unsteady}",
             effect=effect,
             samples=(at, at + 1),
         )

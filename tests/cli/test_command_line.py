@@ -17,6 +17,7 @@ from book_tables import keys, row_names, told
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
+from jaxfrf.cli.remarks import warn
 from jaxfrf.frf.catalogue import METHODS
 
 FS, PERIOD = 200.0, 400
@@ -856,3 +857,15 @@ def test_positions_are_chosen_among_those_of_a_file(tmp_path, capsys):
         other = wrong if wrong == "0" else str(tmp_path / wrong)
         assert main([*words, "--candidates", other, "-o", str(tmp_path / "other.csv")]) == 2
         assert says in capsys.readouterr().err and not (tmp_path / "other.csv").exists()
+
+
+def test_what_files_have_in_common_is_said_once(capsys):
+    """In the order in which it was said first; twice the same is once, and two files are named."""
+    converted = [f"log{i}.csv: y: converted" for i in range(4)]
+    warn([converted[0], "log0.csv: u: clipped", *converted, "log1.csv: u: clipped", "G: of no file: at all"])
+    assert capsys.readouterr().err.splitlines() == [
+        "warning: log0.csv and 3 other files: y: converted",
+        "warning: log0.csv: u: clipped",
+        "warning: log1.csv: u: clipped",
+        "warning: G: of no file: at all",
+    ]

@@ -295,6 +295,13 @@ class TestLibrary:
             equipped = robot.with_effects(effect)
             assert equipped.n_axes == 6
 
+    def test_a_spring_that_hardens_gives_its_stiffness_another_meaning(self):
+        """Of joint4, which was straight, it is that at high deflection then; of joint1, which hardens already, it was."""
+        robot = jf.robot.r3x()
+        redefined = [ef.StiffnessHardening(joint, 0.5).redefines(robot) for joint in ("joint4", "joint1")]
+        assert redefined == [("joint4.stiffness",), ()]
+        assert not ef.StribeckFriction("joint4", 0.1).redefines(robot)
+
     def test_unknown_joint(self):
         with pytest.raises(jf.InputError, match=r"found 'joint7'; expected a driven joint"):
             jf.robot.r3x().with_effects(ef.TorqueDelay("joint7", 1e-4))

@@ -71,6 +71,15 @@ def test_signals_that_follow_in_another_unit(signal, unit):
         assert not any("in rad?" in text for text in screen(experiment(r, u, driven)))
 
 
+def test_samples_too_many_at_the_very_beginning_may_be_a_transient():
+    """Some samples that come late at the beginning of the first used period, not where a period was left out."""
+    r, u, y = record(noise=1e-4)
+    y[0, 0, :60, 0] = np.roll(y[0, 0, :PERIOD, 0], 4)[:60]
+    said = lambda first: [x for x in screen(experiment(r, u, y, transient_periods=first)) if "sample" in x]
+    assert any("not steady there yet: --set transient_periods=1" in x for x in said(0))
+    assert not said(1)
+
+
 @pytest.mark.parametrize("seed", [74, 397])
 def test_a_few_high_crests_are_no_limit(seed):
     u = np.tile(multisine(seed, 1), (4, 1))

@@ -70,6 +70,19 @@ def test_gains_that_are_off(corner):
     assert shown.restored(shown.robot) is shown.robot
 
 
+@pytest.mark.parametrize(("time", "told"), [(0.15, True), (2.0, False)])
+def test_gains_that_are_hardly_told_apart(time, told):
+    """A position gain of 6 beside 1/integral time, 6.7 or .5."""
+    shown = found(small_robot(), logged(small_robot()))
+    near = dataclasses.replace(shown.robot.controller, position_gain=jnp.full(2, 6.0), integral_time=jnp.full(2, time))
+    change, std = np.array([[-0.16, 0.0], [0.0, 0.0], [0.1, 0.0]]), np.full((3, 2), 1e-3)
+    said = dataclasses.replace(
+        shown, robot=dataclasses.replace(shown.robot, controller=near), change=change, std=std
+    ).says()
+    assert "position gain of shoulder 17 % below the written one" in said
+    assert ("as far as it is told from the integral time" in said) == told
+
+
 def test_gains_of_which_nothing_is_known():
     true = scaled(small_robot(), {name: [2.0, 0.4] for name in NAMES})
     unknown = Tolerances((("controller_gain", Tolerance(np.inf)),))
