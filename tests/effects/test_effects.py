@@ -296,7 +296,7 @@ class TestLibrary:
             assert equipped.n_axes == 6
 
     def test_a_spring_that_hardens_gives_its_stiffness_another_meaning(self):
-        """Of joint4, which was straight, it is that at high deflection then; of joint1, which hardens already, it was."""
+        """Of joint4, which was straight, it is that at high deflection then; joint1 hardens already, its own stays."""
         robot = jf.robot.r3x()
         redefined = [ef.StiffnessHardening(joint, 0.5).redefines(robot) for joint in ("joint4", "joint1")]
         assert redefined == [("joint4.stiffness",), ()]
