@@ -49,13 +49,13 @@ from _hidden_robots import PLANTS
 
 from jaxfrf.effects import AbstractEffect
 from jaxfrf.effects.catalogue import effect_from_table
-from jaxfrf.gap.assemble import gap_between
 from jaxfrf.gap.diagnose import diagnose
-from jaxfrf.gap.fitted import fitted, fitted_from
-from jaxfrf.gap.hypothesis import hypothesis
-from jaxfrf.gap.judge import written
-from jaxfrf.gap.records import split
 from jaxfrf.gap.settings import EXPERIMENTS, JUDGING
+from jaxfrf.gap.simulated.assemble import gap_between
+from jaxfrf.gap.simulated.fitted import fitted, fitted_from
+from jaxfrf.gap.simulated.hypothesis import hypothesis
+from jaxfrf.gap.simulated.judge import written
+from jaxfrf.gap.simulated.records import split
 from jaxfrf.io._json import write_json
 from jaxfrf.io.gaps import gap_contents
 from jaxfrf.io.records import read

@@ -241,7 +241,7 @@ def test_an_estimator(jf, main, tmp_path, capsys):
 
 def test_an_effect(jf, tmp_path):
     """It is in the library, in files of robots, and a candidate of both comparisons on every joint that can have it."""
-    from jaxfrf.gap.candidates import candidates
+    from jaxfrf.gap.simulated.candidates import candidates
 
     drag = jf.effects.Drag
     path = tmp_path / "robot.toml"

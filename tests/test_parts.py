@@ -21,7 +21,7 @@ import jaxfrf.identification
 from jaxfrf import _files, parts
 from jaxfrf.__main__ import main
 from jaxfrf.batch import estimated
-from jaxfrf.gap.rounds import PART_FILES, KeptRound, keep_round, read_round
+from jaxfrf.gap.simulated.rounds import PART_FILES, KeptRound, keep_round, read_round
 from jaxfrf.graybox import Correction
 from jaxfrf.identification.rounds import kept_rounds
 from jaxfrf.io.robots import read_robot

@@ -98,7 +98,7 @@ def _read(given) -> list:
 def _diagnosed(given, robot, data, own, parts):
     """The diagnosis; bad input leaves nothing, as it would be refused again."""
     from ..gap import diagnose
-    from ..gap.rounds import PART_FILES
+    from ..gap.simulated.rounds import PART_FILES
 
     parts.begin(_about(given, data), PART_FILES)
     heldout = {} if given.heldout_count is None else {"heldout_count": given.heldout_count}

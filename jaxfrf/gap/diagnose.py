@@ -16,14 +16,14 @@ from ..trajectory.controller import shown_controller
 from ..trajectory.joined import joined
 from ..trajectory.measured import fewer, measured
 from ..trajectory.rigid_motion import check_rigid
-from .assemble import assembled
 from .channels import AbstractChannel, channel_of
 from .channels.conclude import concluded
-from .fitted import Say
-from .records import split
 from .result import Diagnosis
-from .selection import select_effects
 from .settings import EXPERIMENTS, JUDGING
+from .simulated.assemble import assembled
+from .simulated.fitted import Say
+from .simulated.records import split
+from .simulated.selection import select_effects
 
 _ELSEWHERE = (
     "Springs that harden, friction and play beside a model of your own: `jaxfrf.machine`, howto/machine.md in the book."

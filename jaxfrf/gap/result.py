@@ -8,9 +8,6 @@ from ..effects import AbstractEffect
 from ..frf import FRF
 from ..robot import Robot
 
-VERDICTS = ("sufficient", "named", "ambiguous", "unexplained", "inconclusive")
-"""What `Diagnosis.verdict` may be."""
-
 
 class EstimatedValue(eqx.Module):
     """A number with its standard deviation and unit.

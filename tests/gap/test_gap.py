@@ -17,9 +17,9 @@ from small_arm import FS, PERIOD, STEPS, Q, made_up, record, small_robot
 import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
-from jaxfrf.gap.quantised import resolution
-from jaxfrf.gap.records import opened_positions
-from jaxfrf.gap.rounds import PART_FILES
+from jaxfrf.gap.simulated.quantised import resolution
+from jaxfrf.gap.simulated.records import opened_positions
+from jaxfrf.gap.simulated.rounds import PART_FILES
 from jaxfrf.parts import Parts
 from jaxfrf.robot import linearise, motor_directions, operating_point, parameters, with_parameters
 from jaxfrf.simulation import Motion, replay_motion

@@ -16,7 +16,7 @@ import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.__main__ import main
 from jaxfrf.gap import diagnose
-from jaxfrf.gap.judge import over_floor
+from jaxfrf.gap.simulated.judge import over_floor
 from jaxfrf.io.gaps import gap_contents
 from jaxfrf.robot import Tolerances, parameters, with_parameters
 from jaxfrf.trajectory.evidence import Evidence

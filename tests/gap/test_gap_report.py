@@ -12,7 +12,8 @@ from marks import slow
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
-from jaxfrf.gap.result import VERDICTS, EstimatedValue
+from jaxfrf.gap.result import EstimatedValue
+from jaxfrf.gap.verdict import VERDICTS
 from jaxfrf.io.gaps import equation, read_gap, write_gap
 from jaxfrf.plot.gap import AFTER, BEFORE, gap_bode, gap_dumbbells, gap_maps, torque_courses
 from jaxfrf.report.gap import gap_page, write_gap_report

@@ -22,8 +22,8 @@ from jaxfrf.effects import (
 from jaxfrf.gap import diagnose
 from jaxfrf.gap.channels import State
 from jaxfrf.gap.channels.channel import makes_sense
-from jaxfrf.gap.channels.significance import covariance, family_wise, held_out, numbered, projector, summed
 from jaxfrf.gap.channels.torque import TorqueChannel
+from jaxfrf.gap.significance import covariance, family_wise, held_out, numbered, projector, summed
 from jaxfrf.io.gaps import gap_contents
 from jaxfrf.trajectory.needed_torque import added_torque, needed_torque
 from jaxfrf.trajectory.rigid_motion import MeasuredMotion, measured_motions, thinned

@@ -15,16 +15,16 @@ from jaxfrf import effects as fx
 from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
 from jaxfrf.effects._harmonics import polar_deviation
-from jaxfrf.gap.conclude import close_rivals, counting
-from jaxfrf.gap.fitted import Fitted
-from jaxfrf.gap.hypothesis import hypothesis
-from jaxfrf.gap.judge import against_it, beyond, compared, over_floor
-from jaxfrf.gap.loud_ripple import holds_no_ripple
-from jaxfrf.gap.maps import shown_samples
-from jaxfrf.gap.one_round import costs_of, is_number_confused_with
-from jaxfrf.gap.rank import Scored, is_had
-from jaxfrf.gap.records import split
-from jaxfrf.gap.shortlist import chosen, confused
+from jaxfrf.gap.simulated.conclude import close_rivals, counting
+from jaxfrf.gap.simulated.fitted import Fitted
+from jaxfrf.gap.simulated.hypothesis import hypothesis
+from jaxfrf.gap.simulated.judge import against_it, beyond, compared, over_floor
+from jaxfrf.gap.simulated.loud_ripple import holds_no_ripple
+from jaxfrf.gap.simulated.maps import shown_samples
+from jaxfrf.gap.simulated.one_round import costs_of, is_number_confused_with
+from jaxfrf.gap.simulated.rank import Scored, is_had
+from jaxfrf.gap.simulated.records import split
+from jaxfrf.gap.simulated.shortlist import chosen, confused
 from jaxfrf.robot import Tolerances
 from jaxfrf.trajectory.alike import alike, alike_as_written
 from jaxfrf.trajectory.evidence import band_edges, by_band
@@ -413,7 +413,7 @@ def test_bands_against_a_loop():
 
 def test_gears_that_are_rigid_take_no_effect_of_a_spring():
     """A wrist's coupling too, which a robot with rigid gears may have but which no simulation of it knows."""
-    from jaxfrf.gap.candidates import candidates
+    from jaxfrf.gap.simulated.candidates import candidates
 
     names = {(c.name, c.joint) for c in candidates(small_robot(stiffness=np.inf), np.ones(2))}
     assert ("wrist_coupling", "elbow") not in names and ("gear_hysteresis", "elbow") not in names

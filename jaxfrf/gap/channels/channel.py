@@ -13,7 +13,7 @@ from ..._errors import InputError
 from ...effects import AbstractEffect, Candidate
 from ...robot import Robot, with_parameters
 from ..result import Cell, Diagnosis
-from .settings import TIE
+from ..settings import NEAR
 
 Rows = Float[np.ndarray, "row"]
 
@@ -91,7 +91,7 @@ class AbstractChannel(eqx.Module):
     tolerance: ClassVar[float]
     linear: ClassVar[bool] = True
     least_drop: ClassVar[float] = 0.0
-    tie: ClassVar[float] = TIE
+    tie: ClassVar[float] = NEAR
 
     @property
     def n_parts(self) -> int:

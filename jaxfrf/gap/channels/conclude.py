@@ -10,10 +10,11 @@ from ...effects import AbstractEffect, Candidate
 from ...robot import Robot, parameter_unit, parameters
 from ...robot.parameters import unit_at
 from ..result import Cell, Diagnosis, EstimatedValue, Gap, Maps, Named, Ranked
+from ..settings import BANDS, DRAWS, EXPLAINED, LEAST_SHARE, LEVEL, SYSTEMATIC
+from ..significance import family_wise, mean_squares, projector, summed
+from ..verdict import verdict_of
 from .channel import AbstractChannel, Outcome, State
 from .select import ChannelSelection, FittedState, TriedCandidate, search, spread
-from .settings import BANDS, DRAWS, EXPLAINED, LEAST_SHARE, LEVEL, SYSTEMATIC
-from .significance import family_wise, mean_squares, projector, summed
 
 
 def concluded(
@@ -71,16 +72,15 @@ def _verdict(channel: AbstractChannel, found: ChannelSelection, heldout: Gap | N
     before, after = np.mean(found.base.left**2), np.mean(found.fitted.left**2)
     floor = float(np.mean(found.floor**2))
     if found.found:
-        if before - after < EXPLAINED * (before - floor) or (heldout is not None and heldout.after >= heldout.before):
-            return "unexplained"
-        return "ambiguous" if any(x.ambiguous for x in found.found) else "named"
-    if found.last_p > LEVEL and _upper(channel, found.base) < channel.tolerance:
-        return "sufficient"
+        explained = (before - after) / (before - floor) if before > floor else 1.0
+        grows = heldout is not None and heldout.after >= heldout.before
+        rivals = any(x.ambiguous for x in found.found)
+        return verdict_of(True, rivals, 0.0 if grows else float(explained), systematic=True, met=False)
+    met = found.last_p > LEVEL and _upper(channel, found.base) < channel.tolerance
     best = max((t.share for t in found.refused), default=0.0)
     predicted = 1.0 - floor / max(before, 1e-300)
-    if predicted > EXPLAINED or (found.last_p <= LEVEL and predicted > SYSTEMATIC and best < EXPLAINED):
-        return "unexplained"
-    return "inconclusive"
+    shows = found.last_p <= LEVEL and predicted > SYSTEMATIC and best < EXPLAINED
+    return verdict_of(False, False, 0.0, not met and (predicted > EXPLAINED or shows), met)
 
 
 def _upper(channel: AbstractChannel, fit: FittedState) -> float:

@@ -27,9 +27,9 @@ from ...effects._place import axis_of
 from ...experiment import Experiment
 from ...robot import Robot, parameters, robot_from_table, with_parameters
 from ...trajectory.rigid_motion import MeasuredMotion, smooth
+from ..settings import DEFLECTION, DEFLECTION_CUTOFF, DEFLECTION_DROP
 from .channel import Rows
 from .records import AbstractRecords, every_record, reaches, rows_of
-from .settings import DEFLECTION, DEFLECTION_CUTOFF, DEFLECTION_DROP
 
 _TURN = 0.02  # of the largest speed, over which friction of a robot that is not known changes its sign
 

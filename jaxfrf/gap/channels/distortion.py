@@ -20,11 +20,11 @@ from ...spectra import dft, unexcited_spectra
 from ...trajectory.needed_torque import needed_torque
 from ...trajectory.rigid_motion import MeasuredMotion
 from ..result import Cell, Diagnosis
+from ..settings import BANDS, CLEAR, CLEARLY, DISTORTION
 from .channel import Rows, makes_sense
 from .conclude import concluded
 from .lines import AbstractLines, DriveNumbers, drive_response, folds, on_the_way, one_drive, parts
 from .response import ResponseChannel
-from .settings import BANDS, CLEAR, CLEARLY, DISTORTION
 
 _ORDER = ("unexplained", "ambiguous", "named", "inconclusive", "sufficient")  # the first of two verdicts counts
 _LINEAR = 1e-6  # of a torque: less at detection lines is rounding, the law is linear

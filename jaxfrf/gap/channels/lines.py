@@ -11,8 +11,8 @@ from jaxtyping import Complex, Float
 from ...effects import AbstractActuator, AbstractArmTorque, AbstractEffect
 from ...experiment import Experiment
 from ...robot import Robot, arm_inertia, robot_from_table
+from ..settings import FOLDS, LINE_BLOCKS
 from .channel import AbstractChannel, Rows
-from .settings import FOLDS, LINE_BLOCKS
 
 
 class AbstractLines(AbstractChannel):

@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 
 from ...effects import Reach
 from ...trajectory.rigid_motion import MeasuredMotion
+from ..significance import block_length, numbered
 from .channel import AbstractChannel, Rows, makes_sense
 from .floor import unpredictable
-from .significance import block_length, numbered
 
 
 class AbstractRecords(AbstractChannel):

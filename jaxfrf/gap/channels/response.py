@@ -21,9 +21,9 @@ from ...robot import Robot
 from ...spectra import dft
 from ...trajectory.rigid_motion import check_rigid
 from ..result import Cell
+from ..settings import ALIKE_RESPONSES, AT_BOUND, RESPONSE
 from .channel import Outcome, Rows, makes_sense
 from .lines import AbstractLines, DriveNumbers, drive_response, folds, one_drive, parts, rigid_drive
-from .settings import ALIKE_RESPONSES, AT_BOUND, RESPONSE
 
 _BANDS = 10  # that are told
 

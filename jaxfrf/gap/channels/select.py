@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float, Int
 
 from ..._errors import InputError
 from ...effects import AbstractEffect, Candidate
+from ..settings import BEST, DRAWS, LEAST_SHARE, LEVEL, MOST, RIVALS, THE_SAME
+from ..significance import covariance, family_wise, held_out, mean_squares, projector, summed, surely_positive
 from .channel import AbstractChannel, Rows, State, acting
-from .settings import BEST, DRAWS, LEAST_SHARE, LEVEL, MOST, RIVALS, THE_SAME
-from .significance import covariance, family_wise, held_out, mean_squares, projector, summed, surely_positive
 
 _SEED = 0
 _STEPS = 20  # of the fit of a candidate that is tried

@@ -18,9 +18,9 @@ from ...robot import Robot, parameters
 from ...trajectory.needed_torque import added_torque, check_one_motor_a_joint, needed_torque
 from ...trajectory.rigid_motion import COMPARED, MeasuredMotion, chosen_cutoff, measured_motions, thinned, thinned_rate
 from ..result import Cell
+from ..settings import LEVEL, STRETCHES, TORQUE, WORTH
 from .channel import Outcome, Rows
 from .records import AbstractRecords, reaches, rows_of, stretches
-from .settings import LEVEL, STRETCHES, TORQUE, WORTH
 
 _BINS = 24  # of a course
 _TURN = 0.02  # of the largest speed, within which a sign turns over as a feature

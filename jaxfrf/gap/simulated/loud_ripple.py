@@ -5,16 +5,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .._threads import lapack_threads, shared
-from ..effects import AbstractEffect, TorqueRipple
-from ..effects._harmonics import polar_deviation
-from ..robot import Robot
-from ..trajectory.measured import Measured
-from ..trajectory.ripple import Order, ripple_effects
+from ..._threads import lapack_threads, shared
+from ...effects import AbstractEffect, TorqueRipple
+from ...effects._harmonics import polar_deviation
+from ...robot import Robot
+from ...trajectory.measured import Measured
+from ...trajectory.ripple import Order, ripple_effects
+from ..result import EstimatedValue, Named
+from ..settings import LEAST_SIZE
 from .fitted import Fitted, is_loud
 from .judge import Comparison, Written, against_it, compared, written
-from .result import EstimatedValue, Named
-from .settings import LEAST_SIZE
 
 
 def loud_ripple(

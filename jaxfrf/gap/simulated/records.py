@@ -3,11 +3,11 @@
 import equinox as eqx
 import numpy as np
 
-from .._errors import input_error
-from ..experiment import Experiment
-from ..trajectory.joined import places
-from ..trajectory.measured import Measured
-from .settings import FEW, SELECT
+from ..._errors import input_error
+from ...experiment import Experiment
+from ...trajectory.joined import places
+from ...trajectory.measured import Measured
+from ..settings import FEW, SELECT
 
 
 class Records(eqx.Module):

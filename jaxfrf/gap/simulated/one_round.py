@@ -6,10 +6,21 @@ from collections.abc import Collection, Sequence
 import equinox as eqx
 import numpy as np
 
-from .._errors import InputError
-from .._threads import lapack_threads, shared
-from ..calibration.numbers import with_numbers
-from ..robot import Robot
+from ..._errors import InputError
+from ..._threads import lapack_threads, shared
+from ...calibration.numbers import with_numbers
+from ...robot import Robot
+from ..settings import (
+    DOUBTFUL,
+    EXPLAINED,
+    FINAL_ROUNDS,
+    FIRST_ROUNDS,
+    FLOOR,
+    KEPT_WITHIN,
+    LATE_ROUNDS,
+    MORE_ROUNDS,
+    MUCH,
+)
 from .fitted import Fitted, RobotFit, Say, further
 from .hypothesis import Hypothesis, hypothesis, one_class
 from .judge import (
@@ -24,17 +35,6 @@ from .judge import (
 )
 from .rank import Scored, ranked
 from .records import Records
-from .settings import (
-    DOUBTFUL,
-    EXPLAINED,
-    FINAL_ROUNDS,
-    FIRST_ROUNDS,
-    FLOOR,
-    KEPT_WITHIN,
-    LATE_ROUNDS,
-    MORE_ROUNDS,
-    MUCH,
-)
 from .shortlist import Had, chosen, confused, imitated
 
 

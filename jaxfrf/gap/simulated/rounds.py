@@ -6,11 +6,11 @@ import pathlib
 
 import numpy as np
 
-from .._files import replacing
-from ..effects import AbstractEffect, library
-from ..effects.catalogue import effect_from_table, effect_to_table
-from ..parts import Parts
-from ..trajectory.ripple import Order, Wave
+from ..._files import replacing
+from ...effects import AbstractEffect, library
+from ...effects.catalogue import effect_from_table, effect_to_table
+from ...parts import Parts
+from ...trajectory.ripple import Order, Wave
 from .fitted import Fitted
 
 PART_FILES = ("round-[0-9]*.json",)

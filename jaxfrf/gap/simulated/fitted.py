@@ -13,19 +13,19 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Bool, Float
 
-from ..calibration.columns import OF_LINKS
-from ..calibration.descent import Descent
-from ..calibration.least_squares import with_column_errors
-from ..calibration.numbers import Number, numbers, prior_cost, with_numbers
-from ..calibration.result import Round
-from ..calibration.ripple import TRIED, found_waves
-from ..calibration.rounds import Kept, Rounds
-from ..calibration.search import Difference, Iterate
-from ..robot import Robot, Tolerances
-from ..trajectory.measured import Measured
-from ..trajectory.remainder import excess, steady_seen
-from ..trajectory.ripple import Order, Wave, with_ripple
-from .settings import FAR, FLOOR, LINK_ERROR, OTHERS, OUT_OF_TOLERANCE, PROMISING, ROUNDS, SLOW
+from ...calibration.columns import OF_LINKS
+from ...calibration.descent import Descent
+from ...calibration.least_squares import with_column_errors
+from ...calibration.numbers import Number, numbers, prior_cost, with_numbers
+from ...calibration.result import Round
+from ...calibration.ripple import TRIED, found_waves
+from ...calibration.rounds import Kept, Rounds
+from ...calibration.search import Difference, Iterate
+from ...robot import Robot, Tolerances
+from ...trajectory.measured import Measured
+from ...trajectory.remainder import excess, steady_seen
+from ...trajectory.ripple import Order, Wave, with_ripple
+from ..settings import FAR, FLOOR, LINK_ERROR, OTHERS, OUT_OF_TOLERANCE, PROMISING, ROUNDS, SLOW
 
 Say = Callable[[str], None]
 

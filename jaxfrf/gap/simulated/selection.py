@@ -11,11 +11,15 @@ from collections.abc import Sequence
 import equinox as eqx
 import numpy as np
 
-from ..effects import AbstractEffect
-from ..parts import Parts
-from ..robot import Robot, Tolerances
-from ..trajectory.evidence import by_band
-from ..trajectory.measured import Measured
+from ...effects import AbstractEffect
+from ...parts import Parts
+from ...robot import Robot, Tolerances
+from ...trajectory.evidence import by_band
+from ...trajectory.measured import Measured
+from ..settings import (
+    FLOOR,
+    MOST,
+)
 from .fitted import Fitted, Say, as_given, at, fitted, with_link_errors
 from .hypothesis import hypothesis
 from .judge import (
@@ -28,10 +32,6 @@ from .one_round import Rival, Round, Step, on_all, out_of_tolerance_names, to_be
 from .rank import Scored, ranked
 from .records import Records
 from .rounds import KeptRound, keep_round, read_round
-from .settings import (
-    FLOOR,
-    MOST,
-)
 
 
 class Selection(eqx.Module):

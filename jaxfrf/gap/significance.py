@@ -1,4 +1,4 @@
-"""Family-wise significance of candidates, error on rows that a fit did not see, covariances: in coloured residuals.
+"""Significance of a gain and, family-wise, of candidates; held-out error; covariances: in coloured residuals.
 
 The evidence of a candidate is a number (or several) for every block of rows, long against the residual's memory, which
 is as likely negative as positive where the candidate adds nothing: g_b = p^T r over block b, p its column beside the
@@ -16,7 +16,7 @@ import scipy.special
 import scipy.stats
 from jaxtyping import Float, Int
 
-from .settings import BLOCKS, MEMORY
+from .settings import BLOCKS, DRAWS, MEMORY
 
 Rows = Float[np.ndarray, "row"]
 
@@ -77,6 +77,17 @@ def family_wise(
         own.append(_strength(g.sum(axis=0), g, one_sided))
         largest = np.maximum(largest, _strength(signs @ g, g, one_sided))
     return (1 + np.sum(largest[:, None] >= np.array(own), axis=0)) / (draws + 1)
+
+
+def flipped(drop: Float[np.ndarray, "block"]) -> float:
+    """p-value of a sum of paired drops, where each were as likely negative: of all sign patterns, or of as many as
+    `DRAWS` where there are more."""
+    count = len(drop)
+    if 2**count <= DRAWS:
+        signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
+        return float(np.mean(signs @ drop >= drop.sum() - 1e-12 * np.abs(drop).sum()))
+    signs = np.random.default_rng(0).choice((-1.0, 1.0), (DRAWS, count))
+    return float((1 + np.sum(signs @ drop >= drop.sum())) / (DRAWS + 1))
 
 
 def _strength(total: Float[np.ndarray, "*draw free"], g: Float[np.ndarray, "block free"], one_sided: bool):

@@ -3,11 +3,11 @@
 import math
 from collections.abc import Callable, Collection, Sequence
 
-from ..effects import AbstractEffect, library
-from ..robot import Robot
+from ...effects import AbstractEffect, library
+from ...robot import Robot
+from ..settings import CANDIDATES, LEAST_PART, LEAST_SIZE, SHARE
 from .hypothesis import Key, one_class
 from .rank import Scored
-from .settings import CANDIDATES, LEAST_PART, LEAST_SIZE, SHARE
 
 Had = Sequence[tuple[AbstractEffect, Key]]  # effects that were taken before, with their keys
 

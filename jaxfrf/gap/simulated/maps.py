@@ -6,10 +6,10 @@ import numpy as np
 import scipy.fft
 from jaxtyping import Int
 
-from ..trajectory.evidence import band_edges, by_band
-from ..trajectory.measured import Measured
+from ...trajectory.evidence import band_edges, by_band
+from ...trajectory.measured import Measured
+from ..result import Cell, Maps
 from .judge import Written
-from .result import Cell, Maps
 
 _BINS = 24
 _SAMPLES = 1024  # of a period, of a course

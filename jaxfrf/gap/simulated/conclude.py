@@ -5,12 +5,25 @@ from collections.abc import Collection, Sequence
 import equinox as eqx
 import numpy as np
 
-from .._threads import lapack_threads, shared
-from ..calibration.numbers import Number
-from ..effects import AbstractEffect, EncoderQuantisation, library
-from ..effects._place import axis_of
-from ..robot import Robot
-from ..trajectory.measured import Measured
+from ..._threads import lapack_threads, shared
+from ...calibration.numbers import Number
+from ...effects import AbstractEffect, EncoderQuantisation, library
+from ...effects._place import axis_of
+from ...robot import Robot
+from ...trajectory.measured import Measured
+from ..result import EstimatedValue, Named, WrongNumber
+from ..settings import (
+    DATA_SHARE,
+    FINAL_ROUNDS,
+    HOPELESS,
+    LEAST_SIZE,
+    LEVEL,
+    OFF,
+    OUT_OF_TOLERANCE,
+    TOLERANCE,
+    UNEXPLAINED,
+)
+from ..verdict import verdict_of
 from .fitted import Fitted, further
 from .hypothesis import one_class
 from .judge import (
@@ -25,20 +38,7 @@ from .loud_ripple import loud_ripple, stated_waves, without_ripple
 from .one_round import Step, said
 from .quantised import resolution
 from .records import Records
-from .result import EstimatedValue, Named, WrongNumber
 from .selection import Selection
-from .settings import (
-    DATA_SHARE,
-    EXPLAINED,
-    FINAL_ROUNDS,
-    HOPELESS,
-    LEAST_SIZE,
-    OFF,
-    OUT_OF_TOLERANCE,
-    SIGNIFICANT,
-    TOLERANCE,
-    UNEXPLAINED,
-)
 
 
 class Conclusion(eqx.Module):
@@ -169,36 +169,38 @@ def _verdict(
     worst: float,
     heldout: bool,
 ) -> tuple[str, str]:
-    result = compared(base.residual, extended.residual, base.evidence.plain, judged.frequency)
-    if worst > UNEXPLAINED and (not effects or result.after > (1 - EXPLAINED) * result.before):
-        return "unexplained", (
-            f"In one axis the misfit is {worst:.3g} times the floor's, everywhere or at one position, whatever the "
-            "robot's numbers are, and no effect of the library mends that: something is missing that it does not hold. "
-            "The maps show where."
-        )
-    if effects or counts:
+    explained = compared(base.residual, extended.residual, base.evidence.plain, judged.frequency).gain
+    met, rivals = relative_torque(judged, extended.residual), close_rivals(steps)
+    sufficient = bool(np.all(met < TOLERANCE) and np.all(np.abs(last.x) < HOPELESS))
+    stands = bool(effects or counts)
+    verdict = verdict_of(stands, bool(rivals), explained if effects else 0.0, worst > UNEXPLAINED, sufficient)
+    if stands and verdict != "unexplained":
         on = "the held-out positions" if heldout else "the fitted positions, none being held out"
-        return _named_verdict(steps, effects, counts, base, extended, on)
-    met = relative_torque(judged, extended.residual)
+        return verdict, _named_words(effects, counts, rivals, base, extended, on)
     why = "no effect explains more of the rest on the positions that decide"
     if not looked_for:
         why = "what is left is nowhere beyond its floor, so that no effect was looked for"
-    if np.all(met < TOLERANCE) and np.all(np.abs(last.x) < HOPELESS):
-        return "sufficient", (
+    return verdict, {
+        "unexplained": (
+            f"In one axis the misfit is {worst:.3g} times the floor's, everywhere or at one position, whatever the "
+            "robot's numbers are, and no effect of the library mends that: something is missing that it does not hold. "
+            "The maps show where."
+        ),
+        "sufficient": (
             f"Nothing is missing that these data show: the torque is met within {100 * met.max():.1f} % (rms, worst "
             f"axis), and {why}."
-        )
-    return "inconclusive", "No effect stands out, but the gap is not bounded below the tolerance either."
+        ),
+        "inconclusive": "No effect stands out, but the gap is not bounded below the tolerance either.",
+    }[verdict]
 
 
-def _named_verdict(
-    steps: Sequence[Step], effects, counts: Sequence[Named], base: Written, extended: Written, on: str
-) -> tuple[str, str]:
+def _named_words(
+    effects, counts: Sequence[Named], rivals: Sequence[tuple[str, str]], base: Written, extended: Written, on: str
+) -> str:
     names = lambda some: " and ".join(said((e.name, e.joint)).replace(" of ", " on ") for e in some)
-    rivals = close_rivals(steps)
     if rivals:
         others, text = ", ".join(said(key).replace(" of ", " on ") for key in rivals), names(effects)
-        return "ambiguous", f"{text[0].upper() + text[1:]} explains the gap; {others} does so nearly as well."
+        return f"{text[0].upper() + text[1:]} explains the gap; {others} does so nearly as well."
     before, after = (float(np.mean(np.abs(x.residual / base.evidence.plain) ** 2)) for x in (base, extended))
     left = 100 * float(np.clip(after / max(before, 1e-12), 0.0, 1.0))
     every = (*effects, *counts)
@@ -210,7 +212,7 @@ def _named_verdict(
         texts.append(f"The robot that is written with {kind} leaves {left:.0f} % of the misfit on {on}.")
     if counts:
         texts.append("That encoders count so coarsely is seen in their readings, whatever torque is missed.")
-    return "named", " ".join(texts)
+    return " ".join(texts)
 
 
 def close_rivals(steps: Sequence[Step]) -> list[tuple[str, str]]:
@@ -321,7 +323,7 @@ def _change(number: Number, x: float) -> str:
 def _wrong_numbers(wrong: Sequence[WrongNumber]) -> str:
     if not wrong:
         return ""
-    chance = lambda p: f"p = {p:.2g}" if p < SIGNIFICANT else "as one of so many may be"
+    chance = lambda p: f"p = {p:.2g}" if p < LEVEL else "as one of so many may be"
     changes = [f"{number.name} by {number.change} ({chance(number.p_value)})" for number in wrong]
     return f" Numbers of the robot that are off by more than is known of them: {', '.join(changes)}."
 

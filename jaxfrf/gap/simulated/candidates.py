@@ -4,9 +4,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from .. import effects as fx
-from ..effects import AbstractEffect, Candidate as Candidate
-from ..robot import Robot
+from ... import effects as fx
+from ...effects import AbstractEffect, Candidate as Candidate
+from ...robot import Robot
 
 
 def candidates(robot: Robot, largest: np.ndarray, more: Iterable[type[AbstractEffect]] = ()) -> tuple[Candidate, ...]:

@@ -8,14 +8,14 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .. import effects as fx
-from .._errors import InputError
-from ..calibration.numbers import numbers
-from ..effects import AbstractEffect, OwnNumber
-from ..robot import Robot, Tolerances
-from ..robot.tolerances import Tolerance
+from ... import effects as fx
+from ..._errors import InputError
+from ...calibration.numbers import numbers
+from ...effects import AbstractEffect, OwnNumber
+from ...robot import Robot, Tolerances
+from ...robot.tolerances import Tolerance
+from ..settings import TIMING
 from .fitted import Fitted
-from .settings import TIMING
 
 _UNKNOWN = Tolerance(math.inf)
 

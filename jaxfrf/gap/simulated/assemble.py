@@ -5,18 +5,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .._errors import InputError
-from ..experiment import Experiment
-from ..frf import LRM
-from ..graybox.indirect import default_method, measured_frf
-from ..robot import Robot
+from ..._errors import InputError
+from ...experiment import Experiment
+from ...frf import LRM
+from ...graybox.indirect import default_method, measured_frf
+from ...robot import Robot
+from ..result import Diagnosis, EstimatedValue, Gap, Maps, Ranked
+from ..settings import FLOOR, LEAST_SIZE, SHOWN
 from .conclude import Conclusion, concluded, next_experiment, redefined
 from .judge import Written, each_written, over_floor, relative_torque
 from .maps import largest_cells, maps_of
 from .records import Records
-from .result import Diagnosis, EstimatedValue, Gap, Maps, Ranked
 from .selection import Selection
-from .settings import FLOOR, LEAST_SIZE, SHOWN
 
 _AT_MOST = 0.9  # of the gap is floor: a steady torque alone hardly lifts the rms of all lines
 _NOTHING = 1e-3  # of the floor: a gap that is smaller has nothing to shrink

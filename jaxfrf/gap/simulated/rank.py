@@ -8,20 +8,20 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from .. import effects as fx
-from ..calibration.least_squares import solve
-from ..effects import AbstractEffect, OwnNumber
-from ..effects._place import axis_of
-from ..robot import Robot
-from ..trajectory.evidence import Gram, parts_beside, put_over_floor, scattered
-from ..trajectory.joined import places
-from ..trajectory.measured import Measured
-from ..trajectory.remainder import remainder, steady_seen
-from ..trajectory.ripple import gear_orders
-from ..trajectory.signature import signature
+from ... import effects as fx
+from ...calibration.least_squares import solve
+from ...effects import AbstractEffect, OwnNumber
+from ...effects._place import axis_of
+from ...robot import Robot
+from ...trajectory.evidence import Gram, parts_beside, put_over_floor, scattered
+from ...trajectory.joined import places
+from ...trajectory.measured import Measured
+from ...trajectory.remainder import remainder, steady_seen
+from ...trajectory.ripple import gear_orders
+from ...trajectory.signature import signature
+from ..settings import DISBELIEVED, OWN
 from .candidates import Candidate, candidates
 from .fitted import Fitted
-from .settings import DISBELIEVED, OWN
 
 _RIDGE = 1e-9  # of a column's square: products are made in single precision
 

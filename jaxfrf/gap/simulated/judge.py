@@ -7,15 +7,15 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Complex, Float
 
-from .._errors import InputError
-from .._threads import lapack_threads, shared
-from ..robot import Robot
-from ..trajectory.alike import alike_as_written
-from ..trajectory.evidence import Evidence, band_edges
-from ..trajectory.measured import Measured
-from .settings import BLOCKS, FLOOR, LEAST_GAIN, NEAR, PRICE, RISES, SIGNIFICANT, TOOTH
+from ..._errors import InputError
+from ..._threads import lapack_threads, shared
+from ...robot import Robot
+from ...trajectory.alike import alike_as_written
+from ...trajectory.evidence import Evidence, band_edges
+from ...trajectory.measured import Measured
+from ..settings import COMBED, FLOOR, LEAST_SHARE, LEVEL, NEAR, PRICE, RISES, TOOTH
+from ..significance import flipped
 
-_FLIPS = 4096  # of signs; all of them, where there are fewer
 _LEVEL = 0.95  # one-sided, of an interval
 
 
@@ -80,7 +80,7 @@ def compared(before, after, floor, frequency) -> Comparison:
     std = float(np.sqrt(count / (count - 1) * np.sum(apart**2)) / one.sum())
     half = float(scipy.stats.t.ppf(_LEVEL, count - 1)) * std
     finest = 2.0 ** -float(np.count_nonzero(drop))
-    return Comparison(float(one.mean()), float(two.mean()), gain, gain - half, gain + half, _p_value(drop), finest)
+    return Comparison(float(one.mean()), float(two.mean()), gain, gain - half, gain + half, flipped(drop), finest)
 
 
 def beyond(left, floor, frequency) -> Float[np.ndarray, "block"]:
@@ -88,7 +88,7 @@ def beyond(left, floor, frequency) -> Float[np.ndarray, "block"]:
     where there are few, so that each block sees all bands."""
     n_pos, n_exp, n_line, n_axis = left.shape
     squares = 0.5 * np.abs(left / floor).reshape(n_pos * n_exp, n_line, n_axis) ** 2
-    combs = min(-(-BLOCKS // len(squares)), -(-n_line // TOOTH))
+    combs = min(-(-COMBED // len(squares)), -(-n_line // TOOTH))
     comb = np.arange(n_line) // TOOTH % combs
     band = np.searchsorted(band_edges(frequency)[1:-1], frequency, side="right")
     blocks = []
@@ -99,12 +99,12 @@ def beyond(left, floor, frequency) -> Float[np.ndarray, "block"]:
     return np.concatenate(blocks)
 
 
-def shows_nothing(result: Comparison, least: float = LEAST_GAIN, own: float = 0.0) -> str:
+def shows_nothing(result: Comparison, least: float = LEAST_SHARE, own: float = 0.0) -> str:
     """Why a comparison does not speak for an effect that must take away so much, of all or of its `own` axis' part, in
     words; empty where it does."""
     if not result.before:
         return "on the positions that decide the misfit is nowhere beyond its floor without it"
-    if result.p_value <= max(SIGNIFICANT, result.finest) and max(result.gain, own) >= least and result.least > 0.0:
+    if result.p_value <= max(LEVEL, result.finest) and max(result.gain, own) >= least and result.least > 0.0:
         return ""
     return (
         f"on the positions that decide it takes away {result.gain:.0%} of what is beyond the floor, p = "
@@ -135,16 +135,7 @@ def against_it(judged: Measured, before: Written, after: Written, joint: str) ->
 
 def is_near(result: Comparison, before: float) -> bool:
     """Whether a rival leaves hardly more than the best candidate, where the positions that decide are asked."""
-    return result.p_value > SIGNIFICANT or result.before - result.after < NEAR * before
-
-
-def _p_value(drop) -> float:
-    count = len(drop)
-    if 2**count <= _FLIPS:
-        signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
-        return float(np.mean(signs @ drop >= drop.sum() - 1e-12 * np.abs(drop).sum()))
-    signs = np.random.default_rng(0).choice((-1.0, 1.0), (_FLIPS, count))
-    return float((1 + np.sum(signs @ drop >= drop.sum())) / (_FLIPS + 1))
+    return result.p_value > LEVEL or result.before - result.after < NEAR * before
 
 
 def over_floor(left, floor) -> Float[np.ndarray, "axis"]:
