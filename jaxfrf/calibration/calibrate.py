@@ -12,13 +12,13 @@ from ..experiment import Experiment
 from ..parts import Parts
 from ..robot import Robot
 from ..simulation.checks import check_data, check_fit
-from ..trajectory.controller import ShownController, shown_controller
 from ..trajectory.evidence import Evidence
 from ..trajectory.following import why_followed
 from ..trajectory.joined import joined, together
 from ..trajectory.measured import Measured, measured
 from ..trajectory.rigid_motion import check_rigid
 from ..trajectory.ripple import with_ripple
+from .alignment import Aligned, aligned
 from .columns import near_rest_columns
 from .descent import Descent
 from .from_motion import calibrate_from_motion
@@ -54,7 +54,8 @@ def calibrate(
     controller has the gains that the record shows (`trajectory/controller.py`). The robot so found is simulated again,
     until it converges: Gauss-Newton on the maximum a posteriori, lines weighed by what the model leaves around them.
     Without references, without a controller, where the record contradicts its law, or where it runs at another rate
-    than the log, the motors are moved as measured instead (`trajectory/following.py`).
+    than the log, the motors are moved as measured instead (`trajectory/following.py`). Signals that stand late in the
+    log, by that law and by the motion, are taken back first (`calibration/alignment.py`), which `compared` says.
 
     Ripple stands beside the robot until its numbers are near. Then it is simulated, too, with the orders that were
     found, and looked for again: friction does not meet motors that turn evenly.
@@ -112,14 +113,17 @@ def calibrate(
         raise input_error(
             f"{robot.name}: tolerances", "0 for every number", "something that is not exact", "State a tolerance."
         )
-    fitted, judged = _split(measured(data, carried if any(p is not None for p in carried) else ()), heldout)
-    shown = shown_controller(robot, fitted)
+    carried = carried if any(p is not None for p in carried) else []
+    log = aligned(data, robot, lambda x: _split(measured(x, carried), heldout)[0])
+    shown, (fitted, judged) = log.shown, _split(measured(log.data, carried), heldout)
+    if log.late:
+        say(f"in the log {log.late}: taken back")
     if shown.says():
         say(f"controller: {shown.says()}")
     kept = Rounds(parts, shown.robot, uncertain, fitted, heldout)
     descent = Descent(shown.robot, fitted, uncertain, say, near_rest_columns(robot))
     descent.run(rounds, kept)
-    return _result(robot, shown, descent, kept, judged)
+    return _result(robot, log, descent, kept, judged)
 
 
 def _carried(payloads: Sequence[Payload | None], records: Sequence[Experiment]) -> list[Payload | None]:
@@ -152,9 +156,7 @@ def _split(record: Measured, heldout: Sequence[int]) -> tuple[Measured, Measured
     return record.at([p for p in range(n) if p not in held]), record.at(held)
 
 
-def _result(
-    given: Robot, shown: ShownController, descent: Descent, kept: Rounds, judged: Measured | None
-) -> Calibration:
+def _result(given: Robot, log: Aligned, descent: Descent, kept: Rounds, judged: Measured | None) -> Calibration:
     robot, uncertain, iterate, fitted = descent.robot, descent.numbers, descent.iterate, descent.record
     posterior, count = iterate.posterior, len(uncertain)
     x = np.where(np.abs(descent.x) < _NOTHING, 0.0, descent.x)
@@ -163,7 +165,7 @@ def _result(
     part = slice(0, count)
     return Calibration(
         given=given,
-        robot=shown.restored(found),
+        robot=log.shown.restored(found),
         numbers=tuple(uncertain),
         x=x,
         covariance=posterior.covariance[part, part],
@@ -177,7 +179,7 @@ def _result(
         missed_before=kept.done[0].missed,
         missed_after=missed(Evidence(found, fitted), fitted),
         heldout=None if judged is None else _missed_pair(robot, found, judged),
-        compared=shown.compared(fitted.data),
+        compared=log.compared(),
         sources=fitted.data.sources,
     )
 

@@ -7,12 +7,12 @@ from typing import Any
 from .._arguments import expect
 from .._errors import input_error
 from .._types import require_x64
+from ..calibration.alignment import aligned
 from ..effects import AbstractEffect, library
 from ..experiment import Experiment
 from ..frf import FRF
 from ..parts import Parts
 from ..robot import Robot
-from ..trajectory.controller import shown_controller
 from ..trajectory.joined import joined
 from ..trajectory.measured import fewer, measured
 from ..trajectory.rigid_motion import check_rigid
@@ -57,6 +57,9 @@ def diagnose(
     effect that the library does not hold looks like one that it does: then the remaining misfit tells, and nothing is
     named.
 
+    Signals that stand late in the log (u behind y, y or r behind the others) are taken back first, and `says` tells so:
+    the controller's law and the torque of the measured motion tell them from a delay of the robot's.
+
     Data that need no simulation are compared as they are (`jaxfrf.gap.CHANNELS`): the torque that a rigid robot needs
     for a motion of any kind; link-side against motor-side positions; the FRF of a single drive, and its distortion.
 
@@ -95,14 +98,17 @@ def diagnose(
             check_rigid(robot)
     require_x64("A diagnosis")
     record, say = joined([x for x in records if isinstance(x, Experiment)]), say or (lambda text: None)
-    parts_of = split(measured(fewer(record, EXPERIMENTS)), measured(fewer(record, JUDGING)), heldout_count)
-    shown = shown_controller(robot, parts_of.whole.at(parts_of.opened))
+    divided = lambda x: split(measured(fewer(x, EXPERIMENTS)), measured(fewer(x, JUDGING)), heldout_count)
+    log = aligned(record, robot, lambda x: (some := divided(x)).whole.at(some.opened))
+    shown, parts_of = log.shown, divided(log.data)
+    if log.late:
+        say(f"in the log {log.late}: taken back")
     if shown.says():
         say(f"controller: {shown.says()}")
     found = select_effects(shown.robot, parts_of, tuple(own), say, progress or (lambda part: None), parts)
-    result = assembled(found, parts_of, robot, shown.compared(record))
+    result = assembled(found, parts_of, robot, log.compared())
     base, extended = (shown.restored(x) for x in (result.base, result.extended))
-    return dataclasses.replace(result, base=base, extended=extended)
+    return dataclasses.replace(result, base=base, extended=extended, says=result.says + log.sentence())
 
 
 def _by_channel(

@@ -22,6 +22,7 @@ from ..robot.quantity import derivatives
 from ..simulation.checks import check_data, check_fit
 from ..spectra import known_lines
 from .following import compared, why_followed
+from .log_times import LogTimes
 from .measured import Measured, lines_of
 
 _GAINS = ("position_gain", "velocity_gain", "integral_time")
@@ -34,6 +35,9 @@ _LIMITED = 0.999  # of the torque limit: clipped commands follow no linear law
 _LEAST = 1e-5  # of the command: rounding of logs
 _TIMES = 3  # fits, each weighed by what the one before left
 _LINES = 9  # lines over which that is smoothed
+_LATEST = 4  # samples that a log is looked through for late signals
+_TIMES_UNKNOWN = 10.0  # samples: a time of which nothing is known
+_SURE = 3.0  # standard deviations of a time that is one
 
 
 class ShownController(eqx.Module):
@@ -129,6 +133,24 @@ def shown_controller(robot: Robot, record: Measured) -> ShownController:
     return shown
 
 
+def law_times(robot: Robot, record: Measured, contradicted) -> LogTimes | None:
+    """How late commands and motion would have to stand in a log for the controller's law to hold on axes where it is
+    `contradicted`; `None` where no times make it hold."""
+    controller, axes = robot.controller, robot.n_axes
+    assert controller is not None
+    law, late = _Law.of(robot, controller, record), np.zeros((2, axes))
+    seen = ~_clipped(robot, record) & law.commands
+    for axis in map(int, np.flatnonzero(seen)):
+        if not contradicted[axis]:
+            continue
+        found = law.times(axis, _priors(robot, law.gains[:, axis], axis))
+        if found is None:
+            return None
+        late[:, axis] = found
+    late[:, ~seen] = np.median(late[:, seen], axis=1, keepdims=True)
+    return LogTimes(late[0], late[1], record.data.fs)
+
+
 def _priors(robot: Robot, gains, axis: int) -> Float[np.ndarray, "3"]:
     """Tolerance of an axis' gains, 0 where they are exact or cannot move."""
     tolerance = min(robot.tolerances.of(f"{robot.axis_names[axis]}.controller_gain").std, _UNKNOWN)
@@ -187,13 +209,16 @@ class _Law(eqx.Module):
         """Axes that were told anything, (axis,)."""
         return np.any(self.U != 0, axis=(0, 1, 2))
 
-    def left(self, axis: int, change) -> Complex[np.ndarray, "pos exp line"]:
-        """Of an axis' torque command, what the law with these gains does not make, N m."""
+    def left(self, axis: int, change, late=(0.0, 0.0)) -> Complex[np.ndarray, "pos exp line"]:
+        """Of an axis' torque command, what the law with these gains does not make, N m; where command and motion were
+        logged so `late`, s."""
         gains = self.gains.copy()
         gains[:, axis] *= np.exp(change)
         controller = _controller(self.controller, gains)
-        made = controller.command(self.frequency, self.fs, self.position, self.velocity, self.Y)
-        return (self.U - made)[..., axis]
+        s = 2j * np.pi * self.frequency[:, None]
+        U, Y = (x * np.exp(s * t) for x, t in zip((self.U, self.Y), late, strict=True))
+        made = controller.command(self.frequency, self.fs, self.position, self.velocity, Y)
+        return (U - made)[..., axis]
 
     def fitted(self, axis: int, prior: Float[np.ndarray, "3"]):
         """Changes of the gains, their standard deviations, what is left of the command and what noise leaves of it."""
@@ -210,6 +235,32 @@ class _Law(eqx.Module):
             change[free], std[free] = _posterior(whitened, prior[free])
             scatter = _around(self.left(axis, change)) + _LEAST * size
         return change, std, _rms(self.left(axis, change)) / size, _rms(read) / size
+
+    def times(self, axis: int, prior: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2"] | None:
+        """How late command and motion of an axis are where its law holds then, s; `None` where it does not."""
+        size, read = _rms(self.U[..., axis]), self.read[:, axis]
+        some = range(-_LATEST, _LATEST + 1)
+        start = min(
+            ((a / self.fs, b / self.fs) for a in some for b in some),
+            key=lambda late: _rms(self.left(axis, np.zeros(3), late)),
+        )
+        free = np.flatnonzero(prior > 0)
+        scatter = np.hypot(read, _LEAST * size)
+
+        def left(x):
+            change = np.zeros(3)
+            change[free] = x[:-2]
+            return self.left(axis, change, start + x[-2:] / self.fs)
+
+        x = np.zeros(len(free) + 2)
+        for _ in range(_TIMES):
+            whitened = lambda x, scatter=scatter: (left(x) / scatter).ravel().view(float)
+            x, std = _posterior(whitened, np.array([*prior[free], _TIMES_UNKNOWN, _TIMES_UNKNOWN]))
+            scatter = _around(left(x)) + _LEAST * size
+        if _rms(left(x)) > max(_ANOTHER, _OVER_NOISE * _rms(read) / size) * size:
+            return None
+        late = start + x[-2:] / self.fs
+        return np.where(np.abs(late) * self.fs > _SURE * std[-2:], late, 0.0)
 
 
 def _around(left) -> Float[np.ndarray, "line"]:

@@ -1,0 +1,158 @@
+"""Whether the signals of a log were taken together, by the controller's law and by what the robot needs to move so.
+
+Commands that stand one sample late in a log have a phase that no robot makes: no delay is negative. Left as they are,
+they would be sought in masses and dampings, or be called unexplained.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from .._errors import InputError
+from ..experiment import Experiment
+from ..robot import Robot
+from ..trajectory.controller import ShownController, law_times, shown_controller
+from ..trajectory.evidence import Column
+from ..trajectory.log_times import LogTimes
+from ..trajectory.measured import Measured
+from ..trajectory.scene import Scene
+from .columns import near_rest_columns
+from .numbers import numbers
+from .search import Iterate, Search
+
+_SHIFTS = 3  # times that commands are moved, for times that are no small part of a period
+_LEAST = 0.3  # of a sampling interval, where the motion alone tells: what a model lacks may look like less
+_AGREE = 0.2  # of the time: axes of one log that differ by more were not taken late, they lack something each
+_FALLS = 0.5  # of the misfit behind one step of all numbers, that must be gone where the motion alone tells
+_FLOOR = 1.0  # of that misfit, mean square: below it nothing is asked
+
+
+class Aligned(eqx.Module):
+    """A record whose signals were put where they belong.
+
+    **Fields:** `data`: the record. `shown`: what it says of the robot's controller. `late`: what was late in the log,
+    in words, empty where nothing was. `commands`: how late the controller commands, in words, empty where it does as
+    written or follows another law.
+    """
+
+    data: Experiment
+    shown: ShownController
+    late: str = eqx.field(static=True, default="")
+    commands: str = eqx.field(static=True, default="")
+
+    def compared(self) -> str:
+        """What of the robot is compared with the record, in words."""
+        text = self.shown.compared(self.data)
+        text += f"; it does, where {self.commands}" if self.commands else ""
+        return text + (f"; in the log {self.late}, which was taken back" if self.late else "")
+
+    def sentence(self) -> str:
+        """What was late, behind other sentences."""
+        return f" In the log {self.late}: that was taken back before all else. Mend the log." if self.late else ""
+
+
+def aligned(data: Experiment, robot: Robot, fitted: Callable[[Experiment], Measured]) -> Aligned:
+    """A record with commands, motion and references at the times at which they were taken.
+
+    Where the controller's law does not hold for what was logged, but does once signals are moved in time, that is how
+    late they stand in the log, unless the robot's motion denies it: a controller that commands late is told from a log
+    of late commands by the torque that the measured motion needs. Where there is no such law, only commands that all
+    come late behind the motion are taken back, since that no robot does; motion behind commands is a delay of the
+    robot's.
+
+    **Arguments:** `data`: periodic. `robot`: as given. `fitted`: of a record, what of it may be looked at.
+
+    **Returns:** `Aligned`; the record itself where nothing is late.
+
+    **Biased** where a controller's law is not the written one in another way that a shift of some samples imitates to
+    2 % of the torque, and the robot's numbers are off by so much that its motion does not deny it.
+
+    **Source:** this project's own.
+    """
+    record = fitted(data)
+    shown = shown_controller(robot, record)
+    contradicted, commands = bool(np.any(shown.contradicted)), ""
+    times = law_times(robot, record, shown.contradicted) if contradicted else None
+    if times is not None and not times.are_together and not _confirmed(robot, data, times, fitted):
+        commands, times = times.says(robot.axis_names), None
+    elif times is None and (contradicted or not np.any(shown.left)):
+        times = _behind_motion(robot, record)
+    if times is None:
+        return Aligned(data, shown, commands=commands)
+    data = times.taken_back(data)
+    return Aligned(data, shown_controller(robot, fitted(data)), late=times.says(robot.axis_names))
+
+
+def _confirmed(robot: Robot, data: Experiment, times: LogTimes, fitted) -> bool:
+    """Whether the torque that the measured motion needs agrees: what is late once signals are taken back is less than
+    what was taken back."""
+    left = _late(robot, fitted(times.taken_back(data)))
+    return left is not None and bool(np.sum(np.abs(left)) < 0.5 * np.sum(np.abs(times.apart)))
+
+
+def _behind_motion(robot: Robot, record: Measured) -> LogTimes | None:
+    """How late commands are behind the motion, of all axes alike, by the torque that it needs; `None` where they are
+    not."""
+    before = _left(robot, record)
+    if before is None or before <= _FLOOR:
+        return None
+    total, apart, moved = 0.0, np.inf, record
+    for _ in range(_SHIFTS):
+        times = _late(robot, moved)
+        if times is None:
+            return None
+        total, apart = total + float(np.median(times)), float(np.ptp(times))
+        if total * record.data.fs < _LEAST:
+            return None
+        moved = _moved(record, total)
+    after = _left(robot, moved)
+    if after is None or after > _FALLS * before or apart > _AGREE * total:
+        return None
+    none = np.zeros(robot.n_axes)
+    return LogTimes(none + total, none, record.data.fs)
+
+
+def _moved(record: Measured, time: float) -> Measured:
+    """Commands so much earlier."""
+    none = np.zeros(record.data.n_in)
+    data = LogTimes(none + time, none, record.data.fs).taken_back(record.data)
+    turn = np.exp(2j * np.pi * record.frequency * time)[:, None]
+    return dataclasses.replace(record, data=data, U=record.U * turn)
+
+
+def _late(robot: Robot, record: Measured) -> Float[np.ndarray, "axis"] | None:
+    """How late commands are beside errors of all numbers, s; `None` where the robot cannot be simulated."""
+    step = _step(robot, record, [_late_column(axis) for axis in range(robot.n_axes)])
+    return None if step is None else step.posterior.change[-robot.n_axes :]
+
+
+def _left(robot: Robot, record: Measured) -> float | None:
+    """Mean square over the floor that errors of all numbers leave; `None` where the robot cannot be simulated."""
+    step = _step(robot, record, [])
+    return None if step is None else step.left
+
+
+def _step(robot: Robot, record: Measured, columns: Sequence[Column]) -> Iterate | None:
+    """The step of all numbers of a robot whose motors move as they were measured, beside these columns."""
+    robot = dataclasses.replace(robot, controller=None)
+    uncertain = numbers(robot)
+    search = Search(robot, record, uncertain, lambda text: None, [*near_rest_columns(robot), *columns])
+    try:
+        return search.evaluate(np.zeros(len(uncertain)), (), more=False)
+    except InputError:
+        return None
+
+
+def _late_column(axis: int):
+    """What a command that is logged late leaves of it, N m per s."""
+
+    def column(scene: Scene):
+        lines = np.zeros((len(scene.command), scene.lines, scene.command.shape[-1]), complex)
+        own = np.fft.rfft(scene.command[..., axis], axis=1)[:, : scene.lines] / scene.command.shape[1]
+        lines[..., axis] = -2j * np.pi * scene.still.frequency * own
+        return lines
+
+    return column
