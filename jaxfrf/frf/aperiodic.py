@@ -1,4 +1,4 @@
-"""Methods made ready for records without a period."""
+"""Methods made ready for records without a period, and for those with next to no lines."""
 
 import dataclasses
 
@@ -26,7 +26,11 @@ def adapted(method: AbstractMethod, spectra: Spectra) -> AbstractMethod:
     **Source:** transients that are smooth in frequency: Pintelon & Schoukens, System Identification: A Frequency Domain
     Approach, 2nd ed. 2012, chapter 7; when one is added is this project's own.
     """
-    return method if spectra.periodic or spectra.segments else _without_period(method)
+    if spectra.segments:
+        return method
+    if not spectra.periodic:
+        return _without_period(method)
+    return method.without_windows(spectra) if isinstance(method, Auto) else method
 
 
 def _without_period(method: AbstractMethod) -> AbstractMethod:

@@ -117,6 +117,13 @@ class Auto(AbstractMethod):
         count = max(6, 1 + math.ceil(math.log(most / least, _STEP)))
         return tuple(sorted({round(w) for w in np.geomspace(least, most, count)}))
 
+    def without_windows(self, spectra: Spectra) -> AbstractMethod:
+        """This, or the estimate line by line where there are too few lines for any window and experiments enough."""
+        n = self.method.n_parameters(spectra, spectra.n_in, max(spectra.n_out, spectra.n_in))
+        if len(spectra.frequency) * spectra.n_exp >= n or spectra.n_exp < spectra.n_in:
+            return self
+        return JointInputOutput(H1()) if self._through_reference(spectra) else H1()
+
     def residual_dof(self, signals: Signals) -> float:
         return self._with_width(self.candidates(signals)[0], signals).residual_dof(signals)
 

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from .._types import Array
 
 _DEEPEST_DB = 80.0  # below the strongest line a line is no excitation, gap or not
+_ROUNDING = 1e-10  # of the strongest line's power: no excitation spans so much, samples of 16 bits and more round there
 _PLAIN_GAP_DB = 40.0  # between neighbours in order of power: no noise leaves that
 _NO_GAP_DB = 40.0  # without two levels: lines within this range of the strongest
 _APART_DB = 8.0  # excited and quiet lines are two levels if their medians differ by this much
@@ -52,11 +53,13 @@ def find_lines(
     `None` where no channel, or not every one, carries power.
     """
     power = np.asarray(power, np.float64)
-    peak = np.sort(power, axis=0)[-min(4, len(power))]
-    if np.any(peak <= 0):
+    carries = power > _ROUNDING * power.max(axis=0)
+    if np.any(power.max(axis=0) <= 0):
         return None
+    weakest = np.minimum(carries.sum(axis=0), 4)  # three may be slow sines, stronger than all others
+    peak = np.take_along_axis(np.sort(power, axis=0), -weakest[None], axis=0)[0]
     level = 10 * np.log10(np.maximum(power / peak, 1e-30))
-    above = np.ones_like(power, bool) if noise is None else power > 4 * np.asarray(noise)
+    above = carries if noise is None else carries & (power > 4 * np.asarray(noise))
     each = [_of_channel(lines, level[:, c], above[:, c]) for c in range(power.shape[1])]
     return _together(lines, level, each)
 

@@ -85,6 +85,20 @@ def test_lines_of_a_zippered_design():
     assert list(found.lines) == list(odd) and found.design.startswith("zippered") and found.confidence > 0.9
 
 
+@pytest.mark.parametrize("tones", [[40], [40, 77], [40, 77, 120]])
+@pytest.mark.parametrize("rounded", ["not", "24 bits", "float32"])
+def test_tones_beside_rounding(tones, rounded):
+    """What samples round to is no line, however few there are; the default method takes them line by line."""
+    t = np.arange(4 * PERIOD)[:, None] / PERIOD
+    u = np.sum([np.cos(2 * np.pi * k * t + k) for k in tones], axis=0)
+    u = {"not": u, "24 bits": np.round(u * 2**22) / 2**22, "float32": u.astype(np.float32).astype(float)}[rounded]
+    y = 0.5 * u + 0.01 * np.random.default_rng(0).standard_normal(u.shape)
+    data = jf.Experiment(u, y, 500.0, PERIOD, y_quantity="velocity")
+    assert list(jf.excited_lines(data)) == tones
+    found = jf.estimate(data)
+    assert found.method.startswith("H1") and np.max(np.abs(found.G - 0.5)) < 2e-3
+
+
 def test_lines_of_noise_are_not_sure():
     rng = np.random.default_rng(6)
     power = np.abs(rng.standard_normal((800, 2)) @ [1, 1j])[:, None] ** 2
