@@ -15,11 +15,16 @@ DEFAULT_INPUT = "N m"
 _LADDERS = (("rad", "rad/s", "rad/s^2"), ("m", "m/s", "m/s^2"))
 _TURN = 6.283185307179586
 _DEGREE = _TURN / 360
+_INCH, _FOOT = 0.0254, 0.3048
+_GRAVITY = 9.80665  # m/s^2, by definition
+_POUND = 4.4482216152605  # N: the weight of 0.45359237 kg
 # Where case tells: mega and milli, newton and nano.
 _EXACT: dict[str, tuple[str, float]] = {
     **{"MN": ("N", 1e6), "mN": ("N", 1e-3), "MNm": ("N m", 1e6), "mNm": ("N m", 1e-3)},
     **{"MV": ("V", 1e6), "mV": ("V", 1e-3), "MA": ("A", 1e6), "mA": ("A", 1e-3), "Ms": ("s", 1e6), "ms": ("s", 1e-3)},
     **{"MHz": ("Hz", 1e6), "mHz": ("Hz", 1e-3), "Mm": ("m", 1e6)},
+    # `IN`, `FT` and `Mg` are no inches, feet and thousandths of g: a direction, a sensor of force and torque, a mass.
+    **{"in": ("m", _INCH), "ft": ("m", _FOOT), "mg": ("m/s^2", 1e-3 * _GRAVITY)},
 }
 _EITHER = ("nm",)  # nanometres, or newton metres of somebody in a hurry
 # Text as files write it, lower case, without blanks: the SI unit and the factor to it.
@@ -29,7 +34,7 @@ _KNOWN: dict[str, tuple[str, float]] = {
     **{"hz": ("Hz", 1.0), "khz": ("Hz", 1e3)},
     **{x: ("N m", 1.0) for x in ("nm", "n*m", "n.m", "n·m", "newtonmeter", "newton-meter")},
     **{"mnm": ("N m", 1e-3), "knm": ("N m", 1e3), "ncm": ("N m", 1e-2)},
-    **{"n": ("N", 1.0), "kn": ("N", 1e3), "mn": ("N", 1e-3)},
+    **{"n": ("N", 1.0), "kn": ("N", 1e3), "mn": ("N", 1e-3), "lbf": ("N", _POUND)},
     **{"a": ("A", 1.0), "ma": ("A", 1e-3), "arms": ("A", 1.0), "v": ("V", 1.0), "mv": ("V", 1e-3)},
     **{"rad": ("rad", 1.0), "mrad": ("rad", 1e-3), "deg": ("rad", _DEGREE), "°": ("rad", _DEGREE)},
     **{"degree": ("rad", _DEGREE), "degrees": ("rad", _DEGREE), "rev": ("rad", _TURN), "turn": ("rad", _TURN)},
@@ -40,9 +45,12 @@ _KNOWN: dict[str, tuple[str, float]] = {
     **{x: ("rad/s^2", _DEGREE) for x in ("deg/s^2", "deg/s2", "°/s²", "°/s^2")},
     **{"m": ("m", 1.0), "mm": ("m", 1e-3), "um": ("m", 1e-6), "µm": ("m", 1e-6), "cm": ("m", 1e-2), "km": ("m", 1e3)},
     **{"m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "km/h": ("m/s", 1 / 3.6)},
+    **{"in/s": ("m/s", _INCH), "ft/s": ("m/s", _FOOT)},
     **{x: ("m/s^2", 1.0) for x in ("m/s^2", "m/s2", "m/s²", "m/s/s")},
     **{x: ("m/s^2", 1e-3) for x in ("mm/s^2", "mm/s2", "mm/s²")},
-    **{"g": ("m/s^2", 9.80665), "gn": ("m/s^2", 9.80665)},
+    **{x: ("m/s^2", _INCH) for x in ("in/s^2", "in/s2", "in/s²")},
+    **{x: ("m/s^2", _FOOT) for x in ("ft/s^2", "ft/s2", "ft/s²")},
+    **{"g": ("m/s^2", _GRAVITY), "gn": ("m/s^2", _GRAVITY)},
     **{"%": ("1", 0.01), "-": ("1", 1.0), "1": ("1", 1.0)},
 }
 
@@ -50,8 +58,9 @@ _KNOWN: dict[str, tuple[str, float]] = {
 def known_unit(text: str) -> tuple[str, float] | None:
     """The SI unit and the factor to it, of a unit as people write it; `None` if it is not known.
 
-    `g` is the acceleration, 9.80665 m/s^2: nobody logs grams of a machine that vibrates. `nm` is not known: it may be
-    nanometres or newton metres, which differ by what is measured.
+    `g` is the acceleration, 9.80665 m/s^2, and `mg` a thousandth of it: nobody logs grams of a machine that vibrates.
+    `in` and `ft` are inches and feet, in lower case alone. `nm` is not known: it may be nanometres or newton metres,
+    which differ by what is measured.
 
     **Arguments:** `text`: e.g. `deg/s`, `[mA]`, `rpm`.
 

@@ -9,7 +9,7 @@ from .arguments import check_picture, check_result, check_target, command, namin
 
 EXAMPLES = (
     "jaxfrf modal frf.nc -o modes.json --plot stabilisation.png",
-    "jaxfrf modal frf.nc -o modes.json --near 12,31 --band 5:60",
+    "jaxfrf modal frf.nc -o modes.json --near 24,32 --band 5:60",
 )
 
 

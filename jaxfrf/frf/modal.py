@@ -1,9 +1,11 @@
 """Modes of a machine from its FRF: poles, damping and residues, with intervals and a stabilisation diagram."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
+import scipy.ndimage
 from jaxtyping import Complex, Float
 
 from .._arguments import expect
@@ -25,6 +27,9 @@ _LAG_DAMPING = (0.7, 0.999)  # that a lag is looked for with, of a second and of
 _LAG_AT = (0.15, 0.4, 1.0)  # ... at these parts of the highest frequency
 _LAG_EXPLAINS = 1.2  # misfit, at most, beside a lag that is one; 1 but for noise, more where its fit did not end
 _MISSED_BY_LAG = 1.07  # the same beside a lag, which leaves nothing where it is one
+_THERE = 0.07  # of the frequency at which a mode was asked for, within which it is
+_SCATTER = 10  # degrees of freedom behind a deviation that weighs a line
+_BLOCK = 2_000_000  # entries of covariances that are looked at together
 _AROUND, _FEWEST = 8.0, 16  # half widths of the resonance on either side; lines
 _SURE = 0.5  # relative standard deviation of a damping beyond which nothing is known of it
 
@@ -124,15 +129,16 @@ def modal(
     elements is fitted with the modes, and left out where it is not significant. A drive's lag or a filter is a pair of
     strongly damped poles more: it is fitted where it explains what is left, and is no mode (`lags`).
 
-    Standard deviations are those of this fit (Cramer-Rao), with the misfit, and with lines that share data (`window`)
-    counted as fewer. Where much is left (`misfit` above 2: dynamics that are no modes, as several lags), every mode is
-    fitted once more to the lines around it alone, with a background and a delay of its own, and how far its frequency
-    and damping move widens their standard deviations: the 95 % interval reaches where they move to. Where no mode at
-    all is found and much is left, a hundredth of |G| stands in the place of smaller standard deviations, for `misfit`
-    too. Biased: modes smoothed by a window wider than their resonance look more damped, and closely spaced modes of a
-    record with few lines may be taken as one; delays that differ between channels misfit towards high lines; lags
-    within the band pull modes by more than the widened interval now and then: choose a `band` around the mode. Fails
-    where fewer than three lines lie in a resonance.
+    Standard deviations are those of this fit, from the FRF's covariance (errors that all outputs share, as noise of an
+    input, count as such), with the misfit, and with lines that share data (`window`) counted as fewer. Where much is
+    left (`misfit` above 2: dynamics that are no modes, as several lags), every mode is fitted once more to the lines
+    around it alone, with a background and a delay of its own, and how far its frequency and damping move widens their
+    standard deviations: the 95 % interval reaches where they move to. Where no mode at all is found and much is left, a
+    hundredth of |G| stands in the place of smaller standard deviations, for `misfit` too. Biased: modes smoothed by a
+    window wider than their resonance look more damped, and closely spaced modes of a record with few lines may be taken
+    as one; delays that differ between channels misfit towards high lines; lags within the band pull modes by more than
+    the widened interval now and then: choose a `band` around the mode. Fails where fewer than three lines lie in a
+    resonance.
 
     **Arguments:**
 
@@ -143,34 +149,37 @@ def modal(
 
     **Returns:** a `ModalModel`: frequencies in Hz, damping ratios, residues (out, in) of the unit of G rad/s.
 
-    **Raises:** `jaxfrf.InputError` if too few lines are left, or no pole lies near one of `near`.
+    **Raises:** `jaxfrf.InputError` if too few lines are left, and where no pole lies near one of `near` or the fit goes
+    elsewhere.
 
     **Source:** Peeters, Van der Auweraer, Guillaume & Leuridan, Shock and Vibration 11 (2004) 395-409.
     """
     expect("frf", frf, FRF)
     if delay is not None and not np.isfinite(delay):
         raise input_error("delay", f"{delay}", "seconds", "Leave it out to have it found.")
-    frequency, G, std, shared = _chosen(frf, position, band)
-    order = _order(max_order, len(frequency), frf.n_in)
-    s = 2j * np.pi * frequency
-    background = _background(s, frf.y_quantity)
+    lines = _chosen(frf, position, band)
+    order = _order(max_order, len(lines.s), frf.n_in)
 
-    def found(std):
-        table = stabilisation(frequency, G, std, order)
+    def found(lines: _Lines):
+        table = stabilisation(lines.frequency, lines.G, lines.std, order)
         start = clusters(table) if near is None else nearest(table, near)
-        fit = lambda lags: _significant(s, G, std, start, background, shared, near is not None, delay, lags)
+        fit = lambda lags: _significant(lines, start, near is not None, delay, lags)
         plain = fit(())
-        return table, *(plain if std is None or plain[0].misfit <= _MISSED else _with_lag(fit, s, plain))
+        if lines.std is None or plain[0].misfit <= _MISSED:
+            return table, *plain
+        return table, *_with_lag(fit, lines.s, plain, near is not None)
 
-    table, fitted, dropped = found(std)
-    if not len(fitted.poles) and std is not None and fitted.misfit > _HOPELESS:
-        table, fitted, dropped = found(np.maximum(std, _LINEAR * np.abs(G)))
+    table, fitted, dropped = found(lines)
+    if not len(fitted.poles) and lines.std is not None and fitted.misfit > _HOPELESS:
+        table, fitted, dropped = found(lines._replace(std=np.maximum(lines.std, _LINEAR * np.abs(lines.G))))
+    if near is not None:
+        _check_there(fitted, near)
     if delay is None and len(fitted.poles):
-        fitted = _profiled(fitted, s, G, std, background, shared)
+        fitted = _profiled(fitted, lines)
     lagging = np.any(fitted.damping > LARGEST_DAMPING)
     if fitted.misfit > (_MISSED_BY_LAG if lagging else _MISSED):
-        fitted = _widened(fitted, s, G, std, background, shared)
-    n_out, n_in = G.shape[1:]
+        fitted = _widened(fitted, lines)
+    n_out, n_in = lines.G.shape[1:]
     every = _modes(fitted, n_out, n_in)
     scale = fitted.misfit if np.isfinite(fitted.misfit) else 1.0
     return ModalModel(
@@ -182,15 +191,40 @@ def modal(
         stabilisation=table,
         dropped=np.sort(np.abs(dropped)) / (2 * np.pi),
         lags=tuple(x for x in every if x.damping > LARGEST_DAMPING),
-        frequency=frequency,
-        measured=G,
+        frequency=lines.frequency,
+        measured=lines.G,
         y_quantity=frf.y_quantity,
         u_unit=frf.u_unit,
         y_unit=frf.y_unit,
     )
 
 
-def _chosen(frf: FRF, position: int, band):
+class _Lines(NamedTuple):
+    """An FRF at the lines that are fitted. `s`: rad/s. `std`: `None` where it is not known. `background`: see `modal`.
+    `shared`: see `fit_poles`."""
+
+    s: Complex[np.ndarray, "freq"]
+    G: Complex[np.ndarray, "freq out in"]
+    std: Float[np.ndarray, "freq out in"] | None
+    background: Float[np.ndarray, "freq term"]
+    shared: float
+    errors: "_Errors | None"
+
+    @property
+    def frequency(self) -> Float[np.ndarray, "freq"]:
+        return self.s.imag / (2 * np.pi)
+
+    def fit(self, poles, delay: float | None) -> PoleFit:
+        g = self.G.reshape(len(self.s), -1)
+        sigma = None if self.std is None else self.std.reshape(g.shape)
+        return fit_poles(self.s, g, sigma, poles, self.background, shared=self.shared, delay=delay, errors=self.errors)
+
+    def at(self, some) -> "_Lines":
+        std, errors = (None if self.std is None else self.std[some]), self.errors and self.errors.at(some)
+        return _Lines(self.s[some], self.G[some], std, self.background[some], self.shared, errors)
+
+
+def _chosen(frf: FRF, position: int, band) -> _Lines:
     if not -frf.n_pos <= position < frf.n_pos:
         raise input_error("position", f"{position}", f"one of {frf.n_pos} (from 0)", "Choose another.")
     low, high = band or (0.0, np.inf)
@@ -204,9 +238,48 @@ def _chosen(frf: FRF, position: int, band):
     frequency, G, std = frequency[wanted], G[wanted], std[wanted]
     shared = float(np.mean(np.maximum(np.asarray(frf.window, float)[position][wanted], 1.0)))
     level = np.sqrt(np.mean(np.abs(G) ** 2, axis=0))
-    usable = np.isfinite(std).all() and (std > 0).all()
+    s = 2j * np.pi * frequency
+    background = _background(s, frf.y_quantity)
+    if not (np.isfinite(std).all() and (std > 0).all()):
+        return _Lines(s, G, None, background, shared, None)
+    std = _steady(std, np.asarray(frf.dof, float)[position][wanted])
     # Below a thousandth of the element's level a standard deviation says more of the noise than of the model.
-    return frequency, G, np.maximum(std, 1e-4 * np.maximum(np.abs(G), 1e-2 * level)) if usable else None, shared
+    floored = np.maximum(std, 1e-4 * np.maximum(np.abs(G), 1e-2 * level))
+    errors = _Errors(frf, position, np.flatnonzero(wanted), std.reshape(len(std), -1))
+    return _Lines(s, G, floored, background, shared, errors)
+
+
+def _steady(std, dof) -> Float[np.ndarray, "freq out in"]:
+    """Deviations over as many lines as make `_SCATTER` degrees of freedom: one of few is now and then next to nothing,
+    and its line would outweigh all others."""
+    lines = int(min(np.ceil(_SCATTER / max(float(np.median(dof)), 1.0)), len(std)))
+    return np.sqrt(scipy.ndimage.uniform_filter1d(std**2, lines, axis=0, mode="reflect")) if lines > 1 else std
+
+
+class _Errors:
+    """Errors of the elements of an FRF at some lines, with what is common to them: noise of an input shows in all
+    outputs. `std`: what stands for their deviations where they are smoothed."""
+
+    def __init__(self, frf: FRF, position: int, lines, std: Float[np.ndarray, "freq element"]):
+        self.frf, self.position, self.lines, self.std = frf, position, lines, std
+
+    def at(self, chosen) -> "_Errors":
+        return _Errors(self.frf, self.position, self.lines[chosen], self.std[chosen])
+
+    def __call__(self, columns, deviations):
+        """As `Errors`. Where deviations are larger than those of the FRF, what is more is each element's own."""
+        n_out, n_in = self.frf.n_out, self.frf.n_in
+        vec = np.arange(n_out * n_in).reshape(n_in, n_out).T.ravel()  # of the elements, row by row
+        cov, total = self.frf.cov[self.position], np.zeros((columns.shape[-1],) * 2)
+        size = max(1, _BLOCK // len(vec) ** 2)
+        for first in range(0, len(self.lines), size):
+            some = slice(first, first + size)
+            C = np.asarray(cov[self.lines[some]])[:, vec[:, None], vec]
+            own = np.maximum(deviations[some] ** 2 - self.std[some] ** 2, 0.0)
+            C = C + own[:, :, None] * np.eye(len(vec))
+            w = columns[:, some] / deviations[some].T[..., None]
+            total += np.einsum("efp,feg,gfq->pq", w.conj(), C, w, optimize=True).real
+        return total
 
 
 def _order(asked: int | None, n_lines: int, n_in: int) -> int:
@@ -224,17 +297,15 @@ def _background(s: np.ndarray, quantity: str) -> Float[np.ndarray, "freq term"]:
     return np.stack([(s / middle) ** n * middle**n for n in (q - 2, q - 1, q)], axis=1)
 
 
-def _significant(s, G, std, poles, background, shared: float, keep: bool, delay, lags=()) -> tuple[PoleFit, np.ndarray]:
+def _significant(lines: _Lines, poles, keep: bool, delay, lags=()) -> tuple[PoleFit, np.ndarray]:
     """Fit all, leave out the least significant, until all that is left is significant; `lags` stay."""
-    g = G.reshape(len(s), -1)
-    sigma = None if std is None else std.reshape(len(s), -1)
     dropped: list[float] = []
     poles = np.append(poles, lags)
     lag = np.arange(len(poles)) >= len(poles) - len(lags)
     while True:
         if not len(poles):
             delay = delay or 0.0  # a delay of nothing
-        fitted = fit_poles(s, g, sigma, poles, background, shared=shared, delay=delay)
+        fitted = lines.fit(poles, delay)
         lag = lag[fitted.began]
         bad = np.zeros(len(poles), bool) if keep or not len(poles) else _doubtful(fitted, lag)
         if not bad.any():
@@ -249,14 +320,13 @@ def _significant(s, G, std, poles, background, shared: float, keep: bool, delay,
         poles, lag = fitted.poles[~gone], lag[~gone]
 
 
-def _profiled(fitted: PoleFit, s, G, std, background, shared: float) -> PoleFit:
+def _profiled(fitted: PoleFit, lines: _Lines) -> PoleFit:
     """The fit with the interval of its delay by the profile of the cost, and coefficients as loose as they are over it;
     without a delay where that explains the data as well.
 
     Delay and phases of residues make a long curved valley, whose curvature at its lowest point says too little."""
-    g, sigma = G.reshape(len(s), -1), None if std is None else std.reshape(len(s), -1)
-    at = lambda delay: fit_poles(s, g, sigma, fitted.poles, background, shared=shared, delay=delay)
-    each = {x: at(x) for x in np.linspace(-1.0, 1.0, _DELAYS) * _QUARTER / np.abs(s).max()}
+    delays = np.linspace(-1.0, 1.0, _DELAYS) * _QUARTER / np.abs(lines.s).max()
+    each = {x: lines.fit(fitted.poles, x) for x in delays}
     nothing = each[0.0]
     best = min([fitted, *each.values()], key=lambda x: x.cost)
     rise = lambda x: (x.cost - best.cost) / fitted.unit
@@ -283,10 +353,26 @@ def _turning(fitted: PoleFit, others: Sequence[PoleFit]) -> PoleFit:
     return fitted._replace(coefficient_std=std)
 
 
-def _with_lag(fit, s, plain: tuple[PoleFit, np.ndarray]) -> tuple[PoleFit, np.ndarray]:
-    """The same with a strongly damped pair of poles more, where that leaves nothing but noise, or finds the modes."""
+def _check_there(fitted: PoleFit, near: Sequence[float]) -> None:
+    """Raise where a mode that was asked for went elsewhere, or to another's place."""
+    ends = np.abs(fitted.poles[fitted.damping <= LARGEST_DAMPING]) / (2 * np.pi)
+    for f, end in zip(sorted(near), ends, strict=False):
+        if abs(end - f) > _THERE * f:
+            raise input_error(
+                "near",
+                f"{f:g} Hz, from where the fit goes to {number(end, 4)} Hz",
+                "frequencies of modes",
+                "See the stabilisation diagram; leave --near out to have the modes found.",
+            )
+
+
+def _with_lag(fit, s, plain: tuple[PoleFit, np.ndarray], asked: bool) -> tuple[PoleFit, np.ndarray]:
+    """The same with a strongly damped pair of poles more, where that leaves nothing but noise, or finds the modes.
+    `asked`: of certain modes, beside which the pair may not become another."""
     top = np.abs(s).max() / (2 * np.pi)
     tried = [fit((pole(part * top, damping),)) for damping in _LAG_DAMPING for part in _LAG_AT]
+    modes = lambda found: np.count_nonzero(found[0].damping <= LARGEST_DAMPING)
+    tried = [x for x in tried if not asked or modes(x) == modes(plain)] or [plain]
     best = min(tried, key=lambda found: found[0].misfit)
     lost = not len(plain[0].poles) and best[0].misfit < plain[0].misfit / 2
     return best if best[0].misfit < _LAG_EXPLAINS or lost else plain
@@ -300,26 +386,23 @@ def _doubtful(fitted: PoleFit, lag: np.ndarray) -> np.ndarray:
     return doubtful & ~(lag & (fitted.damping > LARGEST_DAMPING))
 
 
-def _widened(fitted: PoleFit, s, G, std, background, shared: float) -> PoleFit:
+def _widened(fitted: PoleFit, lines: _Lines) -> PoleFit:
     """Standard deviations with how far each mode moves where lines far from it do not count."""
     each = range(len(fitted.poles))
-    moved = np.array([_moved(fitted, i, s, G, std, background, shared) for i in each]).reshape(-1, 2)
+    moved = np.array([_moved(fitted, i, lines) for i in each]).reshape(-1, 2)
     return fitted._replace(
         frequency_std=np.hypot(fitted.frequency_std, moved[:, 0] / 1.96),
         damping_std=np.hypot(fitted.damping_std, moved[:, 1] / 1.96),
     )
 
 
-def _moved(fitted: PoleFit, i: int, s, G, std, background, shared: float) -> tuple[float, float]:
+def _moved(fitted: PoleFit, i: int, lines: _Lines) -> tuple[float, float]:
     """Of frequency, Hz, and damping, beyond what the fit around the mode does not know itself; 0 where it fails."""
     at, damping = abs(fitted.poles[i]), fitted.damping[i]
-    away = np.abs(np.abs(s) - at)
-    wide = max(_AROUND * damping * at, np.sort(away)[min(_FEWEST, len(s)) - 1])
-    near = away <= wide
+    away = np.abs(np.abs(lines.s) - at)
+    wide = max(_AROUND * damping * at, np.sort(away)[min(_FEWEST, len(away)) - 1])
     inside = np.abs(np.abs(fitted.poles) - at) <= wide
-    part = lambda x: x[near].reshape(np.count_nonzero(near), -1)
-    sigma = None if std is None else part(std)
-    local = fit_poles(s[near], part(G), sigma, fitted.poles[inside], background[near], shared=shared, delay=None)
+    local = lines.at(away <= wide).fit(fitted.poles[inside], None)
     j = int(np.argmin(np.abs(local.poles - fitted.poles[i])))
     by = (abs(local.poles[j]) - at) / (2 * np.pi), local.damping[j] - damping
     known = local.frequency_std[j], local.damping_std[j]

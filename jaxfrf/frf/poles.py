@@ -1,5 +1,6 @@
 """Poles and residues by weighted least squares, with their covariance: the residues are eliminated."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,11 @@ from jaxtyping import Complex, Float, Int
 _STEPS = 60
 _ENOUGH = 1e-10  # relative change of the cost
 _LEAST, _MOST = 1e-6, 0.9999  # damping ratio
+
+
+Errors = Callable[[Complex[np.ndarray, "element freq k"], Float[np.ndarray, "freq element"]], Float[np.ndarray, "k k"]]
+"""Covariance of sums over elements and lines, Re sum conj(w) e, of the errors e over the given deviations; w, k columns
+of them."""
 
 
 class PoleFit(NamedTuple):
@@ -55,14 +61,17 @@ def fit_poles(
     *,
     shared: float = 1.0,
     delay: float | None = 0.0,
+    errors: Errors | None = None,
 ) -> PoleFit:
     """Gauss-Newton on frequency and damping of every pole, residues and background eliminated (variable projection).
 
     **Arguments:** `std`: of G; `None`: the same relative one everywhere, found from the residual. `poles`: where to
     start. `background`: more basis functions with real coefficients. `shared`: lines behind each estimate, which
-    neighbouring ones share. `delay`: s, of all elements alike; `None`: fitted, too.
+    neighbouring ones share. `delay`: s, of all elements alike; `None`: fitted, too. `errors`: of G; `None`: those of
+    `std`, independent from element to element. With them the poles' covariance is B M B, B that of independent errors
+    and M the variance of the slope of the cost.
 
-    **Source:** Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432.
+    **Source:** Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432; White, Econometrica 50 (1982) 1-25 (B M B).
     """
     sigma = _relative(G) if std is None else np.asarray(std, float)
     middle = float(np.exp(np.mean(np.log(np.abs(s)))))
@@ -90,7 +99,8 @@ def fit_poles(
             lift *= 10
             if lift > 1e4:
                 break
-    return _result(s, x, state, middle, shared, known=std is not None, delay=delay)
+    meat = None if errors is None or not len(x) else errors(_complex(state.outside), sigma)
+    return _result(s, x, state, middle, shared, known=std is not None, delay=delay, meat=meat)
 
 
 class _State(NamedTuple):
@@ -101,6 +111,7 @@ class _State(NamedTuple):
     spread: np.ndarray  # variances of the coefficients for known poles, and what they change with the poles
     change: np.ndarray
     dof: float
+    outside: np.ndarray  # columns of the poles beside those of the residues, (element, part, pole)
 
 
 def _relative(G) -> np.ndarray:
@@ -153,12 +164,19 @@ def _project(s, G, sigma, x, background, middle: float) -> _State:
         spread=np.sum(inverse**2, axis=-1),
         change=-inverse @ inside,
         dof=max(dof, 1),
+        outside=outside,
     )
 
 
 def _stacked(x) -> np.ndarray:
     """Real parts, then imaginary parts, along the last axis but one."""
     return np.concatenate([x.real, x.imag], axis=-2)
+
+
+def _complex(x) -> Complex[np.ndarray, "element freq k"]:
+    """What was stacked."""
+    real, imaginary = np.split(x, 2, axis=-2)
+    return real + 1j * imaginary
 
 
 def _slopes(s, poles) -> Complex[np.ndarray, "freq pole 2 2"]:
@@ -178,15 +196,18 @@ def _strength(coefficients, variance, n_poles: int) -> Float[np.ndarray, "pole"]
     return np.sqrt(np.mean(size / (its + 1e-300), axis=0))
 
 
-def _result(s, x, state: _State, middle: float, shared: float, known: bool, delay: float | None) -> PoleFit:
+def _result(s, x, state: _State, middle: float, shared: float, known: bool, delay: float | None, meat) -> PoleFit:
     misfit = np.sqrt(state.cost / state.dof)
     # Relative deviations of 1 were assumed where none is known: the misfit is their size then.
     widened = (max(misfit, 1.0) if known else misfit) ** 2 * shared
-    covariance = np.linalg.pinv(state.gram) if len(x) else np.zeros((0, 0))
+    independent = np.linalg.pinv(state.gram) if len(x) else np.zeros((0, 0))
+    covariance = independent if meat is None else independent @ meat @ independent
     std = np.sqrt(np.maximum(np.diag(covariance), 0) * widened)
     through = np.einsum("ecp,pq,ecq->ec", state.change, covariance, state.change)
     n = len(x) // 2 * 2
     change, known_delay = state.change[..., :n], np.linalg.pinv(state.gram[:n, :n])
+    if meat is not None:
+        known_delay = known_delay @ meat[:n, :n] @ known_delay
     at_delay = np.einsum("ecp,pq,ecq->ec", change, known_delay, change)
     poles, top = _poles(x, middle), np.abs(s).max()
     order = np.argsort(np.abs(poles))
@@ -206,5 +227,5 @@ def _result(s, x, state: _State, middle: float, shared: float, known: bool, dela
         began=order,
         strength=_strength(state.coefficients, (state.spread + at_delay) * widened, n // 2)[order],
         cost=float(state.cost),
-        unit=float(widened),
+        unit=float(widened * (covariance[-1, -1] / independent[-1, -1] if len(x) > n else 1.0)),
     )

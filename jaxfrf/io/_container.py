@@ -20,9 +20,11 @@ from ._formats import RECORDS, SAVED
 
 @dataclasses.dataclass(frozen=True)
 class Unreadable:
-    """Stands for a variable that is neither numbers nor text: `kind` says what it is (a cell array)."""
+    """Stands for a variable that is neither numbers nor text: `kind` says what it is (a cell array), `error` what to
+    tell who asks for it, where its reader knows that better."""
 
     kind: str
+    error: str = ""
 
 
 @dataclasses.dataclass(frozen=True)

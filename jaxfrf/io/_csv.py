@@ -7,7 +7,7 @@ import numpy as np
 
 from .._errors import InputError, input_error
 from ..units import known_unit
-from ._container import Leaf, Variables
+from ._container import Leaf, Unreadable, Variables
 
 KIND = "a table of numbers"
 
@@ -15,6 +15,7 @@ _COMMENTS = ("#", "%")
 _SEPARATORS = (";", "\t", ",", None)
 _HEADING = re.compile(r"(?P<name>[^\[(]*\w[^\[(]*)[\[(](?P<unit>[^\[\]()\d]{1,9}\d?|1/[^\[\]()\d]{1,8}\d?)[\])]")
 _LOOK = 20  # last lines that tell the separator
+_TOP = 100  # first lines among which the headings are looked for where these do not
 _SEP = re.compile(r"sep=.", re.IGNORECASE)  # a line for spreadsheets
 _QUOTED = {q: re.compile(rf"{q}([^{q}]*){q}") for q in "\"'"}
 _DECIMAL_COMMA = re.compile(r"[-+]?(\d{1,3}(\.\d{3})+|\d*),\d+([eE][-+]?\d+)?")
@@ -23,6 +24,9 @@ _HIDDEN = {ord(c): 0xE000 + ord(c) for c in ",;\t "}  # separators within quotes
 _SHOWN = {hidden: shown for shown, hidden in _HIDDEN.items()}
 _NUMBERED = re.compile(r"\d{1,3}")  # a heading, beside others that are words
 _QUOTES = re.compile(r"\"|'")
+_GROUPED = re.compile(r"[-+]?\d{1,3}([.,'\u2019 \u00a0\u202f])\d{3}(\1\d{3})*([.,]\d*)?")
+_DIGIT = re.compile(r"\d")
+_CLOCK = re.compile(r"\d:\d\d|\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}")
 _WORD = re.compile(r"[^\W\d].*", re.DOTALL)
 
 
@@ -35,6 +39,9 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
     the table holds the headings (as `numpy.savetxt` writes them, commented or not), but for one line of units below it.
     UTF-8 and UTF-16 are read, with or without a mark at the beginning. Fields may stand in quotes, numbers too, which
     then hold a decimal comma or thousands if they like; a first line `sep=;` is left out.
+
+    A column with a cell that is no number (a time of day, a comment, an empty cell) stays closed: who asks for it is
+    told where that cell stands.
     """
     lines = _text(path).splitlines()
     lines = _unquoted(lines[1:] if lines and _SEP.fullmatch(lines[0].strip('"\r\n')) else lines)
@@ -44,25 +51,23 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
     if not numbered:
         raise input_error(str(path), "no lines of numbers", "a table", "Export or copy it again.")
     separator = _separator([line for _, line in numbered])
-    text, numbered = _preamble(numbered, separator)
-    if separator is not None and numbered and all(line.rstrip(" ").endswith(separator) for _, line in numbered):
-        numbered = [(i, line.rstrip(" ")[: -len(separator)]) for i, line in numbered]
-        text = [line.rstrip(" ").removesuffix(separator) for line in text]
-    table = _numbers(path, numbered, separator)
-    headings = _headings(text, separator, table.shape[1])
+    text, numbered = _without_ends(*_preamble(numbered, separator), separator)
+    leaves = _leaves(path, text, numbered, separator)
+    width = len(leaves)
+    headings = _headings(text, separator, width)
     if headings is None and text:  # separated by something else than the numbers
         split = (_fields(text[-1], c) for c in _SEPARATORS)
-        headings = next((fields for fields in split if len(fields) == table.shape[1]), None)
+        headings = next((fields for fields in split if len(fields) == width), None)
     if headings is None and text:
-        _check_headings(path, _fields(text[-1], separator), table.shape[1])
+        _check_headings(path, _fields(text[-1], separator), width)
     if headings is None:
-        headings = _commented_headings(lines, numbered[0][0], separator, table.shape[1])
+        headings = _commented_headings(lines, numbered[0][0], separator, width)
     if headings is None:
-        headings = [str(i) for i in range(1, table.shape[1] + 1)]
-    _check_headings(path, headings, table.shape[1])
+        headings = [str(i) for i in range(1, width + 1)]
+    _check_headings(path, headings, width)
     plain, bracketed = _without_units(headings)
-    units = _units(text, separator, table.shape[1]) or bracketed
-    columns = {name: table[:, i] for i, name in enumerate(headings)}
+    units = _without_directions(_units(text, separator, width) or bracketed)
+    columns = dict(zip(headings, leaves, strict=True))
     aliases = {short: name for short, name in zip(plain, headings, strict=True) if short not in columns}
     return Variables(columns, dict(zip(headings, units, strict=True)), aliases)
 
@@ -80,6 +85,13 @@ def _without_units(headings: list[str]) -> tuple[list[str], list[str]]:
     if len(set(plain)) < len(plain):
         return headings, [""] * len(headings)
     return plain, [m["unit"].strip() if m else "" for m in found]
+
+
+def _without_directions(units: list[str]) -> list[str]:
+    """Units but for `in` beside `out`: `torque (in)` and `speed (out)` say which way a signal goes, not inches."""
+    if not {"in", "out"} <= set(units):
+        return units
+    return ["" if unit in ("in", "out") else unit for unit in units]
 
 
 def _text(path: pathlib.Path) -> str:
@@ -128,13 +140,42 @@ def _labview(lines: list[str]) -> list[str]:
 
 
 def _separator(lines: list[str]) -> str | None:
-    """The separator by which the last lines are numbers; by which the first could be, where none makes them so."""
+    """The separator by which the last lines are numbers. Where none makes them so, the one that gives them a column of
+    numbers and as many fields as the headings have; that stands in the first line; or that gives them a column of
+    numbers."""
+    last = lines[-_LOOK:]
     for c in _SEPARATORS:
-        if any(c in line if c else len(line.split()) > 1 for line in lines[-_LOOK:]) and all(
-            _is_row(line, c) for line in lines[-_LOOK:]
-        ):
+        if any(c in line if c else len(line.split()) > 1 for line in last) and all(_is_row(line, c) for line in last):
             return c
-    return next((c for c in ";\t," if c in lines[0]), None)
+        if c == "\t" and _names_holes(lines):
+            return c
+    single = all(_is_row(line, None) for line in last)
+    tables = [c for c in _SEPARATORS if _has_numbers(last, c)] if not single else []
+    headed = [c for c in tables if _headings_of(lines, c)]
+    return next(iter([*headed, *(c for c in ";\t," if c in lines[0]), *tables]), None)
+
+
+def _names_holes(lines: list[str]) -> bool:
+    """Whether tabs separate numbers and empty cells, which would be no cells if blanks separated them: the headings
+    name their columns, too."""
+    last = lines[-_LOOK:]
+    plain = all(not field or _is_number(field, "\t") for line in last for field in _fields(line, "\t"))
+    return plain and _has_numbers(last, "\t") and any(all(words) for words in _headings_of(lines, "\t"))
+
+
+def _has_numbers(lines: list[str], separator: str | None) -> bool:
+    """Whether these lines have one number of fields, more than one, and numbers in one column throughout."""
+    rows = [_fields(line, separator) for line in lines]
+    if len(rows[0]) < 2 or len({len(row) for row in rows}) > 1:
+        return False
+    return any(all(_is_number(field, separator) for field in column) for column in zip(*rows, strict=True))
+
+
+def _headings_of(lines: list[str], separator: str | None) -> list[list[str]]:
+    """What may be headings: those of the first lines that hold no number, and as many fields as the last line."""
+    width = len(_fields(lines[-1], separator))
+    rows = [_fields(line, separator) for line in lines[:_TOP]]
+    return [x for x in rows if len(x) == width and not any(_is_number(field, separator) for field in x)]
 
 
 def _is_row(line: str, separator: str | None) -> bool:
@@ -160,6 +201,22 @@ def _preamble(numbered, separator) -> tuple[list[str], list]:
 
     first = next((i for i, (_, line) in enumerate(numbered) if begins(line)), len(numbered))
     return [line for _, line in numbered[:first]], numbered[first:]
+
+
+def _without_ends(text: list[str], numbered: list, separator: str | None) -> tuple[list[str], list]:
+    """The lines without separators that end every one of them, unless a heading names the empty column behind."""
+    while separator is not None and numbered and all(line.rstrip(" ").endswith(separator) for _, line in numbered):
+        if _names_last(text, numbered, separator):
+            break
+        numbered = [(i, line.rstrip(" ")[: -len(separator)]) for i, line in numbered]
+        text = [line.rstrip(" ").removesuffix(separator) for line in text]
+    return text, numbered
+
+
+def _names_last(text: list[str], numbered: list, separator: str | None) -> bool:
+    """Whether the last column has a heading, as the first row counts them."""
+    headings = _headings(text, separator, len(_fields(numbered[0][1], separator))) if text else None
+    return headings is not None and bool(headings[-1])
 
 
 def _named(fields: list[str], numbers: list[bool]) -> bool:
@@ -204,37 +261,107 @@ def _is_number(field: str, separator: str | None) -> bool:
     return True
 
 
-def _numbers(path: pathlib.Path, numbered: list[tuple[int, str]], separator: str | None) -> np.ndarray:
+def _leaves(path: pathlib.Path, text: list[str], numbered: list[tuple[int, str]], separator: str | None) -> list[Leaf]:
+    """The columns: arrays, or closed where a cell is no number."""
     if not numbered:
         raise input_error(str(path), "headings without numbers", "a table", "Export or copy it again.")
     try:
         rows = (_plain(line.strip(), separator) for _, line in numbered)
-        return np.loadtxt(rows, delimiter=separator, ndmin=2, comments=None, dtype=np.float64)
+        table = np.loadtxt(rows, delimiter=separator, ndmin=2, comments=None, dtype=np.float64)
+    except ValueError:
+        return _mixed_leaves(path, numbered, separator)
+    empty_last = table.shape[1] < len(_fields(numbered[0][1], separator))  # behind tabs at the end
+    if empty_last and _names_last(text, numbered, separator):
+        return _mixed_leaves(path, numbered, separator)
+    return list(table.T)
+
+
+def _mixed_leaves(path: pathlib.Path, numbered: list[tuple[int, str]], separator: str | None) -> list[Leaf]:
+    """The columns of a table of which some hold more than numbers.
+
+    **Raises:** `jaxfrf.InputError` where lines have other numbers of fields, no column is numbers, or a line is none of
+    the table.
+    """
+    faults = _faults(path, numbered, separator)
+    columns = range(len(_cells(numbered[0][1], separator)))
+    kept = [k for k in columns if k not in faults]
+    first = min(faults.values(), default=None)
+    stray = _stray(numbered, separator) if kept else first
+    if stray is not None:
+        raise InputError(_says(path, stray, separator))
+    try:
+        rows = (_plain(line.strip(" \r\n"), separator) for _, line in numbered)
+        table = np.loadtxt(rows, delimiter=separator, ndmin=2, comments=None, dtype=np.float64, usecols=kept)
     except ValueError as error:
-        raise _first_fault(path, numbered, separator) from error
+        raise input_error(str(path), "a table that cannot be read", "numbers in columns", "Export it again.") from error
+    numbers = dict(zip(kept, table.T, strict=True))
+    return [numbers[k] if k in numbers else _closed(path, faults[k], separator) for k in columns]
 
 
-def _first_fault(path: pathlib.Path, numbered: list[tuple[int, str]], separator: str | None) -> InputError:
-    """What is wrong with a table that could not be read: its first ragged line or text field."""
-    width = len(_fields(numbered[0][1], separator))
+_Fault = tuple[int, int, str]  # line and column, as people count, and the cell that is no number
+
+
+def _faults(path: pathlib.Path, numbered: list[tuple[int, str]], separator: str | None) -> dict[int, _Fault]:
+    """By column, from 0, the first cell that is no number.
+
+    **Raises:** `jaxfrf.InputError` at a line that has more or fewer cells than the first.
+    """
+    width = len(_cells(numbered[0][1], separator))
+    found: dict[int, _Fault] = {}
+    open_columns = list(range(width))
     for i, line in numbered:
-        fields = _fields(line, separator)
-        if len(fields) != width:
-            return input_error(
+        cells = _cells(line, separator)
+        if len(cells) != width:
+            raise input_error(
                 f"{path}: line {i}",
-                f"{len(fields)} columns",
+                f"{len(cells)} columns",
                 f"{width} as in the lines before",
                 "Complete or cut the table.",
             )
-        wrong = [k for k, field in enumerate(fields) if not _is_number(field, separator)]
+        wrong = [k for k in open_columns if not _is_number(cells[k], separator)]
         if wrong:
-            return input_error(
-                f"{path}: line {i}, column {wrong[0] + 1}",
-                repr(fields[wrong[0]]),
-                "a number (after one line of headings at most)",
-                "Fill or cut that line; write decimal points, or separate columns by semicolons.",
-            )
-    return input_error(str(path), "a table that cannot be read", "numbers in columns", "Export it again.")
+            found |= {k: (i, k + 1, cells[k].strip().translate(_SHOWN)) for k in wrong}
+            open_columns = [k for k in open_columns if k not in found]
+    return found
+
+
+def _cells(line: str, separator: str | None) -> list[str]:
+    """As `_fields`, as they are written."""
+    return line.strip(" \r\n").split(separator)
+
+
+def _stray(numbered: list[tuple[int, str]], separator: str | None) -> _Fault | None:
+    """A first or last line that is no row: it begins with a word (`Sensitivity`, `Maximum`), and others with a number,
+    a date or a time. What stands in it is no sample."""
+    usual = _fields(numbered[len(numbered) // 2][1], separator)[0]
+    if not (_is_number(usual, separator) or _CLOCK.search(usual)):
+        return None
+    for i, line in (numbered[0], numbered[-1]):
+        cell = _fields(line, separator)[0]
+        if cell and not _DIGIT.search(cell) and not _is_number(cell, separator):
+            return i, 1, cell
+    return None
+
+
+def _closed(path: pathlib.Path, fault: _Fault, separator: str | None) -> Unreadable:
+    return Unreadable(f"no number in line {fault[0]}", _says(path, fault, separator))
+
+
+def _says(path: pathlib.Path, fault: _Fault, separator: str | None) -> str:
+    line, column, cell = fault
+    what, expected = f"{path}: line {line}, column {column}", "a number (after one line of headings at most)"
+    return str(input_error(what, repr(cell), expected, _advice(cell, separator)))
+
+
+def _advice(cell: str, separator: str | None) -> str:
+    """What to do about a cell that is no number."""
+    if _GROUPED.fullmatch(cell):
+        return "Remove the thousands separators."
+    if _CLOCK.search(cell):
+        return "Write seconds, or leave that column out and say the rate: --set fs=RATE."
+    if separator == "," and _DIGIT.search(cell):
+        return "Fill or cut that line; write decimal points, or separate columns by semicolons."
+    return "Fill or cut that line, or name a column of numbers."
 
 
 def _commented_headings(lines: list[str], first: int, separator: str | None, width: int) -> list[str] | None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from .._errors import InputError
 from .._text import number
+from ._container import Unreadable
 from ._select import column, time_like
 from ._variables import File, numbers, scalar, scaled
 
@@ -18,8 +19,8 @@ _WHOLE = 1e-6  # a rate this close to a whole number of Hz is that number (time 
 def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
     """fs from the file, the caller or the time vector, and remarks on it; all that is known must agree."""
     fs = scalar(file, "fs", None)
-    time = file.get("t")
     named = "t" in file.given.names
+    time = None if fs is not None and not named and _is_closed(file, "t") else file.get("t")
     if fs is not None and not named and not _is_time(time, n_time):
         return fs, _contradictions(file, fs, n_time)
     if time is None or (not named and np.size(time) == 1):
@@ -47,6 +48,11 @@ def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
             "grid: samples may be missing or late."
         ]
     return fs, []
+
+
+def _is_closed(file: File, name: str) -> bool:
+    """Whether a variable is there and no numbers: times of day, which nobody needs where the rate is known."""
+    return name in file.variables and isinstance(file.variables[name], Unreadable)
 
 
 def _contradictions(file: File, fs: float, n_time: int) -> list[str]:

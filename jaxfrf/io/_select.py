@@ -177,6 +177,8 @@ def _turn(x: Leaf) -> str:
 
 
 def _usable(path: pathlib.Path, key: str, name: str, x: Leaf) -> np.ndarray | str:
+    if isinstance(x, Unreadable) and x.error:
+        raise InputError(x.error)
     if isinstance(x, Unreadable):
         what = f"{path}: {_label(key, name)}"
         if key.endswith("_quantity"):

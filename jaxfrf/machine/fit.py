@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.fft
+import scipy.ndimage
 import scipy.optimize
 import scipy.stats
-from jaxtyping import Bool, Complex
+from jaxtyping import Bool, Complex, Float
 
 from .._arguments import expect
 from .._errors import input_error
@@ -23,6 +24,7 @@ from .simulate import driving, fine_steps, motion, settling
 FLOOR = 1e-3  # of the output's rms at a line: below it no model is right
 _REACH = np.log(1e4)  # that a positive parameter may move from its start
 _RETRIES = 2  # of a fit whose machine turns out to ring for longer than was waited
+_SCATTER = 24  # complex degrees of freedom behind a variance of noise: 4 % of what such weights tell is lost
 _BEYOND = 1.5  # times the highest excited line: distortion shows there, too
 
 
@@ -205,10 +207,25 @@ def measured_lines(machine: Machine, data: Experiment, band, floor: float):
     lines = lines[lines > 0] if times <= 0 else lines
     if not lines.size:
         raise input_error("band", f"no line from {low:g} to {high:g} Hz", "some", "Widen the band.")
-    n = periods.shape[1]
-    noise = np.var(Y, axis=1, ddof=1) / n * np.abs(factor) ** 2 if n > 1 else np.zeros(mean.shape)
+    noise = _noise(Y, top) * np.abs(factor) ** 2
     rms = np.sqrt(np.mean(np.abs(mean[:, lines]) ** 2, axis=1, keepdims=True))
     return lines, mean[:, lines], np.sqrt(noise[:, lines] + (floor * rms) ** 2)
+
+
+def _noise(Y: Complex[np.ndarray, "exp period line out"], top: int) -> Float[np.ndarray, "exp line out"]:
+    """Variance of the mean period's lines.
+
+    From the scatter between periods, over as many lines as make `_SCATTER` degrees of freedom: a variance of one or two
+    is now and then next to nothing, and its line would outweigh all others. A single period shows its noise beyond
+    twice the highest excited line, `top`, where distortion is weak, as if it were white."""
+    n, n_lines = Y.shape[1:3]
+    if n > 1:
+        each = np.var(Y, axis=1, ddof=1) / n
+        return scipy.ndimage.uniform_filter1d(each, min(-(-_SCATTER // (n - 1)), n_lines), axis=1, mode="reflect")
+    beyond = np.abs(Y[:, 0, 2 * top + 1 :]) ** 2
+    if beyond.shape[1] < _SCATTER:
+        return np.zeros(Y[:, 0].shape)
+    return np.broadcast_to(np.median(beyond, axis=1, keepdims=True) / np.log(2.0), Y[:, 0].shape)
 
 
 class RankedEffect(eqx.Module):

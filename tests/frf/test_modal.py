@@ -74,6 +74,45 @@ def test_intervals_hold(noisy):
     assert np.mean(inside) > 0.95 - 3.5 * np.sqrt(0.95 * 0.05 / len(inside))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("common", [True, False])
+def test_intervals_of_errors_that_all_elements_share(common):
+    """Noise of the input is in all outputs: taken as independent, the poles would seem twice as sure as they are. 90
+    frequencies and damping ratios each; an rms of 1 scatters by .075 then."""
+    G, apart = response(F), []
+    for seed in range(15):
+        error = 0.02 * plants.circular(np.random.default_rng(seed), G.shape)
+        error = np.broadcast_to(error[:, :1, :1], G.shape) if common else error
+        g = np.swapaxes(G, 1, 2).reshape(len(F), 4)
+        shape = np.ones((4, 4)) if common else np.eye(4)
+        record = frf(G * (1 + error), F, 0.02 * np.abs(G))
+        cov = 0.02**2 * g[:, :, None] * g[:, None, :].conj() * shape
+        found = jf.modal(dataclasses.replace(record, cov=cov[None]), max_order=14, delay=0.0)
+        for mode, f, d in zip(found.modes, FREQUENCY, DAMPING, strict=True):
+            apart += [(mode.frequency - f) / mode.frequency_std, (mode.damping - d) / mode.damping_std]
+    assert len(apart) == 90 and np.sqrt(np.mean(np.square(apart))) == pytest.approx(1.0, abs=0.25)
+
+
+def test_deviations_of_few_degrees_of_freedom():
+    """Each line's variance from three residuals, some of them next to nothing: no line outweighs all others, and the
+    misfit stays one."""
+    rng, G = np.random.default_rng(0), response(F)
+    sigma = 0.02 * np.abs(G) + 0.01 * np.sqrt(np.mean(np.abs(G) ** 2, axis=0))
+    told = sigma * np.sqrt(rng.gamma(3.0, 1.0 / 3.0, len(F)))[:, None, None]
+    record = frf(G + sigma * plants.circular(rng, G.shape), F, told)
+    found = jf.modal(dataclasses.replace(record, dof=np.full((1, len(F)), 3.0)), max_order=14)
+    assert found.misfit == pytest.approx(1.0, abs=0.15) and len(found.modes) == 3
+
+
+def test_modes_that_were_asked_for_stay_there(noisy):
+    kept = jf.modal(noisy[0], near=[12.0, 31.0, 33.0], max_order=14)
+    np.testing.assert_allclose([m.frequency for m in kept.modes], FREQUENCY, rtol=2e-3)
+    one = jf.modal(noisy[0], near=[12.0], band=(6.0, 20.0), max_order=8)
+    assert [round(m.frequency) for m in one.modes] == [12]
+    with pytest.raises(jf.InputError, match="near"):
+        jf.modal(noisy[0], near=[12.0, 22.0], max_order=14)
+
+
 def test_features_have_intervals(noisy):
     """Of the first resonance, one pole beside a straight line; a line is 0.2 Hz wide."""
     inside = []

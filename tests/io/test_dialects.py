@@ -1,12 +1,14 @@
 """What people log: several files, units, structs of other programs, tables without headings, MDF, Parquet."""
 
 import re
+from time import process_time
 
 import numpy as np
 import pytest
 import scipy.io
 
 import jaxfrf as jf
+from jaxfrf.io._container import load
 from jaxfrf.io.blocks import data_set
 from jaxfrf.units import differentiated, known_unit, response_unit
 
@@ -255,3 +257,128 @@ def test_a_broken_first_row_is_no_heading(tmp_path):
     path.write_text("t,u,y\nOVL,1,2\n" + "\n".join(f"{a},{b},{c}" for a, b, c in zip(T, U, Y, strict=True)))
     with pytest.raises(jf.InputError, match="line 2, column 1: found 'OVL'"):
         jf.io.read(path, values=PERIOD)
+
+
+def rows(*columns, separator=",", point="."):
+    """Lines of a table whose columns are numbers or texts."""
+    written = ([x if isinstance(x, str) else repr(x).replace(".", point) for x in column] for column in columns)
+    return "\n".join(separator.join(row) for row in zip(*written, strict=True)) + "\n"
+
+
+_TIMES = [f"2026-03-01T23:59:{58 + t:09.6f}" for t in T]
+_EMPTY, _HOLE = [""] * len(T), [1.5 if i != 7 else "" for i in range(len(T))]
+_BESIDE = {
+    "dates": _TIMES,
+    "times": [x[11:] for x in _TIMES],
+    "states": ["OK"] * len(T),
+    "words and numbers": ["Phase 1", "2.5"] * (len(T) // 2),
+    "empty": _EMPTY,
+    "a hole": _HOLE,
+    "one comment": ["", *_EMPTY[2:], '"start, slowly; then on"'],
+}
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize("beside", _BESIDE)
+@pytest.mark.parametrize(("separator", "point"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ",")])
+@pytest.mark.parametrize("before", ["", "Recorder, version 2\n\n"])
+def test_columns_that_are_no_numbers(tmp_path, before, separator, point, beside, place):
+    """They may hold anything, and who asks for one is told where it is no number."""
+    path = tmp_path / "a.csv"
+    names, columns = ["tau", "w"], [U.tolist(), Y.tolist()]
+    names.insert(place, "Other")
+    columns.insert(place, _BESIDE[beside])
+    path.write_text(f"{before}{separator.join(names)}\n{rows(*columns, separator=separator, point=point)}")
+    asked = {"values": {**PERIOD, "fs": 1000.0, "y_quantity": "velocity"}}
+    data = jf.io.read(path, names={"u": "tau", "y": "w"}, **asked)
+    np.testing.assert_array_equal(data.u[0, 0, :, 0], U)
+    np.testing.assert_array_equal(data.y[0, 0, :, 0], Y)
+    line = 2 + 2 * bool(before) + (7 if beside == "a hole" else 0)
+    cell = "''" if beside in ("a hole", "one comment") else repr(_BESIDE[beside][0])
+    for key in ("u", "y", "t", "q"):
+        with pytest.raises(jf.InputError, match=re.escape(f"line {line}, column {place + 1}: found {cell}; expected")):
+            jf.io.read(path, names={"u": "tau", "y": "w", key: "Other"}, **asked)
+    with pytest.raises(jf.InputError, match=rf"The file has .*w \(80,\), Other \(no number in line {line}\)"):
+        jf.io.read(path, **asked)
+
+
+def test_no_column_is_chosen_that_is_no_numbers(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(
+        "Torque state,Time,torque,Speed note,speed\n" + rows(["OK"] * 80, _TIMES, U.tolist(), _HOLE, Y.tolist())
+    )
+    with pytest.raises(jf.InputError, match='--map "u=torque,y=speed"'):
+        jf.io.read(path)
+
+
+def test_a_time_of_day_is_needed_where_no_rate_is_said(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,u,y\n" + rows(_TIMES, U.tolist(), Y.tolist()))
+    assert jf.io.read(path, values={**PERIOD, "fs": 1000.0}).fs == 1000.0
+    for what in ({"values": PERIOD}, {"values": {**PERIOD, "fs": 1000.0}, "names": {"t": "t"}}):
+        with pytest.raises(jf.InputError, match=r"line 2, column 1: found '2026.*Write seconds, or .* --set fs=RATE\."):
+            jf.io.read(path, **what)
+
+
+@pytest.mark.parametrize(
+    ("separator", "cell", "advice"),
+    [
+        (";", "-47.131,98", "Remove the thousands separators."),
+        (";", "1,234.5", "Remove the thousands separators."),
+        ("\t", "1.234.567", "Remove the thousands separators."),
+        (";", "1'234.5", "Remove the thousands separators."),
+        (";", "1 234,5", "Remove the thousands separators."),
+        (";", "12:00:01", "Write seconds, or leave that column out and say the rate: --set fs=RATE."),
+        (";", "1,5 V", "Fill or cut that line, or name a column of numbers."),
+        (",", "OVL", "Fill or cut that line, or name a column of numbers."),
+        (",", "5 2", "Fill or cut that line; write decimal points, or separate columns by semicolons."),
+    ],
+)
+def test_what_to_do_about_a_cell(tmp_path, separator, cell, advice):
+    path = tmp_path / "a.csv"
+    point = "." if separator == "," else ","
+    columns = T.tolist(), [*U[:-1].tolist(), cell], Y.tolist()
+    path.write_text(separator.join("tuy") + "\n" + rows(*columns, separator=separator, point=point))
+    with pytest.raises(jf.InputError) as error:
+        jf.io.read(path, values=PERIOD)
+    assert f"line 81, column 2: found {cell!r}; expected a number" in str(error.value)
+    assert str(error.value).endswith(f". {advice}")
+
+
+@pytest.mark.parametrize("at", ["first", "last"])
+@pytest.mark.parametrize("first", [T.tolist(), _TIMES], ids=["numbers", "dates"])
+def test_a_line_with_a_name_of_its_own_is_no_sample(tmp_path, first, at):
+    """`Sensitivity` below the headings, `Maximum` below the table: they are no words of a column that is not needed."""
+    path = tmp_path / "a.csv"
+    table = rows(first, U.tolist(), Y.tolist())
+    text = f"time,u,y\nSensitivity,10.2,9.8\n{table}" if at == "first" else f"time,u,y\n{table}Maximum,10.2,9.8\n"
+    path.write_text(text)
+    line, word = (2, "Sensitivity") if at == "first" else (82, "Maximum")
+    with pytest.raises(jf.InputError, match=f"line {line}, column 1: found '{word}'"):
+        jf.io.read(path, values={**PERIOD, "fs": 1000.0})
+
+
+def test_empty_columns_of_spreadsheets(tmp_path):
+    """Separators behind the last column end the lines where no heading names what they separate."""
+    path = tmp_path / "a.csv"
+    for ends in (",", ",,", ",,,,"):
+        path.write_text(f"t,u,y{ends}\n" + rows(T.tolist(), U.tolist(), [f"{y!r}{ends}" for y in Y.tolist()]))
+        np.testing.assert_array_equal(jf.io.read(path, values=PERIOD).y[0, 0, :, 0], Y)
+
+
+def test_a_column_of_one_of_several_files_that_is_no_numbers(tmp_path):
+    u, y = tmp_path / "u.csv", table(tmp_path / "y.csv", "t,w", T, Y)
+    u.write_text("t,tau,state\n" + rows(T.tolist(), U.tolist(), ["OK"] * 80))
+    names = {"u": "u.csv:tau", "y": "y.csv:w"}
+    np.testing.assert_array_equal(jf.io.read(u, y, names=names, values=PERIOD).u[0, 0, :, 0], U)
+    with pytest.raises(jf.InputError, match=r"u\.csv: line 2, column 3: found 'OK'"):
+        jf.io.read(u, y, names={**names, "u": "u.csv:[tau;state]"}, values=PERIOD)
+
+
+def test_a_large_table_with_a_text_in_every_line_is_read_soon(tmp_path):
+    path = tmp_path / "a.csv"
+    line = "0.001,1.5,-2.25,OK\n"
+    path.write_text("t,u,y,state\n" + 200_000 * line)
+    begun = process_time()
+    found = load(path)
+    assert process_time() - begun < 5.0 and found["y"].shape == (200_000,)

@@ -45,6 +45,58 @@ def test_case_tells_mega_from_milli(text, unit):
     assert known_unit(text) == unit
 
 
+_INCH, _FOOT, _GRAVITY = 0.0254, 12 * 0.0254, 9.80665  # by definition
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "factor"),
+    [
+        ("lbf", "N", 0.45359237 * _GRAVITY),
+        *((x, "m", _INCH) for x in ("in", "[in]", "(in)")),
+        ("ft", "m", _FOOT),
+        *(("in/s", "m/s", _INCH), ("ft/s", "m/s", _FOOT)),
+        *((x, "m/s^2", _INCH) for x in ("in/s^2", "in/s²", "in/s2", "[IN/S^2]")),
+        *((x, "m/s^2", _FOOT) for x in ("ft/s^2", "ft/s²", "ft/s2", "(ft / s^2)")),
+        *(("g", "m/s^2", _GRAVITY), ("mg", "m/s^2", _GRAVITY / 1000)),
+    ],
+)
+def test_units_of_inches_feet_pounds_and_g(text, unit, factor):
+    """`mg` is a thousandth of g, the acceleration, and no milligram: no masses are read."""
+    found = known_unit(text)
+    assert found is not None and found[0] == unit
+    assert found[1] == pytest.approx(factor, rel=1e-15)
+
+
+@pytest.mark.parametrize("text", ["Mg", "MG", "IN", "In", "FT", "inf", "min/s", "lb", "1/in"])
+def test_what_is_no_inch_foot_or_thousandth_of_g(text):
+    """A megagram, an input, a sensor of force and torque."""
+    assert known_unit(text) is None
+
+
+def test_min_is_a_minute():
+    assert known_unit("min") == ("s", 60.0)
+
+
+@pytest.mark.parametrize("heading", ["t [s],F [lbf],a [ft/s²],x [in]", "t,F,a,x\ns,lbf,ft/s²,in"])
+def test_imperial_units_of_headings(tmp_path, heading):
+    t, x = np.arange(400) / 100.0, np.random.default_rng(0).standard_normal((400, 3))
+    lines = [",".join(map(repr, row)) for row in np.column_stack([t, x]).tolist()]
+    (tmp_path / "run.csv").write_text("\n".join([heading, *lines]), encoding="utf-8")
+    for column, factor, unit in (("a", _FOOT, "m/s^2"), ("x", _INCH, "m")):
+        data = jf.io.read(tmp_path / "run.csv", names={"t": "t", "u": "F", "y": column})
+        np.testing.assert_allclose(data.u[0, 0, :, 0], 4.4482216152605 * x[:, 0], rtol=1e-14)
+        np.testing.assert_allclose(data.y[0, 0, :, 0], factor * x[:, 1 + (column == "x")], rtol=1e-14)
+        assert data.u_unit == "N" and data.y_quantity == {"m": "position", "m/s^2": "acceleration"}[unit]
+
+
+def test_in_beside_out_is_no_inch(tmp_path):
+    table = np.random.default_rng(0).standard_normal((400, 2))
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="torque (in),speed (out)", comments="")
+    data = jf.io.read(tmp_path / "run.csv", names={"u": "torque", "y": "speed"}, values={"fs": 100.0})
+    np.testing.assert_allclose(data.u[0, 0, :, 0], table[:, 0], rtol=1e-15)
+    assert data.u_unit == "" and not any("converted" in text for text in data.warnings)
+
+
 def test_channels_of_several_quantities_are_refused(tmp_path):
     t, rng = np.arange(400) / 100.0, np.random.default_rng(0)
     table = np.column_stack([t, rng.standard_normal((400, 3))])

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.integrate
+import scipy.signal
 
 import jaxfrf as jf
 from jaxfrf.effects import Backlash, CoulombFriction, FrictionAsymmetry
@@ -58,6 +59,41 @@ def test_linear_part_is_a_gray_box(record):
     s = 2j * np.pi * f
     G = machine().response(f, TRUE, None)[:, 0, 0]
     np.testing.assert_allclose(G, 1 / (TRUE["m"] * s**2 + TRUE["d"] * s + TRUE["k"]), rtol=1e-12)
+
+
+def linear(periods, seed):
+    """Position of the mass on its linear spring under a force held from sample to sample: SciPy's discrete system at
+    every line, with noise of 5 %."""
+    rng = np.random.default_rng([9, seed])
+    period, lines = 4 * PERIOD, np.arange(11, 150, 2)
+    U = np.zeros(period // 2 + 1, complex)
+    U[lines] = 2.0 * period * np.exp(2j * np.pi * rng.random(len(lines)))
+    m, d, k = TRUE.values()
+    parts = [[0, 1], [-k / m, -d / m]], [[0], [1 / m]], [[1, 0]], [[0]]
+    held = scipy.signal.cont2discrete([np.array(x, float) for x in parts], 1 / FS)
+    turn = 2 * np.pi * np.arange(period // 2 + 1) / period
+    G = scipy.signal.dfreqresp((*held[:4], 1 / FS), turn)[1].ravel()
+    u, y = (np.tile(np.fft.irfft(x, period), periods) for x in (U, G * U))
+    y = y + 0.05 * y.std() * rng.standard_normal(y.shape)
+    return jf.Experiment(u, y, FS, period, y_quantity="position", u_unit="N", y_unit="m")
+
+
+@pytest.mark.parametrize("periods", [1, 2, 3])
+def test_few_periods_tell_their_noise(periods):
+    """The misfit of a right machine is one, and nothing is missing, however few periods tell what noise is: variances
+    of one degree of freedom had made it 2."""
+    found = diagnose_machine(machine(k=1700.0), linear(periods, 0), [CubicSpring("spring", 1e5)])
+    assert found.verdict == "sufficient" and found.before.misfit == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.slow
+def test_intervals_of_two_periods():
+    """24 seeds, three numbers: the rms of their errors over their deviations."""
+    apart = []
+    for seed in range(24):
+        found = fit_machine(machine(k=1700.0, d=4.0), linear(2, seed))
+        apart.append([(found.values[n] - TRUE[n]) / found.std[n] for n in TRUE])
+    assert np.sqrt(np.mean(np.square(apart))) == pytest.approx(1.0, abs=0.25)
 
 
 def test_names_of_effects():
