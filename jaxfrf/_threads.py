@@ -1,14 +1,19 @@
 """Work that the cores share in threads of one process: XLA and NumPy leave Python's lock while they calculate."""
 
 import concurrent.futures
+import contextlib
+import functools
 import os
-from collections.abc import Callable, Iterable
-from typing import Any, TypeVar
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, ParamSpec, TypeVar
 
 import jax
+import threadpoolctl
 
 _CALLS = 8  # batched LAPACK calls of one program that may run at the same time: fewer do
 
+Given = ParamSpec("Given")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -48,3 +53,44 @@ def shared(work: Callable[[Item], Result], items: Iterable[Item], threads: int |
         return [work(item) for item in items]
     with concurrent.futures.ThreadPoolExecutor(threads) as pool:
         return list(pool.map(with_settings(work), items))
+
+
+class _OneBlasThread:
+    """NumPy's BLAS with one thread as long as anybody asks for it; what it had before comes back with the last."""
+
+    def __init__(self) -> None:
+        self._lock, self._asked, self._limits = threading.Lock(), 0, contextlib.ExitStack()
+
+    @contextlib.contextmanager
+    def __call__(self) -> Iterator[None]:
+        with self._lock:
+            self._asked += 1
+            if self._asked == 1:
+                self._limits.enter_context(_libraries().limit(limits=1, user_api="blas"))
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._asked -= 1
+                if not self._asked:
+                    self._limits.close()
+
+
+@functools.cache
+def _libraries() -> threadpoolctl.ThreadpoolController:
+    return threadpoolctl.ThreadpoolController()
+
+
+_one_blas_thread = _OneBlasThread()
+
+
+def one_blas_thread(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """The function, during which NumPy's BLAS has one thread: for many small matrices more of them cost more than they
+    give, and wait for each other wherever other work runs beside (27 times as long, `modal` of 2 x 6 elements)."""
+
+    @functools.wraps(function)
+    def limited(*args: Given.args, **options: Given.kwargs) -> Result:
+        with _one_blas_thread():
+            return function(*args, **options)
+
+    return limited

@@ -6,6 +6,7 @@ import numpy as np
 
 from .._arguments import expect, expect_each
 from .._errors import input_error
+from .._threads import one_blas_thread
 from .._types import require_x64
 from ..effects import Payload
 from ..experiment import Experiment
@@ -32,6 +33,7 @@ _NOTHING = 1e-12  # tolerances: what rounding moved
 Say = Callable[[str], None]
 
 
+@one_blas_thread
 def calibrate(
     robot: Robot,
     data: Experiment | Sequence[Experiment],

@@ -11,6 +11,7 @@ from .._arguments import expect
 from .._errors import InputError, input_error
 from .._status import Status
 from .._text import counted
+from .._threads import one_blas_thread
 from .._types import Array
 from ..experiment import Experiment
 from ..spectra import Spectra, changed_signals, check_power, dft, silent_lines, unexcited_spectra
@@ -84,6 +85,7 @@ def best_linear_approximation(data: Experiment, method: AbstractMethod | None = 
     return distortion_of(estimate(spectra_of(data, chosen), chosen), data)
 
 
+@one_blas_thread
 def with_distortion(frf: FRF, data: Experiment, spectra: Spectra | None = None) -> FRF:
     """The FRF with what its record says of noise and distortion together (`cov_total`); as it is where that is nothing.
 
@@ -108,6 +110,7 @@ def with_distortion(frf: FRF, data: Experiment, spectra: Spectra | None = None) 
         return frf
 
 
+@one_blas_thread
 def distortion_of(frf: FRF, data: Experiment, spectra: Spectra | None = None) -> Distortion:
     """As `best_linear_approximation`, of an FRF of the same record and band.
 

@@ -14,7 +14,7 @@ from .._compile import beside_others
 from .._device import on_accelerator
 from .._errors import input_error
 from .._status import SERIOUS, Status, describe
-from .._threads import lapack_threads, with_settings
+from .._threads import lapack_threads, one_blas_thread, with_settings
 from .._types import require_x64
 from ..experiment import Experiment
 from ..spectra import Spectra, select_positions
@@ -33,6 +33,7 @@ _DEPENDENT = 1e-9  # singular values this small, relative to the largest, are ro
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
 
 
+@one_blas_thread
 def estimate(
     data: Spectra | Experiment, method: AbstractMethod = Auto(), *, progress: Callable[[int, int], None] | None = None
 ) -> FRF:

@@ -8,6 +8,7 @@ import scipy.ndimage
 
 from .._arguments import expect, expect_index
 from .._status import Status
+from .._threads import one_blas_thread
 from .poles import PoleFit, fit_poles
 from .response import FRF
 
@@ -37,6 +38,7 @@ class Feature(eqx.Module):
     damping_std: float = eqx.field(static=True, default=float("nan"))
 
 
+@one_blas_thread
 def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, prominence_db: float = 6.0) -> list[Feature]:
     """Peaks and dips of |G[out, into]| that stand out by at least `prominence_db`, the most prominent first.
 

@@ -11,6 +11,7 @@ from jaxtyping import Complex, Float
 from .._arguments import expect
 from .._errors import input_error
 from .._text import number
+from .._threads import one_blas_thread
 from .._types import Array
 from ..experiment import QUANTITIES
 from .poles import PoleFit, fit_poles
@@ -106,6 +107,7 @@ class ModalModel(eqx.Module):
         return G * np.exp(-s * self.delay)[:, None, None]
 
 
+@one_blas_thread
 def modal(
     frf: FRF,
     *,

@@ -6,6 +6,7 @@ from typing import Any
 
 from .._arguments import expect
 from .._errors import input_error
+from .._threads import one_blas_thread
 from .._types import require_x64
 from ..calibration.alignment import aligned
 from ..effects import AbstractEffect, library
@@ -30,6 +31,7 @@ _ELSEWHERE = (
 )
 
 
+@one_blas_thread
 def diagnose(
     robot: Robot | None,
     data: Experiment | FRF | Sequence[Experiment | FRF],

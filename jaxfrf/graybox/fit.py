@@ -13,6 +13,7 @@ from jaxtyping import Float, PRNGKeyArray, PyTree
 
 from .._arguments import expect
 from .._errors import input_error
+from .._threads import one_blas_thread
 from .._types import require_x64
 from ..frf import FRF
 from .cost import Cost, check_quantity, check_shape
@@ -152,6 +153,7 @@ def _tiny(tg: Target) -> float:
     return 1e-16 * float(np.sum(np.square(tg.magnitude)))
 
 
+@one_blas_thread
 def fit(
     model: AbstractModel,
     frf: FRF,

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from .._arguments import expect
 from .._errors import InputError
+from .._threads import one_blas_thread
 from ..experiment import Experiment
 from .belongs import copied, foreign, halves, marked_twice, marks, twice
 from .clock import clock
@@ -178,6 +179,7 @@ def across_all(parts: Sequence[ScreenedPart]) -> tuple[str, ...]:
     return sentences([*marked_twice(marked), *(f for part in parts for f in part.across)])
 
 
+@one_blas_thread
 def screen(data: Experiment) -> tuple[str, ...]:
     """What looks wrong in a record: one sentence a kind, with the worst place; `jaxfrf.examine` gives every finding.
 
@@ -211,6 +213,7 @@ def sentences(findings) -> tuple[str, ...]:
     return tuple(told)
 
 
+@one_blas_thread
 def screened(data: Experiment, *, checks: tuple[Check, ...] = CHECKS + ACROSS, anyway: bool = False) -> Experiment:
     """The record with what was found among its `warnings`.
 
