@@ -1,11 +1,9 @@
 """Work that the cores share in threads of one process: XLA and NumPy leave Python's lock while they calculate."""
 
 import concurrent.futures
-import contextlib
 import functools
 import os
-import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any, ParamSpec, TypeVar
 
 import jax
@@ -55,42 +53,20 @@ def shared(work: Callable[[Item], Result], items: Iterable[Item], threads: int |
         return list(pool.map(with_settings(work), items))
 
 
-class _OneBlasThread:
-    """NumPy's BLAS with one thread as long as anybody asks for it; what it had before comes back with the last."""
-
-    def __init__(self) -> None:
-        self._lock, self._asked, self._limits = threading.Lock(), 0, contextlib.ExitStack()
-
-    @contextlib.contextmanager
-    def __call__(self) -> Iterator[None]:
-        with self._lock:
-            self._asked += 1
-            if self._asked == 1:
-                self._limits.enter_context(_libraries().limit(limits=1, user_api="blas"))
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._asked -= 1
-                if not self._asked:
-                    self._limits.close()
-
-
 @functools.cache
 def _libraries() -> threadpoolctl.ThreadpoolController:
     return threadpoolctl.ThreadpoolController()
 
 
-_one_blas_thread = _OneBlasThread()
-
-
 def one_blas_thread(function: Callable[Given, Result]) -> Callable[Given, Result]:
     """The function, during which NumPy's BLAS has one thread: for many small matrices more of them cost more than they
-    give, and wait for each other wherever other work runs beside (27 times as long, `modal` of 2 x 6 elements)."""
+    give, and wait for each other wherever other work runs beside (27 times as long, `modal` of 2 x 6 elements).
+
+    Of several Python threads the first one decides, as `threadpoolctl` has it (from 3.8 on)."""
 
     @functools.wraps(function)
     def limited(*args: Given.args, **options: Given.kwargs) -> Result:
-        with _one_blas_thread():
+        with _libraries().limit(limits=1, user_api="blas"):
             return function(*args, **options)
 
     return limited
