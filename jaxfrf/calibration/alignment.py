@@ -24,6 +24,7 @@ from .numbers import numbers
 from .search import Iterate, Search
 
 _SHIFTS = 3  # times that commands are moved, for times that are no small part of a period
+_POSITIONS = 4  # that are asked, of all: a time is the same at each
 _LEAST = 0.3  # of a sampling interval, where the motion alone tells: what a model lacks may look like less
 _AGREE = 0.2  # of the time: axes of one log that differ by more were not taken late, they lack something each
 _FALLS = 0.5  # of the misfit behind one step of all numbers, that must be gone where the motion alone tells
@@ -138,7 +139,8 @@ def _left(robot: Robot, record: Measured) -> float | None:
 def _step(robot: Robot, record: Measured, columns: Sequence[Column]) -> Iterate | None:
     """The step of all numbers of a robot whose motors move as they were measured, beside these columns."""
     robot = dataclasses.replace(robot, controller=None)
-    uncertain = numbers(robot)
+    uncertain, last = numbers(robot), record.data.n_pos - 1
+    record = record.at(np.unique(np.linspace(0, last, _POSITIONS).round()))
     search = Search(robot, record, uncertain, lambda text: None, [*near_rest_columns(robot), *columns])
     try:
         return search.evaluate(np.zeros(len(uncertain)), (), more=False)

@@ -63,6 +63,15 @@ def test_law_and_motion_tell(samples, says):
 
 
 @pytest.mark.slow
+def test_what_is_taken_back_leaves_nothing_behind():
+    """Numbers from the late log are those from the one in time."""
+    late, there = (jf.calibrate(model(), data, rounds=3) for data in (rolled(played(), u=1), played()))
+    assert "in the log u is 1 ms late (1 sample), which was taken back" in late.compared
+    assert "in the log" not in there.compared
+    np.testing.assert_allclose(late.x, there.x, atol=1e-9)
+
+
+@pytest.mark.slow
 def test_parts_of_a_sample_and_axes_of_their_own():
     late = np.array([0.0, 0.4e-3])
     found = aligned(LogTimes(-late, 0.0 * late, FS).taken_back(played()), model(), few)
