@@ -209,7 +209,7 @@ class _Lines(NamedTuple):
     G: Complex[np.ndarray, "freq out in"]
     std: Float[np.ndarray, "freq out in"] | None
     background: Float[np.ndarray, "freq term"]
-    shared: float
+    shared: Float[np.ndarray, "freq"]
     errors: "_Errors | None"
 
     @property
@@ -223,7 +223,7 @@ class _Lines(NamedTuple):
 
     def at(self, some) -> "_Lines":
         std, errors = (None if self.std is None else self.std[some]), self.errors and self.errors.at(some)
-        return _Lines(self.s[some], self.G[some], std, self.background[some], self.shared, errors)
+        return _Lines(self.s[some], self.G[some], std, self.background[some], self.shared[some], errors)
 
 
 def _chosen(frf: FRF, position: int, band) -> _Lines:
@@ -238,7 +238,7 @@ def _chosen(frf: FRF, position: int, band) -> _Lines:
             "lines", f"{int(wanted.sum())} in the band", "12 or more with a finite response", "Widen the band."
         )
     frequency, G, std = frequency[wanted], G[wanted], std[wanted]
-    shared = float(np.mean(np.maximum(np.asarray(frf.window, float)[position][wanted], 1.0)))
+    shared = np.maximum(np.asarray(frf.window, float)[position][wanted], 1.0)
     level = np.sqrt(np.mean(np.abs(G) ** 2, axis=0))
     s = 2j * np.pi * frequency
     background = _background(s, frf.y_quantity)

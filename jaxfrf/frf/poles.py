@@ -59,7 +59,7 @@ def fit_poles(
     poles: Complex[np.ndarray, "pole"],
     background: Complex[np.ndarray, "freq term"],
     *,
-    shared: float = 1.0,
+    shared: float | Float[np.ndarray, "freq"] = 1.0,
     delay: float | None = 0.0,
     errors: Errors | None = None,
 ) -> PoleFit:
@@ -196,18 +196,22 @@ def _strength(coefficients, variance, n_poles: int) -> Float[np.ndarray, "pole"]
     return np.sqrt(np.mean(size / (its + 1e-300), axis=0))
 
 
-def _result(s, x, state: _State, middle: float, shared: float, known: bool, delay: float | None, meat) -> PoleFit:
+def _result(s, x, state: _State, middle: float, shared, known: bool, delay: float | None, meat) -> PoleFit:
     misfit = np.sqrt(state.cost / state.dof)
     # Relative deviations of 1 were assumed where none is known: the misfit is their size then.
-    widened = (max(misfit, 1.0) if known else misfit) ** 2 * shared
+    widened = (max(misfit, 1.0) if known else misfit) ** 2
+    each, others = _shared_by(shared, state)
+    of_all = np.concatenate([each[: len(x) // 2 * 2], np.full(state.coefficients.shape[1] - len(x) // 2 * 2, others)])
     independent = np.linalg.pinv(state.gram) if len(x) else np.zeros((0, 0))
     covariance = independent if meat is None else independent @ meat @ independent
+    covariance = covariance * np.sqrt(each[:, None] * each)
     std = np.sqrt(np.maximum(np.diag(covariance), 0) * widened)
     through = np.einsum("ecp,pq,ecq->ec", state.change, covariance, state.change)
     n = len(x) // 2 * 2
     change, known_delay = state.change[..., :n], np.linalg.pinv(state.gram[:n, :n])
     if meat is not None:
         known_delay = known_delay @ meat[:n, :n] @ known_delay
+    known_delay = known_delay * np.sqrt(each[:n, None] * each[:n])
     at_delay = np.einsum("ecp,pq,ecq->ec", change, known_delay, change)
     poles, top = _poles(x, middle), np.abs(s).max()
     order = np.argsort(np.abs(poles))
@@ -220,12 +224,19 @@ def _result(s, x, state: _State, middle: float, shared: float, known: bool, dela
         frequency_std=(np.abs(poles) / 2 / np.pi * std[: 2 * len(poles) : 2])[order],
         damping_std=(damping * std[1 : 2 * len(poles) : 2])[order],
         coefficients=state.coefficients[:, columns.astype(int)],
-        coefficient_std=np.sqrt((state.spread + through) * widened)[:, columns.astype(int)],
+        coefficient_std=np.sqrt((state.spread * of_all + through) * widened)[:, columns.astype(int)],
         misfit=float(misfit) if known else 1.0,
         delay=float(x[-1] / top) if delay is None else delay,
         delay_std=float(std[-1] / top) if delay is None else 0.0,
         began=order,
-        strength=_strength(state.coefficients, (state.spread + at_delay) * widened, n // 2)[order],
+        strength=_strength(state.coefficients, (state.spread * of_all + at_delay) * widened, n // 2)[order],
         cost=float(state.cost),
-        unit=float(widened * (covariance[-1, -1] / independent[-1, -1] if len(x) > n else 1.0)),
+        unit=float(widened * (covariance[-1, -1] / independent[-1, -1] if len(x) > n else others)),
     )
+
+
+def _shared_by(shared, state: _State) -> tuple[Float[np.ndarray, "pole"], float]:
+    """Lines behind each estimate where every coordinate of the poles is told, and on average."""
+    told = np.sum(np.abs(_complex(state.outside)) ** 2, axis=0)
+    shared = np.broadcast_to(np.asarray(shared, float), len(told))
+    return shared @ told / np.maximum(told.sum(axis=0), 1e-300), float(np.mean(shared))
