@@ -24,10 +24,13 @@ from .numbers import numbers
 from .search import Iterate, Search
 
 _SHIFTS = 3  # times that commands are moved, for times that are no small part of a period
+_SETTLED = 0.02  # of a sampling interval, by which commands are moved a last time
+_WHOLE = 0.1  # of it: by the motion alone a time is known no better, and loggers are late by whole samples
 _POSITIONS = 4  # that are asked, of all: a time is the same at each
 _LEAST = 0.3  # of a sampling interval, where the motion alone tells: what a model lacks may look like less
 _AGREE = 0.2  # of the time: axes of one log that differ by more were not taken late, they lack something each
-_FALLS = 0.5  # of the misfit behind one step of all numbers, that must be gone where the motion alone tells
+_FALLS, _FALLS_ALONE = 0.8, 0.5  # of the misfit behind one step of all numbers, that may be left where the motion alone
+# tells: of axes that agree, beside which an effect may be missing; of one
 _FLOOR = 1.0  # of that misfit, mean square: below it nothing is asked
 
 
@@ -109,9 +112,15 @@ def _behind_motion(robot: Robot, record: Measured) -> LogTimes | None:
         if total * record.data.fs < _LEAST:
             return None
         moved = _moved(record, total)
+        if abs(float(np.median(times))) * record.data.fs < _SETTLED:
+            break
     after = _left(robot, moved)
-    if after is None or after > _FALLS * before or apart > _AGREE * total:
+    most = _FALLS if robot.n_axes > 1 else _FALLS_ALONE
+    if after is None or after > most * before or apart > _AGREE * total:
         return None
+    whole = round(total * record.data.fs)
+    if abs(total * record.data.fs - whole) < _WHOLE:
+        total = whole / record.data.fs
     none = np.zeros(robot.n_axes)
     return LogTimes(none + total, none, record.data.fs)
 
