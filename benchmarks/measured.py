@@ -35,6 +35,12 @@ CALIBRATED = {
     "light 6 torque_constant=0": "light, torque constants known",
     "pallet 6 torque_constant=0": "palletiser, the same",
 }
+HIDDEN_IN = {
+    "small arm": "gap.json",
+    "palletiser": "gap_pallet.json",
+    "R3X": "gap_r3x.json",
+    "R3X, the others": "gap_r3x_rest.json",
+}
 HIDDEN: tuple[tuple[str, tuple[str, ...]], ...] = (
     (
         "one effect, clear (twice the just visible size or more, beyond what a number's tolerance believes): effect "
@@ -85,7 +91,7 @@ def calibration() -> str:
 def hidden() -> str:
     """What the diagnosis found on each robot, and of its records by simulator."""
     groups: dict[str, Mapping[str, Any]] = {}
-    for name, file in (("small arm", "gap.json"), ("palletiser", "gap_pallet.json"), ("R3X", "gap_r3x.json")):
+    for name, file in HIDDEN_IN.items():
         found = json.loads(results(file))
         groups |= {name: found["all"], f"{name}, MuJoCo's": found["simulator"]["mujoco"]}
     rows = [[text, *(_share(_inside(group, path)) for group in groups.values())] for text, path in HIDDEN]
