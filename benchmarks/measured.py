@@ -14,6 +14,8 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import scipy.stats
+
 HERE = pathlib.Path(__file__).parent
 PAGE = HERE.parent / "notebooks" / "measured.md"
 LINK = "../benchmarks/results/"
@@ -94,8 +96,26 @@ def hidden() -> str:
     for name, file in HIDDEN_IN.items():
         found = json.loads(results(file))
         groups |= {name: found["all"], f"{name}, MuJoCo's": found["simulator"]["mujoco"]}
+    whole = [found for name, found in groups.items() if not name.endswith("MuJoCo's")]
+    parts = {"all": whole, "all, MuJoCo's": [found for found in groups.values() if found not in whole]}
+    sums = {name: _summed(some) for name, some in parts.items()}
+    groups = sums | groups
     rows = [[text, *(_share(_inside(group, path)) for group in groups.values())] for text, path in HIDDEN]
     return table(["with 95 % intervals", *(f"{name}, {group['cases']} cases" for name, group in groups.items())], rows)
+
+
+def _summed(groups: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The rates of `HIDDEN` over all cases of several groups, with exact 95 % intervals."""
+    whole: dict[str, Any] = {"cases": sum(group["cases"] for group in groups)}
+    for _, path in HIDDEN:
+        k, n = (sum(_inside(group, path)[what] for group in groups) for what in ("k", "n"))
+        low, high = scipy.stats.binomtest(k, n).proportion_ci() if n else (0.0, 1.0)
+        *rooms, last = path
+        room = whole
+        for name in rooms:
+            room = room.setdefault(name, {})
+        room[last] = {"k": k, "n": n, "low": float(low), "high": float(high)}
+    return whole
 
 
 def _share(its: Mapping[str, Any]) -> str:

@@ -60,7 +60,7 @@ def _libraries() -> threadpoolctl.ThreadpoolController:
 
 def one_blas_thread(function: Callable[Given, Result]) -> Callable[Given, Result]:
     """The function, during which NumPy's BLAS has one thread: for many small matrices more of them cost more than they
-    give, and wait for each other wherever other work runs beside (27 times as long, `modal` of 2 x 6 elements).
+    give, and wait for each other wherever other work runs beside.
 
     Of several Python threads the first one decides, as `threadpoolctl` has it (from 3.8 on)."""
 

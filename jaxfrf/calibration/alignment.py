@@ -6,6 +6,7 @@ they would be sought in masses and dampings, or be called unexplained.
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -17,7 +18,7 @@ from ..robot import Robot
 from ..trajectory.controller import ShownController, law_times, shown_controller
 from ..trajectory.evidence import Column
 from ..trajectory.log_times import LogTimes
-from ..trajectory.measured import Measured
+from ..trajectory.measured import Measured, measured
 from ..trajectory.scene import Scene
 from .columns import near_rest_columns
 from .numbers import numbers
@@ -37,12 +38,13 @@ _FLOOR = 1.0  # of that misfit, mean square: below it nothing is asked
 class Aligned(eqx.Module):
     """A record whose signals were put where they belong.
 
-    **Fields:** `data`: the record. `shown`: what it says of the robot's controller. `late`: what was late in the log,
-    in words, empty where nothing was. `commands`: how late the controller commands, in words, empty where it does as
-    written or follows another law.
+    **Fields:** `data`: the record, and its `parts`. `shown`: what it says of the robot's controller. `late`: what was
+    late in the log, in words, empty where nothing was. `commands`: how late the controller commands, in words, empty
+    where it does as written or follows another law.
     """
 
     data: Experiment
+    parts: Any
     shown: ShownController
     late: str = eqx.field(static=True, default="")
     commands: str = eqx.field(static=True, default="")
@@ -58,7 +60,9 @@ class Aligned(eqx.Module):
         return f" In the log {self.late}: that was taken back before all else. Mend the log." if self.late else ""
 
 
-def aligned(data: Experiment, robot: Robot, fitted: Callable[[Experiment], Measured]) -> Aligned:
+def aligned(
+    data: Experiment, robot: Robot, divide: Callable[[Experiment], Any], seen: Callable[[Any], Measured]
+) -> Aligned:
     """A record with commands, motion and references at the times at which they were taken.
 
     Where the controller's law does not hold for what was logged, but does once signals are moved in time, that is how
@@ -67,7 +71,8 @@ def aligned(data: Experiment, robot: Robot, fitted: Callable[[Experiment], Measu
     come late behind the motion are taken back, since that no robot does; motion behind commands is a delay of the
     robot's.
 
-    **Arguments:** `data`: periodic. `robot`: as given. `fitted`: of a record, what of it may be looked at.
+    **Arguments:** `data`: periodic. `robot`: as given. `divide`: a record into the parts that fit and judge; `seen`: of
+    these, what may be looked at.
 
     **Returns:** `Aligned`; the record itself where nothing is late.
 
@@ -76,24 +81,27 @@ def aligned(data: Experiment, robot: Robot, fitted: Callable[[Experiment], Measu
 
     **Source:** this project's own.
     """
-    record = fitted(data)
+    parts = divide(data)
+    record = seen(parts)
     shown = shown_controller(robot, record)
-    contradicted, commands = bool(np.any(shown.contradicted)), ""
+    contradicted = bool(np.any(shown.contradicted))
     times = law_times(robot, record, shown.contradicted) if contradicted else None
-    if times is not None and not times.are_together and not _confirmed(robot, data, times, fitted):
-        commands, times = times.says(robot.axis_names), None
-    elif times is None and (contradicted or not np.any(shown.left)):
+    by_law = times is not None
+    if times is None and (contradicted or not np.any(shown.left)):
         times = _behind_motion(robot, record)
     if times is None:
-        return Aligned(data, shown, commands=commands)
-    data = times.taken_back(data)
-    return Aligned(data, shown_controller(robot, fitted(data)), late=times.says(robot.axis_names))
+        return Aligned(data, parts, shown)
+    late, moved = times.says(robot.axis_names), times.taken_back(data)
+    moved_parts = divide(moved)
+    if by_law and not times.are_together and not _confirmed(robot, seen(moved_parts), times):
+        return Aligned(data, parts, shown, commands=late)
+    return Aligned(moved, moved_parts, shown_controller(robot, seen(moved_parts)), late=late)
 
 
-def _confirmed(robot: Robot, data: Experiment, times: LogTimes, fitted) -> bool:
+def _confirmed(robot: Robot, moved: Measured, times: LogTimes) -> bool:
     """Whether the torque that the measured motion needs agrees: what is late once signals are taken back is less than
     what was taken back."""
-    left = _late(robot, fitted(times.taken_back(data)))
+    left = _late(robot, moved)
     return left is not None and bool(np.sum(np.abs(left)) < 0.5 * np.sum(np.abs(times.apart)))
 
 
@@ -128,9 +136,7 @@ def _behind_motion(robot: Robot, record: Measured) -> LogTimes | None:
 def _moved(record: Measured, time: float) -> Measured:
     """Commands so much earlier."""
     none = np.zeros(record.data.n_in)
-    data = LogTimes(none + time, none, record.data.fs).taken_back(record.data)
-    turn = np.exp(2j * np.pi * record.frequency * time)[:, None]
-    return dataclasses.replace(record, data=data, U=record.U * turn)
+    return measured(LogTimes(none + time, none, record.data.fs).taken_back(record.data), record.payloads)
 
 
 def _late(robot: Robot, record: Measured) -> Float[np.ndarray, "axis"] | None:
@@ -157,13 +163,11 @@ def _step(robot: Robot, record: Measured, columns: Sequence[Column]) -> Iterate 
         return None
 
 
-def _late_column(axis: int):
+def _late_column(axis: int) -> Column:
     """What a command that is logged late leaves of it, N m per s."""
 
     def column(scene: Scene):
-        lines = np.zeros((len(scene.command), scene.lines, scene.command.shape[-1]), complex)
-        own = np.fft.rfft(scene.command[..., axis], axis=1)[:, : scene.lines] / scene.command.shape[1]
-        lines[..., axis] = -2j * np.pi * scene.still.frequency * own
-        return lines
+        rate = 2j * np.pi * scene.still.frequency
+        return scene.by_command(axis, -rate * scene.spectrum(scene.command[..., axis]))
 
     return column

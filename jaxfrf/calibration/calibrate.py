@@ -1,5 +1,6 @@
 """The verb: all uncertain numbers of a robot from records, through the experiment."""
 
+import operator
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -116,8 +117,8 @@ def calibrate(
             f"{robot.name}: tolerances", "0 for every number", "something that is not exact", "State a tolerance."
         )
     carried = carried if any(p is not None for p in carried) else []
-    log = aligned(data, robot, lambda x: _split(measured(x, carried), heldout)[0])
-    shown, (fitted, judged) = log.shown, _split(measured(log.data, carried), heldout)
+    log = aligned(data, robot, lambda x: _split(measured(x, carried), heldout), operator.itemgetter(0))
+    shown, (fitted, judged) = log.shown, log.parts
     if log.late:
         say(f"in the log {log.late}: taken back")
     if shown.says():

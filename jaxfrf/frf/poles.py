@@ -200,14 +200,13 @@ def _result(s, x, state: _State, middle: float, shared, known: bool, delay: floa
     misfit = np.sqrt(state.cost / state.dof)
     # Relative deviations of 1 were assumed where none is known: the misfit is their size then.
     widened = (max(misfit, 1.0) if known else misfit) ** 2
-    each, others = _shared_by(shared, state)
-    of_all = np.concatenate([each[: len(x) // 2 * 2], np.full(state.coefficients.shape[1] - len(x) // 2 * 2, others)])
+    n, (each, others) = len(x) // 2 * 2, _shared_by(shared, state)
+    of_all = np.concatenate([each[:n], np.full(state.coefficients.shape[1] - n, others)])
     independent = np.linalg.pinv(state.gram) if len(x) else np.zeros((0, 0))
     covariance = independent if meat is None else independent @ meat @ independent
     covariance = covariance * np.sqrt(each[:, None] * each)
     std = np.sqrt(np.maximum(np.diag(covariance), 0) * widened)
     through = np.einsum("ecp,pq,ecq->ec", state.change, covariance, state.change)
-    n = len(x) // 2 * 2
     change, known_delay = state.change[..., :n], np.linalg.pinv(state.gram[:n, :n])
     if meat is not None:
         known_delay = known_delay @ meat[:n, :n] @ known_delay

@@ -101,8 +101,8 @@ def diagnose(
     require_x64("A diagnosis")
     record, say = joined([x for x in records if isinstance(x, Experiment)]), say or (lambda text: None)
     divided = lambda x: split(measured(fewer(x, EXPERIMENTS)), measured(fewer(x, JUDGING)), heldout_count)
-    log = aligned(record, robot, lambda x: (some := divided(x)).whole.at(some.opened))
-    shown, parts_of = log.shown, divided(log.data)
+    log = aligned(record, robot, divided, lambda parts: parts.whole.at(parts.opened))
+    shown, parts_of = log.shown, log.parts
     if log.late:
         say(f"in the log {log.late}: taken back")
     if shown.says():

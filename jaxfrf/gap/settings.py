@@ -6,7 +6,8 @@ reported on its other part; those of channels name the test that holds them.
 
 # --- Of every comparison ---
 
-LEVEL = 0.05  # p-value of a test, family-wise where there are several candidates; `test_family_wise_level...` holds it
+LEVEL = 0.05  # p-value of a test, family-wise where there are several candidates: a convention, which
+# `test_family_wise_level_in_coloured_noise` holds
 LEAST_SHARE = 0.2  # of what is beyond the floor, that an effect takes away where nothing was fitted: a fifth, as the
 # method has it; what is named in real data takes .6 or more, or is named with others (`tests/gap/test_gap_real.py`)
 NEAR = 0.05  # of the same: a rival that leaves no more than this beyond the best candidate is as good

@@ -6,7 +6,7 @@ VERDICTS = ("sufficient", "named", "ambiguous", "unexplained", "inconclusive")
 """What `Diagnosis.verdict` may be."""
 
 
-def verdict_of(stands: bool, rivals: bool, explained: float, systematic: bool, met: bool) -> str:
+def verdict_of(*, stands: bool, rivals: bool, explained: float, systematic: bool, met: bool) -> str:
     """One of `VERDICTS`.
 
     **Arguments:** `stands`: whether an effect was found that shows where nothing was fitted. `rivals`: whether others

@@ -10,7 +10,6 @@ from jaxtyping import Bool, Complex, Float
 from .._arguments import expect
 from .._errors import InputError, input_error
 from .._text import number, percent
-from .._threads import one_blas_thread
 from ..effects import AbstractEffect, Backlash, CoulombFriction, FrictionAsymmetry, StiffnessHardening, StribeckFriction
 from ..experiment import Experiment
 from .fit import FLOOR, MachineFit, fit_machine, measured_lines, share_left
@@ -59,7 +58,6 @@ class MachineDiagnosis(eqx.Module):
         return f"{self.verdict}: {named} (left on the held-out part: {gap}){more if self.rivals else ''}"
 
 
-@one_blas_thread
 def diagnose_machine(
     machine: Machine,
     data: Experiment,

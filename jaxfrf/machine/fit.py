@@ -15,6 +15,7 @@ from jaxtyping import Bool, Complex, Float
 
 from .._arguments import expect
 from .._errors import input_error
+from .._threads import one_blas_thread
 from .._types import require_x64
 from ..effects import AbstractEffect
 from ..experiment import QUANTITIES, Experiment
@@ -50,6 +51,7 @@ class MachineFit(eqx.Module):
     converged: bool = eqx.field(static=True)
 
 
+@one_blas_thread
 def fit_machine(
     machine: Machine,
     data: Experiment,

@@ -54,7 +54,7 @@ def test_times_are_taken_back():
     ],
 )
 def test_law_and_motion_tell(samples, says):
-    found = aligned(rolled(played(), **samples), model(), few)
+    found = aligned(rolled(played(), **samples), model(), few, lambda parts: parts)
     assert found.late == says and says in found.compared() and says in found.sentence()
     assert not np.any(found.shown.contradicted) and found.shown.robot.controller is not None
     both = {"u", "y"} if "r" not in samples else {"r"}
@@ -74,13 +74,13 @@ def test_what_is_taken_back_leaves_nothing_behind():
 @pytest.mark.slow
 def test_parts_of_a_sample_and_axes_of_their_own():
     late = np.array([0.0, 0.4e-3])
-    found = aligned(LogTimes(-late, 0.0 * late, FS).taken_back(played()), model(), few)
+    found = aligned(LogTimes(-late, 0.0 * late, FS).taken_back(played()), model(), few, lambda parts: parts)
     assert found.late == "u of elbow is 0.4 ms late (0.4 samples)"
     np.testing.assert_allclose(found.data.u, played().u, atol=2e-3 * np.abs(played().u).max())
 
 
 def test_nothing_is_late():
-    found = aligned(played(), model(), few)
+    found = aligned(played(), model(), few, lambda parts: parts)
     assert found.data is played() and not found.late and not found.commands and not found.sentence()
 
 
@@ -95,7 +95,7 @@ def commanded_late():
 @pytest.mark.slow
 def test_a_controller_that_commands_late_is_no_late_log():
     data = commanded_late()
-    found = aligned(data, model(), few)
+    found = aligned(data, model(), few, lambda parts: parts)
     assert found.data is data and not found.late
     assert found.commands == "u is 1 ms late (1 sample)" and "it does, where u is 1 ms late" in found.compared()
     assert found.shown.robot.controller is None
@@ -104,7 +104,7 @@ def test_a_controller_that_commands_late_is_no_late_log():
 @pytest.mark.parametrize("late", [1, *(pytest.param(late, marks=pytest.mark.slow) for late in (3, 0, -1))])
 def test_the_motion_alone_tells_commands_that_come_late(late):
     """Behind the motion no torque can be; before it is a delay of the robot's."""
-    found = aligned(rolled(without_reference(played()), u=late), model(), few)
+    found = aligned(rolled(without_reference(played()), u=late), model(), few, lambda parts: parts)
     if late < 1:
         assert not found.late
         return

@@ -75,12 +75,14 @@ def _verdict(channel: AbstractChannel, found: ChannelSelection, heldout: Gap | N
         explained = (before - after) / (before - floor) if before > floor else 1.0
         grows = heldout is not None and heldout.after >= heldout.before
         rivals = any(x.ambiguous for x in found.found)
-        return verdict_of(True, rivals, 0.0 if grows else float(explained), systematic=True, met=False)
+        share = 0.0 if grows else float(explained)
+        return verdict_of(stands=True, rivals=rivals, explained=share, systematic=True, met=False)
     met = found.last_p > LEVEL and _upper(channel, found.base) < channel.tolerance
     best = max((t.share for t in found.refused), default=0.0)
     predicted = 1.0 - floor / max(before, 1e-300)
     shows = found.last_p <= LEVEL and predicted > SYSTEMATIC and best < EXPLAINED
-    return verdict_of(False, False, 0.0, not met and (predicted > EXPLAINED or shows), met)
+    systematic = not met and (predicted > EXPLAINED or shows)
+    return verdict_of(stands=False, rivals=False, explained=0.0, systematic=systematic, met=met)
 
 
 def _upper(channel: AbstractChannel, fit: FittedState) -> float:

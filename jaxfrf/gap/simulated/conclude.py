@@ -173,7 +173,13 @@ def _verdict(
     met, rivals = relative_torque(judged, extended.residual), close_rivals(steps)
     sufficient = bool(np.all(met < TOLERANCE) and np.all(np.abs(last.x) < HOPELESS))
     stands = bool(effects or counts)
-    verdict = verdict_of(stands, bool(rivals), explained if effects else 0.0, worst > UNEXPLAINED, sufficient)
+    verdict = verdict_of(
+        stands=stands,
+        rivals=bool(rivals),
+        explained=explained if effects else 0.0,
+        systematic=worst > UNEXPLAINED,
+        met=sufficient,
+    )
     if stands and verdict != "unexplained":
         on = "the held-out positions" if heldout else "the fitted positions, none being held out"
         return verdict, _named_words(effects, counts, rivals, base, extended, on)
