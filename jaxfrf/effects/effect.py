@@ -186,6 +186,11 @@ class AbstractEffect(eqx.Module):
         stand in its place, as in `fitted`."""
         return ()
 
+    def elsewhere(self, robot: "Robot") -> "tuple[Self, ...]":
+        """The same law with other parameters, which do nearly what this one does, and at which a fit that ended here
+        begins again: where its cost has several minima."""
+        return ()
+
     def unknown_beside(self, robot: "Robot") -> dict[str, float]:
         """Numbers of a robot that has it of which little is known then, with their relative standard deviations."""
         return {}

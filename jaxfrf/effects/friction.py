@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
 from jaxtyping import Float
 
 from .._errors import input_error
@@ -21,6 +23,8 @@ Number = Float[Array, ""] | float
 _SMOOTHING = 0.2  # rad/s, where nothing says which
 _WIDTHS = (2.0, 5.0)  # rad/s, of Stribeck's hump, that are tried
 _STICKING = ((2.0, 1.5), (2.0, 4.0), (6.0, 1.5), (6.0, 4.0))  # times just visible, rad/s: where fits of loud ones begin
+_SAME_TURN = 1.5  # times the width over which the robot's friction turns: within it so does the hump
+_HUMP, _SPEEDS = 4.0, 200  # widths up to which two humps are compared, speeds
 _PARTS = (0.02, 0.05, 0.1, 0.2)  # of the largest speed of a measured motion: widths that are tried along it
 _TURN = 0.02  # of that speed: within it friction has changed its sign, whatever the units
 
@@ -220,6 +224,19 @@ class StribeckFriction(AbstractFriction):
         """So much that the motor sticks, which no small amount of it shows."""
         typical = cls.typical(robot, joint)
         return tuple(cls(joint, times * typical.level, width, typical.smoothing) for times, width in _STICKING)
+
+    def elsewhere(self, robot: "Robot") -> tuple[Self, ...]:
+        """The same hump, as nearly as there is one, that turns where the robot's own friction does: level and width
+        are not told well apart from how fast it turns."""
+        turn, own = float(self.smoothing), _own_smoothing(robot, _SMOOTHING)
+        if float(self.level) <= 0.0 or max(turn / own, own / turn) < _SAME_TURN:
+            return ()
+        speed = np.linspace(0.0, _HUMP * float(self.width), _SPEEDS)
+        hump = lambda x, smoothing: np.exp(x[0] - np.square(speed / np.exp(x[1]))) * np.tanh(speed / smoothing)
+        start = np.log([float(self.level), float(self.width)])
+        found = scipy.optimize.least_squares(lambda x: (hump(x, own) - hump(start, turn)) / float(self.level), start)
+        level, width = map(float, np.exp(found.x))
+        return (type(self)(self.joint, level, width, own),)
 
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:

@@ -325,6 +325,24 @@ class TestLibrary:
             ef.TorqueDelay(0, -0.1)
 
 
+def test_a_hump_that_turns_otherwise_does_nearly_the_same():
+    """No other level and width of a grid come nearer, where the hump turns as the robot's friction does."""
+    robot = jf.robot.r3x()
+    own = float(robot.drives.friction.smoothing)
+    wide = ef.StribeckFriction("joint2", 1.8, 1.4, 3.0 * own)
+    (other,) = wide.elsewhere(robot)
+    assert float(other.smoothing) == own and other.joint == "joint2"
+    speed = np.linspace(0.0, 5.6, 500)
+    missed = lambda level, width: np.linalg.norm(
+        level * np.exp(-((speed / width) ** 2)) * np.tanh(speed / own)
+        - 1.8 * np.exp(-((speed / 1.4) ** 2)) * np.tanh(speed / (3.0 * own))
+    )
+    grid = min(missed(level, width) for level in np.linspace(0.5, 2.0, 151) for width in np.linspace(1.0, 3.0, 201))
+    assert missed(float(other.level), float(other.width)) < 1.001 * grid < 0.25 * missed(0.0, 1.0)
+    for nothing_else in (ef.StribeckFriction("joint2", 1.8, 1.4, 1.2 * own), ef.TorqueDelay("joint2", 1e-3)):
+        assert nothing_else.elsewhere(robot) == ()
+
+
 def test_further_starts_of_what_numbers_imitate():
     """On a joint of the robot, of plausible size, beside kinds of numbers that a robot has."""
     robot = jf.robot.r3x()

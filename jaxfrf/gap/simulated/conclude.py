@@ -35,7 +35,7 @@ from .judge import (
     written,
 )
 from .loud_ripple import loud_ripple, stated_waves, without_ripple
-from .one_round import Step, said
+from .one_round import Step, holds_none, said
 from .quantised import resolution
 from .records import Records
 from .selection import Selection
@@ -61,7 +61,7 @@ def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
     than that of the one before."""
     judged, deciding = records.every.at(records.judged), records.deciding
     opened = _opened(found, judged, deciding)
-    steps, refused = _standing(found.steps, opened, judged)
+    steps, refused = _standing(found, opened, judged)
     last, before = found.last, opened.before[0] if steps else None
     extended, there = opened.after[-1], opened.there
     if len(steps) < len(found.steps):
@@ -141,15 +141,16 @@ def _each_there(pairs: Sequence[tuple[Robot, Measured]]) -> list[Written | None]
     return shared(lambda pair: written(*pair), pairs, lapack_threads())
 
 
-def _standing(steps: Sequence[Step], opened: _Opened, judged: Measured) -> tuple[tuple[Step, ...], list[str]]:
+def _standing(found: Selection, opened: _Opened, judged: Measured) -> tuple[tuple[Step, ...], list[str]]:
     """Effects that stand, and what speaks against others."""
+    steps, last = found.steps, found.last
     kept, refused = 0, []
     for count, (step, before, after) in enumerate(zip(steps, opened.before, opened.after, strict=False), 1):
         against = "it cannot be simulated there" if after is None else ""
         if before is None and after is not None:
             against = "the robot without it cannot be simulated there"
         if before is not None and after is not None:
-            against = against_it(judged, before, after, step.key[1])
+            against = against_it(judged, before, after, step.key[1]) or holds_none(step.hypothesis, last)
         if against:
             refused.append((count, f"{said(step.key)} was taken back: {against}"))
         else:

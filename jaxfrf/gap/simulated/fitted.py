@@ -13,10 +13,11 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Bool, Float
 
+from ..._errors import InputError
 from ...calibration.columns import OF_LINKS
 from ...calibration.descent import Descent
 from ...calibration.least_squares import with_column_errors
-from ...calibration.numbers import Number, numbers, prior_cost, with_numbers
+from ...calibration.numbers import Number, effect_parameters, numbers, prior_cost, with_numbers
 from ...calibration.result import Round
 from ...calibration.ripple import TRIED, found_waves
 from ...calibration.rounds import Kept, Rounds
@@ -201,7 +202,14 @@ def fitted_from(
 
 def further(found: Fitted, record: Measured, say: Say, rounds: int) -> Fitted:
     """The same robot, fitted for so many rounds to another record, in which ripple is looked for anew."""
-    return fitted_from(found.robot, found.unknown, record, found, say, rounds, more=True)
+    return further_fit(found, record, say, rounds).found
+
+
+def further_fit(found: Fitted, record: Measured, say: Say, rounds: int) -> "RobotFit":
+    """The same, as a fit that can go on."""
+    fit = RobotFit.beside(found, found.robot, found.unknown, record, say, more=True)
+    fit.go_on(rounds - 1)
+    return fit
 
 
 def at(robot: Robot, unknown: Tolerances, record: Measured, values, orders, floor, near, inside, say: Say) -> Fitted:
@@ -269,6 +277,30 @@ class RobotFit:
     def found(self) -> Fitted:
         d = self.descent
         return Fitted(self.robot, self.unknown, self.numbers, d.x, d.iterate, d.near, d.inside, d.settled)
+
+    def elsewhere(self) -> "list[RobotFit]":
+        """Fits of the same robot from where its effects do nearly the same (`AbstractEffect.elsewhere`)."""
+        found = self.found
+        here = {n.name: n.value(x) for n, x in zip(found.numbers, map(float, found.x), strict=True)}
+        acting = {(joint, effect.name): effect for joint, effect, _ in effect_parameters(found.written())}
+        others = []
+        for (joint, name), effect in acting.items():
+            for other in effect.elsewhere(self.robot):
+                values = {f"{joint}.{name}.{parameter}": float(getattr(other, parameter)) for parameter in other.units}
+                others.append(self._at({n: values.get(n, value) for n, value in here.items()}))
+        return [x for x in others if x is not None]
+
+    def _at(self, values: Mapping[str, float]) -> "RobotFit | None":
+        """A fit that begins where its numbers have these values, `None` where that cannot be simulated."""
+        found = self.found
+        fit = RobotFit(self.robot, self.unknown, self.record, self.say, found.iterate.differences)
+        x = np.array([n.coordinate(values[n.name]) for n in fit.numbers])
+        floor = steady_seen(found.iterate.evidence)
+        try:
+            fit.begin(_kept(x, found.iterate.orders, floor, found.near, found.inside))
+        except InputError:
+            return None
+        return fit
 
     def begin(self, start: Kept | None, more: bool = False) -> None:
         self.kept.done = [] if start is None else [start]

@@ -21,7 +21,7 @@ from ..settings import (
     MORE_ROUNDS,
     MUCH,
 )
-from .fitted import Fitted, RobotFit, Say, further
+from .fitted import Fitted, RobotFit, Say, further_fit
 from .hypothesis import Hypothesis, hypothesis, one_class
 from .judge import (
     Comparison,
@@ -73,7 +73,16 @@ def on_all(now: Fitted, records: Records, say: Say) -> Fitted:
     if len(records.opened) == len(records.fit):
         return now
     say("fits it to all positions that are not held out")
-    return further(now, records.whole.at(records.opened), say, FINAL_ROUNDS)
+    return _of_least_cost(further_fit(now, records.whole.at(records.opened), say, FINAL_ROUNDS)).found
+
+
+def _of_least_cost(fit: RobotFit) -> RobotFit:
+    """A fit that has ended, or one that began elsewhere, where effects have several minima, if that leaves less."""
+    others = fit.elsewhere()
+    for other in others:
+        other.go_on(MORE_ROUNDS)
+    every = [fit, *others]
+    return every[int(np.argmin(costs_of([one.found for one in every])))]
 
 
 def out_of_tolerance_names(now: Fitted) -> list[str]:
@@ -118,7 +127,7 @@ class Round:
             return None, "no candidate explains more than chance"
         costs = costs_of([*(r.found for r in candidates), self.now])[:-1]
         candidates = [r for r, cost in zip(candidates, costs, strict=True) if cost <= KEPT_WITHIN * min(costs)]
-        shared(self._finish, candidates, lapack_threads())
+        candidates = shared(self._finish, candidates, lapack_threads())
         candidates, costs, before = self._in_order(candidates)
         after = each_written([r.found.written() for r in candidates], self.deciding)
         simulated = [(r, c / before, w) for r, c, w in zip(candidates, costs, after, strict=True) if w is not None]
@@ -168,10 +177,10 @@ class Round:
     def _uncertain(self, best: _Candidate) -> str:
         """What its interval says against an effect; where few positions tell how much there is of it, those that
         decided are asked, too."""
-        against = _holds_none(best.hypothesis, best.found)
+        against = holds_none(best.hypothesis, best.found)
         if not against or len(self.records.opened) == len(self.records.fit):
             return against
-        return _holds_none(best.hypothesis, on_all(best.found, self.records, self.say))
+        return holds_none(best.hypothesis, on_all(best.found, self.records, self.say))
 
     def _gain_on_its_axis(self, best: _Candidate, before: Written, its: Written) -> float:
         """Part of what is beyond the floor on the effect's own axis that it takes away."""
@@ -246,11 +255,13 @@ class Round:
         except InputError:
             return None
 
-    def _finish(self, candidate: _Candidate) -> None:
+    def _finish(self, candidate: _Candidate) -> _Candidate:
         candidate.fit.go_on(MORE_ROUNDS, LATE_ROUNDS)
+        candidate = dataclasses.replace(candidate, fit=_of_least_cost(candidate.fit))
         estimates = candidate.hypothesis.estimates(candidate.found)
         values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in estimates.items())
         self.say(f"  {said(candidate.hypothesis.key)}: {values}")
+        return candidate
 
     def _in_order(self, candidates: Sequence[_Candidate]) -> tuple[list[_Candidate], list[float], float]:
         """Each effect once, the cheapest first, with their costs and that of the robot before."""
@@ -281,7 +292,7 @@ def costs_of(robots: Sequence[Fitted]) -> list[float]:
     return [float(np.sum(np.abs(found.left / floor) ** 2)) / effect + found.prior_cost for found in robots]
 
 
-def _holds_none(start: Hypothesis, found: Fitted) -> str:
+def holds_none(start: Hypothesis, found: Fitted) -> str:
     """That an effect's interval holds none of it, in words; empty where it does not."""
     name, (value, std) = next(iter(start.estimates(found).items()), ("", (np.inf, 0.0)))
     if abs(value - start.effect.nothing) < 1.96 * std:
