@@ -24,6 +24,7 @@ from jaxtyping import Complex, Float, Int
 from .._compile import after
 from .._types import Array
 from .inverse import adjoint
+from .window import Gram
 
 PIVOT = 1e-8
 """Smallest accepted pivot, relative to its column. A Gram matrix squares the condition number: the relative error of
@@ -88,33 +89,37 @@ class Solution(eqx.Module):
     missing: Int[Array, ""]
 
 
-def solve_gram(A: Complex[Array, "col col"], equations: Equations) -> Solution:
+def solve_gram(A: Gram, equations: Equations) -> Solution:
     """All equations of a window from the Gram matrix of its columns.
 
     The common columns are eliminated first, W being what they leave of the products of all others; each equation then
     solves for its own columns in W (Frisch & Waugh 1933).
     """
     n, top = equations.n_common, equations.n_top
-    power = jnp.diagonal(A).real
-    L = linalg.cholesky(jnp.asarray(A[:n, :n]), symmetrize_input=False)
-    end = linalg.triangular_solve(L[-top:, -top:], jnp.eye(top, dtype=A.dtype), left_side=True, lower=True)
-    below = after(A[n:, :n], end)
-    B = linalg.triangular_solve(L, below, left_side=False, lower=True, transpose_a=True, conjugate_a=True)
-    T = adjoint(end) @ adjoint(B[:, -top:])  # top coefficients of every other column regressed on the common ones
-    S = adjoint(end) @ end
+    power = A.power
+    common, others = np.arange(n), np.arange(n, len(power))
+    L = linalg.cholesky(A.block(common), symmetrize_input=False)
+    last = jnp.eye(top, n, n - top, dtype=L.dtype)  # its rows say what is left of the top columns beside the others
+    right = jnp.concatenate([last, A.block(others, common)])
+    solved = linalg.triangular_solve(L, right, left_side=False, lower=True, transpose_a=True, conjugate_a=True)
+    end, B = solved[:top, -top:], solved[top:]
+    T = end @ adjoint(B[:, -top:])  # top coefficients of every other column regressed on the common ones
+    S = end @ adjoint(end)
     pivot = jnp.min(jnp.diagonal(L).real ** 2 / power[:n])
     if max(equations.n_own) == 0:
-        G, S, E, own_pivot = T.T, S[None, None], A[n:, n:] - B @ adjoint(B), jnp.inf
+        G, E, own_pivot = T.T, _hermitian(A.block(others) - B @ adjoint(B)), jnp.inf
+        S = _hermitian(S)[None, None]
     else:
         solve = _two_equations if len(equations.n_own) == 2 else _several_equations
-        G, S, E, own_pivot = solve(A[n:, n:], B, T, S, power[n:], equations)
+        G, S, E, own_pivot = solve(A, B, T, S, power[n:], equations)
     slots, targets = equations.slots, _target_columns(equations)
-    E = _hermitian(E[slots[:, None], slots].T)
+    if not np.array_equal(slots, np.arange(len(E))):
+        G, E = G[slots], E[slots[:, None], slots]
     power = power[n:][targets]
     return Solution(
-        G=G[slots],
-        S=_hermitian(S),
-        E=E,
+        G=G,
+        S=S,
+        E=E.conj(),
         power=power,
         pivot=jnp.minimum(pivot, own_pivot),
         residual=jnp.min(jnp.diagonal(E).real / power),
@@ -122,47 +127,50 @@ def solve_gram(A: Complex[Array, "col col"], equations: Equations) -> Solution:
     )
 
 
-def _two_equations(A, B, T, S, power, equations: Equations):
-    """G, S, E and the smallest pivot, from the products A of all but the common columns, of which these explain B B^H:
-    the products of each equation, then those between the two."""
-    each = A.shape[0] // 2
-    one, other = np.array([0, 1, 0]), np.array([0, 1, 1])
-    B = B.reshape(2, each, -1)
-    W = A.reshape(2, each, 2, each).swapaxes(1, 2)[one, other] - B[one] @ adjoint(B[other])
-    G, E, added, X, pivot = _each_equation(W[:2], T, power, equations)
-    n_target = E.shape[-1]
-    between = adjoint(X[0]) @ (W[2] @ X[1])
-    E_01, S_01 = between[:n_target, :n_target], S + between[n_target:, n_target:]
+def _two_equations(A: Gram, B, T, S, power, equations: Equations):
+    """G, S, E and the smallest pivot, where of the products A of all but the common columns these explain B B^H: the
+    products of each equation, then those between the two."""
+    one, other = equations.n_common + np.arange(len(power)).reshape(2, -1)
+    B = B.reshape(2, len(one), -1)
+    W = [A.block(one) - B[0] @ adjoint(B[0]), A.block(other) - B[1] @ adjoint(B[1])]
+    between = A.block(one, other) - B[0] @ adjoint(B[1])
+    G, E, added, (X_0, X_1), pivot = _each_equation(jnp.stack(W), T, power, equations)
+    own, n_target = max(equations.n_own), E.shape[-1]
+    turned = between[:, :own] @ X_1
+    left = between[:, own:] + turned[:, :n_target]
+    E_01 = left[own:] + adjoint(X_0[:, :n_target]) @ left[:own]
+    S_01 = S + adjoint(X_0[:, n_target:]) @ turned[:own, n_target:]
+    E, S = _hermitian(E), _hermitian(S + added)
     E = jnp.block([[E[0], E_01], [adjoint(E_01), E[1]]])
-    S = jnp.stack([S + added[0], S_01, adjoint(S_01), S + added[1]]).reshape(2, 2, *S.shape)
+    S = jnp.stack([jnp.stack([S[0], S_01]), jnp.stack([adjoint(S_01), S[1]])])
     return G, S, E, pivot
 
 
-def _several_equations(A, B, T, S, power, equations: Equations):
+def _several_equations(A: Gram, B, T, S, power, equations: Equations):
     """The same for any number of equations, small ones: the products of all of them at once."""
     count = len(equations.n_own)
-    each, own, top = A.shape[0] // count, max(equations.n_own), equations.n_top
-    W = A - B @ adjoint(B)
+    each, own, top = len(power) // count, max(equations.n_own), equations.n_top
+    W = A.block(equations.n_common + np.arange(len(power))) - B @ adjoint(B)
     blocks = W.reshape(count, each, count, each).swapaxes(1, 2)
     on_diagonal = np.arange(count)
     G, _, _, X, pivot = _each_equation(blocks[on_diagonal, on_diagonal], T, power, equations)
-    errors, effects = _block_diagonal(X[..., : each - own]), _block_diagonal(X[:, :own, each - own :])
+    itself = np.broadcast_to(np.eye(each - own), (count, each - own, each - own))
+    errors = _block_diagonal(jnp.concatenate([X[..., : each - own], itself], axis=1))
+    effects = _block_diagonal(X[..., each - own :])
     inner = blocks[:, :, :own, :own].swapaxes(1, 2).reshape(count * own, count * own)
     E = adjoint(errors) @ (W @ errors)
-    added = (adjoint(effects) @ (inner @ effects)).reshape(count, top, count, top)
-    return G, S + added.swapaxes(1, 2), E, pivot
+    added = _hermitian(adjoint(effects) @ (inner @ effects)).reshape(count, top, count, top)
+    return G, _hermitian(S) + added.swapaxes(1, 2), _hermitian(E), pivot
 
 
 def _each_equation(W, T, power, equations: Equations):
     """From what the common columns leave of the products of each equation, (eq, col, col): G (target, top); of each
-    equation the products of its residuals, what its own columns add to S, and X = [[-D, F], [I, 0]], so that its
-    residuals are its columns times [-D; I] and what they add to the influence of the rows on G is F; the smallest
-    pivot."""
+    equation the products of its residuals, what its own columns add to S, and X = [-D, F]: its residuals are its
+    columns times [-D; I], and what its own add to the influence of the rows on G is F; the smallest pivot."""
     count, each = W.shape[:2]
     own, top = max(equations.n_own), equations.n_top
     n_target = each - own
     spare = np.arange(own) >= np.asarray(equations.n_own)[:, None]
-    below = np.eye(n_target, n_target + top)
 
     def one_equation(W, T, power, spare):
         L = linalg.cholesky(W[:own, :own] + jnp.diag(jnp.where(spare, 1.0, 0.0)), symmetrize_input=False)
@@ -173,7 +181,7 @@ def _each_equation(W, T, power, equations: Equations):
         G = (T[:, own:] + products[n_target:, :n_target]).T
         E, added = W[own:, own:] - products[:n_target, :n_target], products[n_target:, n_target:]
         pivots = jnp.diagonal(L).real ** 2 / jnp.where(spare, 1.0, power[:own])
-        return G, E, added, jnp.concatenate([found, below]), jnp.min(pivots)
+        return G, E, added, found, jnp.min(pivots)
 
     parts = T.reshape(top, count, each).swapaxes(0, 1)
     G, E, added, X, pivot = jax.vmap(one_equation)(W, parts, power.reshape(count, each), spare)
@@ -206,11 +214,12 @@ def solve_rows(K: Complex[Array, "row col"], equations: Equations) -> Solution:
 
     G, A, V, rank = jax.vmap(one_equation)(each)
     S = jax.vmap(lambda A_t: jax.vmap(lambda A_u: A_t @ adjoint(A_u))(A))(A)
+    S = (S + adjoint(S.swapaxes(0, 1))) / 2  # blocks (t, u) and (u, t) are each other's adjoint
     slots, targets = equations.slots, _target_columns(equations)
     V = jnp.moveaxis(V, 0, 1).reshape(K.shape[0], -1)[:, slots]
     return Solution(
         G=G.reshape(-1, top)[slots],
-        S=_hermitian(S),
+        S=S,
         E=_hermitian(V.T @ V.conj()),
         power=jnp.sum(jnp.abs(K[:, n:][:, targets]) ** 2, axis=0),
         pivot=jnp.ones(()),
@@ -238,6 +247,5 @@ def _target_columns(equations: Equations) -> np.ndarray:
 
 
 def _hermitian(x):
-    """Without the rounding by which a matrix, or blocks (t, u) and (u, t), are not each other's adjoint."""
-    other = adjoint(x) if x.ndim == 2 else adjoint(jnp.swapaxes(x, 0, 1))
-    return (x + other) / 2
+    """Without the rounding by which a matrix is not its own adjoint."""
+    return (x + adjoint(x)) / 2

@@ -95,15 +95,29 @@ def moments(x: Float[Array, "line"], inside: Bool[Array, "line"], products, orde
     return powers @ products
 
 
-def gram(moments: Float[Array, "power pair"], columns: Columns) -> Complex[Array, "col col"]:
-    """K^H K of one window, K the columns at its lines."""
-    place, sign, real = _layout(columns.power, columns.signal, moments.shape[-1] // 2)
-    real_part, imaginary_part = (part.reshape(-1)[place] for part in jnp.split(moments, 2, axis=-1))
-    return jax.lax.complex(real_part * real, imaginary_part * sign)
+class Gram(eqx.Module):
+    """K^H K of one window, K the columns at its lines: (col, col), of which only those blocks are made that are asked
+    for."""
+
+    moments: Float[Array, "power pair"]
+    columns: Columns
+
+    def block(self, rows: np.ndarray, columns: np.ndarray | None = None) -> Complex[jax.Array, "row col"]:
+        """The products of some columns with others, or with each other."""
+        place, sign, real = _layout(self.columns.power, self.columns.signal, self.moments.shape[-1] // 2)
+        of = np.ix_(rows, rows if columns is None else columns)
+        real_part, imaginary_part = (part.reshape(-1)[place[of]] for part in jnp.split(self.moments, 2, axis=-1))
+        return jax.lax.complex(real_part * real[of], imaginary_part * sign[of])
+
+    @property
+    def power(self) -> Float[Array, "col"]:
+        """Of every column, summed over its rows."""
+        place, _, real = _layout(self.columns.power, self.columns.signal, self.moments.shape[-1] // 2)
+        return self.moments[:, : self.moments.shape[-1] // 2].reshape(-1)[np.diagonal(place)] * np.diagonal(real)
 
 
 def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequence[Windows], columns: Columns):
-    """`solve(A, number)` of every window of every one of several `Windows`, A its Gram matrix: a pytree with leading
+    """`solve(A, number)` of every window of every one of several `Windows`, A its `Gram` matrix: a pytree with leading
     axes (number, freq).
 
     One window after the other is written here; `vmap` takes it over neighbouring lines, `lax.map` over tiles of them,
@@ -131,7 +145,7 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequen
 
     def one_tile(first):
         every = jnp.concatenate([x for windows in several for x in parts(windows, first)])
-        return jax.vmap(lambda moments, number: solve(gram(moments, columns), number))(every, number)
+        return jax.vmap(lambda moments, number: solve(Gram(moments, columns), number))(every, number)
 
     def in_order(x):
         x = jnp.moveaxis(x.reshape(len(x), len(several), n_part * size, *x.shape[2:]), 1, 0)
