@@ -9,6 +9,7 @@ import scipy.ndimage
 from .._arguments import expect, expect_index
 from .._status import Status
 from .._threads import one_blas_thread
+from .overlap import of_fractions, overlaps
 from .poles import PoleFit, fit_poles
 from .response import FRF
 
@@ -67,11 +68,11 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
         expect_index(name, chosen, count)
     G = np.asarray(frf.G)[position, :, out, into]
     std = np.asarray(frf.std)[position, :, out, into]
-    shared = np.maximum(np.asarray(frf.window, float)[position], 1.0)
+    window, columns = np.asarray(frf.window, float)[position], np.asarray(frf.G)[position, :, :, into]
     magnitude = np.maximum(np.abs(G), 1e-300)
     status = np.asarray(frf.status)[position]
     std = np.where(status & int(Status.NOISE_ONLY), np.maximum(std, _roughness(G)), std)
-    at_end = ((status & int(Status.EDGE_WINDOW)) != 0) & (shared < _FEWEST)
+    at_end = ((status & int(Status.EDGE_WINDOW)) != 0) & (window < _FEWEST)
     level = 20 * np.log10(magnitude)
     doubt = 2 * np.nan_to_num(std) / magnitude
     higher, lower = 20 * np.log10(1 + doubt), -20 * np.log10(np.maximum(1 - doubt, 1e-300))
@@ -82,8 +83,10 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
             surroundings = _surroundings(sign * level, sign * level + of_base, i)
             if sign * level[i] - of_peak[i] <= surroundings or at_end[i] or _turn(G, sign * level, i) <= _TURN:
                 continue
-            value, spread = (G, std) if sign > 0 else (1 / G, std / magnitude**2)
-            fitted = _around(np.asarray(frf.frequency, float), value, spread, shared, sign * level, i)
+            value, slope = (G, np.ones_like(G)) if sign > 0 else (1 / G, -1 / G**2)
+            lines = np.arange(len(G))[_lines(sign * level, i)]
+            alike = _alike(window, columns, slope, lines)
+            fitted = _around(np.asarray(frf.frequency, float), value, std * np.abs(slope), alike, sign * level, i)
             if fitted is not None:
                 at, *intervals = map(float, fitted)
                 found.append(Feature(kind, at, float(level[i]), float(prominence), *intervals))
@@ -152,7 +155,18 @@ def _turn(G, level, at: int) -> float:
     return abs(np.angle(G[last] * G[first].conj()))
 
 
-def _around(frequency, G, std, shared, level, at: int) -> tuple[float, float, float, float] | None:
+def _alike(window, G, slope, lines) -> tuple:
+    """Correlations that errors of a function of G with this slope may have at some lines, of windows that share data:
+    as parabolas have them and as fractions do, which beside a pole err in its shape."""
+    of_windows = overlaps(window[None])
+    if of_windows is None:
+        return ()
+    turn = slope[lines] / np.maximum(np.abs(slope[lines]), 1e-300)
+    of_shape = of_fractions(window, np.where(np.isfinite(G), G, 0.0), lines)
+    return of_windows[0].at(lines), turn[:, None] * of_shape * turn.conj()
+
+
+def _around(frequency, G, std, alike, level, at: int) -> tuple[float, float, float, float] | None:
     """Frequency, damping and their deviations of the pole behind a peak; `None` where it is not significant."""
     lines = _lines(level, at)
     f = frequency[lines]
@@ -163,12 +177,13 @@ def _around(frequency, G, std, shared, level, at: int) -> tuple[float, float, fl
     if len(f) < 2 * _FEWEST or not np.isfinite(G[lines]).all():
         return by_line
     known = bool(np.isfinite(std[lines]).all() and (std[lines] > 0).all())
-    alike = min(float(np.mean(shared[lines])), float(len(f)))  # errors that are all the same count as one
     fitted = _one_pole(f, G[lines], std[lines] if known else None, alike, frequency[at])
     size, spread = fitted.residues
     if known and np.abs(size[0, 0]) < _SIGNIFICANT * spread[0, 0]:
         return None
-    frequency_std, damping_std = float(fitted.frequency_std[0]), float(fitted.damping_std[0])
+    # What is left beyond the noise of lines that share data is one error of all of them.
+    systematic = np.sqrt(1.0 + max(1.0 - 1.0 / fitted.misfit**2, 0.0) * len(f)) if alike else 1.0
+    frequency_std, damping_std = (float(systematic * x[0]) for x in (fitted.frequency_std, fitted.damping_std))
     pole = float(np.abs(fitted.poles[0]) / 2 / np.pi)
     if abs(pole - frequency[at]) > max(2 * apart, broad / 2) or not frequency_std < broad:
         return by_line
@@ -177,7 +192,7 @@ def _around(frequency, G, std, shared, level, at: int) -> tuple[float, float, fl
     return (pole, frequency_std, damping, damping_std) if sure else (pole, frequency_std, float("nan"), float("nan"))
 
 
-def _one_pole(f, G, std, shared: float, centre: float) -> PoleFit:
+def _one_pole(f, G, std, alike, centre: float) -> PoleFit:
     """One pole pair and a complex straight line."""
     s = 2j * np.pi * f
     x = (f - centre) / max(np.ptp(f), 1e-300)
@@ -187,4 +202,4 @@ def _one_pole(f, G, std, shared: float, centre: float) -> PoleFit:
     damping = max(np.ptp(wide), np.min(np.diff(f))) / (2 * centre)
     start = 2 * np.pi * centre * complex(-damping, np.sqrt(max(1 - damping**2, 0.0)))
     floor = None if std is None else np.maximum(std, 1e-6 * magnitude)[:, None]
-    return fit_poles(s, G[:, None], floor, np.array([start]), smooth, shared=shared)
+    return fit_poles(s, G[:, None], floor, np.array([start]), smooth, alike=alike)

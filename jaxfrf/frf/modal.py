@@ -14,6 +14,7 @@ from .._text import number
 from .._threads import one_blas_thread
 from .._types import Array
 from ..experiment import QUANTITIES
+from .overlap import Overlap, overlaps
 from .poles import PoleFit, fit_poles
 from .response import FRF
 from .stabilisation import LARGEST_DAMPING, Stabilisation, clusters, nearest, pole, stabilisation
@@ -203,13 +204,13 @@ def modal(
 
 class _Lines(NamedTuple):
     """An FRF at the lines that are fitted. `s`: rad/s. `std`: `None` where it is not known. `background`: see `modal`.
-    `shared`: see `fit_poles`."""
+    `overlap`: of windows."""
 
     s: Complex[np.ndarray, "freq"]
     G: Complex[np.ndarray, "freq out in"]
     std: Float[np.ndarray, "freq out in"] | None
     background: Float[np.ndarray, "freq term"]
-    shared: Float[np.ndarray, "freq"]
+    overlap: Overlap | None
     errors: "_Errors | None"
 
     @property
@@ -219,11 +220,13 @@ class _Lines(NamedTuple):
     def fit(self, poles, delay: float | None) -> PoleFit:
         g = self.G.reshape(len(self.s), -1)
         sigma = None if self.std is None else self.std.reshape(g.shape)
-        return fit_poles(self.s, g, sigma, poles, self.background, shared=self.shared, delay=delay, errors=self.errors)
+        alike = () if self.overlap is None else (self.overlap,)
+        return fit_poles(self.s, g, sigma, poles, self.background, alike=alike, delay=delay, errors=self.errors)
 
     def at(self, some) -> "_Lines":
         std, errors = (None if self.std is None else self.std[some]), self.errors and self.errors.at(some)
-        return _Lines(self.s[some], self.G[some], std, self.background[some], self.shared[some], errors)
+        overlap = self.overlap and self.overlap.at(some)
+        return _Lines(self.s[some], self.G[some], std, self.background[some], overlap, errors)
 
 
 def _chosen(frf: FRF, position: int, band) -> _Lines:
@@ -238,17 +241,18 @@ def _chosen(frf: FRF, position: int, band) -> _Lines:
             "lines", f"{int(wanted.sum())} in the band", "12 or more with a finite response", "Widen the band."
         )
     frequency, G, std = frequency[wanted], G[wanted], std[wanted]
-    shared = np.maximum(np.asarray(frf.window, float)[position][wanted], 1.0)
+    of_lines = overlaps(np.asarray(frf.window, float)[[position]])
+    overlap = None if of_lines is None else of_lines[0].at(np.flatnonzero(wanted))
     level = np.sqrt(np.mean(np.abs(G) ** 2, axis=0))
     s = 2j * np.pi * frequency
     background = _background(s, frf.y_quantity)
     if not (np.isfinite(std).all() and (std > 0).all()):
-        return _Lines(s, G, None, background, shared, None)
+        return _Lines(s, G, None, background, overlap, None)
     std = _steady(std, np.asarray(frf.dof, float)[position][wanted])
     # Below a thousandth of the element's level a standard deviation says more of the noise than of the model.
     floored = np.maximum(std, 1e-4 * np.maximum(np.abs(G), 1e-2 * level))
     errors = _Errors(frf, position, np.flatnonzero(wanted), std.reshape(len(std), -1))
-    return _Lines(s, G, floored, background, shared, errors)
+    return _Lines(s, G, floored, background, overlap, errors)
 
 
 def _steady(std, dof) -> Float[np.ndarray, "freq out in"]:

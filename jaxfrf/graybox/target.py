@@ -11,7 +11,7 @@ from .._arguments import expect, expect_index
 from .._errors import input_error
 from .._types import Array
 from ..frf import FRF, features
-from .overlap import Overlap, overlaps
+from ..frf.overlap import Overlap, overlaps
 
 _LEAST = 2.0  # degrees of freedom beyond the size of a covariance: with fewer, its inverse has no variance
 _NEIGHBOURS = 4  # lines on either side that a scatter is taken over

@@ -10,6 +10,7 @@ import scipy.signal
 
 import jaxfrf as jf
 from jaxfrf.__main__ import main
+from jaxfrf.frf.overlap import of_fractions
 
 F = np.arange(4.0, 60.0, 0.2)
 FREQUENCY, DAMPING = np.array([12.0, 31.0, 33.0]), np.array([0.02, 0.01, 0.015])
@@ -91,6 +92,53 @@ def test_intervals_of_errors_that_all_elements_share(common):
         for mode, f, d in zip(found.modes, FREQUENCY, DAMPING, strict=True):
             apart += [(mode.frequency - f) / mode.frequency_std, (mode.damping - d) / mode.damping_std]
     assert len(apart) == 90 and np.sqrt(np.mean(np.square(apart))) == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [jf.Auto(), jf.LRM()], ids=["auto", "lrm"])
+def test_intervals_of_lines_that_share_windows(method):
+    """12 records of one experiment and three periods, whose y has noise: neither too narrow nor twice too wide."""
+    f, n = np.arange(4.0, 60.0, 0.1), 2048
+    fs, lines = 0.1 * n, np.arange(40, 600)
+    modes, pole, features = [], [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        U = np.zeros((2, n // 2 + 1, 2), complex)
+        U[:, lines] = np.exp(2j * np.pi * rng.random((2, len(f), 2)))
+        Y = np.zeros_like(U)
+        Y[:, lines] = np.einsum("foi,efi->efo", response(f), U[:, lines])
+        u, y = (np.tile(np.fft.irfft(X, n, axis=1), (1, 3, 1)) for X in (U, Y))
+        y = y + 0.05 * y.std() * rng.standard_normal(y.shape)
+        record = jf.Experiment(u=u[None], y=y[None], fs=fs, period=n, y_quantity="position", lines=lines)
+        frf = jf.estimate(jf.dft(record), method)
+        for mode in jf.modal(frf).modes:
+            k = int(np.argmin(np.abs(FREQUENCY - mode.frequency)))
+            if abs(mode.frequency - FREQUENCY[k]) < 0.02 * FREQUENCY[k]:
+                modes.append((mode.frequency - FREQUENCY[k]) / mode.frequency_std)
+                pole.append((mode.damping - DAMPING[k]) / mode.damping_std)
+        first = [x for x in jf.features(frf) if abs(x.frequency - 12.0) < 0.2]
+        features += [(x.frequency - 12.0) / x.frequency_std for x in first if x.kind == "resonance"]
+    assert len(modes) >= 30 and len(features) >= 10
+    for apart in (modes, pole, features):
+        assert 0.4 < np.sqrt(np.mean(np.square(apart))) < 1.3 and np.mean(np.abs(apart) < 1.96) > 0.85
+
+
+def test_errors_of_fractions_are_those_of_the_fits_written_out():
+    """Weights of each line's fit by its answer to a disturbance of every single line."""
+    lines, window = np.array([3, 20, 33, 58]), np.where(np.arange(60) < 30, 15.0, 21.0)
+    G = plants.circular(np.random.default_rng(0), (60, 2))
+    rho = of_fractions(window, G, lines)
+    weights = np.zeros((4, 60), complex)
+    for row, k in enumerate(lines):
+        width = int(window[k])
+        near = np.arange(width) + min(max(k - width // 2, 0), 60 - width)
+        x = ((near - k) / width)[:, None]
+        columns = np.concatenate([np.ones_like(x), x, x**2, x * G[near], x**2 * G[near]], axis=1)
+        scale = np.linalg.norm(columns, axis=0)
+        weights[row, near] = np.linalg.lstsq(columns / scale, np.eye(width), rcond=None)[0][0] / scale[0]
+    cov = weights @ weights.conj().T
+    size = np.sqrt(np.diag(cov).real)
+    np.testing.assert_allclose(rho, cov / np.outer(size, size), atol=1e-5)
 
 
 def test_deviations_of_few_degrees_of_freedom():

@@ -16,10 +16,10 @@ import scipy.stats
 from graybox_records import frf_of, noisy, random_covariance
 
 import jaxfrf as jf
+from jaxfrf.frf.overlap import overlaps
 from jaxfrf.graybox import Coordinates
 from jaxfrf.graybox.cost import Cost
 from jaxfrf.graybox.fit import ELSEWHERE
-from jaxfrf.graybox.overlap import overlaps
 from jaxfrf.graybox.solver import descend
 from jaxfrf.graybox.target import target
 from jaxfrf.graybox.uncertainty import uncertainty

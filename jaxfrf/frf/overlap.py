@@ -4,8 +4,9 @@ import dataclasses
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Complex, Float, Int
 
+_RIDGE = 1e-9  # of a column's square
 _PAIRS, _SAMPLE = 1_000_000, 40  # of lines, whose squared correlations are summed one by one; lines that at least are
 
 
@@ -75,6 +76,28 @@ def overlaps(window: Float[np.ndarray, "pos line"]) -> tuple[Overlap, ...] | Non
         if keys[-1] not in known:
             known[keys[-1]] = _overlap(widths)
     return tuple(known[key] for key in keys)
+
+
+def of_fractions(
+    window: Float[np.ndarray, "line"], G: Complex[np.ndarray, "line out"], lines: Int[np.ndarray, "chosen"]
+) -> Complex[np.ndarray, "chosen chosen"]:
+    """The same of some lines' fits of a fraction, N and D of second order: beside a pole its errors have the shape of
+    the response itself. `G`: of all outputs from the input that the fits are about, known well enough."""
+    n = len(window)
+    width = np.clip(np.rint(window).astype(int)[lines], 1, n)
+    first = np.clip(lines - width // 2, 0, n - width)
+    low, high = int(first.min()), int((first + width).max())
+    near = np.arange(low, high)
+    inside = (near >= first[:, None]) & (near < (first + width)[:, None])
+    x = np.where(inside, (near - lines[:, None]) / width[:, None], 0.0)[..., None]
+    one = inside[..., None].astype(float)
+    B = np.concatenate([one, x, x**2, x * G[low:high], x**2 * G[low:high]], axis=-1)  # (chosen, line, unknown)
+    B = B / np.maximum(np.linalg.norm(B, axis=1, keepdims=True), 1e-300)
+    adjoint = B.conj().swapaxes(1, 2)
+    centre = np.linalg.solve(adjoint @ B + _RIDGE * np.eye(B.shape[-1]), np.eye(B.shape[-1])[:, :1])
+    F = (centre.conj().swapaxes(1, 2) @ adjoint)[:, 0]
+    F = F / np.maximum(np.linalg.norm(F, axis=1, keepdims=True), 1e-300)
+    return F @ F.conj().T
 
 
 def _overlap(widths: Int[np.ndarray, "line"]) -> Overlap:
