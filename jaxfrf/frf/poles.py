@@ -206,7 +206,9 @@ def _result(s, x, state: _State, middle: float, alike, known: bool, delay: float
     widened = (max(misfit, 1.0) if known else misfit) ** 2
     n, each = len(x) // 2 * 2, _if_alike(alike, _complex(state.outside)).sum(axis=0)
     each = each / np.maximum(np.sum(state.outside**2, axis=(0, 1)), 1e-300)
-    spread = _if_alike(alike, _complex(state.weights.mT))
+    spread = np.sum(state.weights**2, axis=-1)
+    most = int(np.argmax(np.sum(state.outside**2, axis=(1, 2)))) if len(x) else 0  # the element that tells most: as all
+    spread = spread * (_if_alike(alike, _complex(state.weights[[most]].mT)) / np.maximum(spread[[most]], 1e-300))
     mean = np.sum(spread) / np.sum(state.weights**2)
     independent = np.linalg.pinv(state.gram) if len(x) else np.zeros((0, 0))
     covariance = independent if meat is None else independent @ meat @ independent
