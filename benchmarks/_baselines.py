@@ -148,6 +148,11 @@ def classical(U, Y, R=None) -> np.ndarray:
     return (Y @ adjoint) @ np.linalg.inv(U @ adjoint)
 
 
+def two_responses(U, Y, R) -> np.ndarray:
+    """The same ratio as it is written: y and u by H1 from the reference, then one over the other."""
+    return classical(R, Y) @ np.linalg.inv(classical(R, U))
+
+
 def log_means(G) -> np.ndarray:
     """Logarithmic means over the first axis of (real, freq, out, in), one line after the other."""
     return np.stack([_log_mean(G[:, k]) for k in range(G.shape[1])])

@@ -49,6 +49,7 @@ CASES = {
 }
 LOOP, SCIPY, QR, NORMAL = "NumPy loop", "SciPy loop, gelsy", "NumPy batched QR", "NumPy batched normal eq."
 BATCHED, STACKED = "NumPy, all lines at once", "jaxfrf.estimate, JIO-LRM"
+RATIO = "NumPy, two H1 and their ratio"
 FULL = "jaxfrf.estimate with Cov"
 SDYNPY = "SDynPy"
 
@@ -340,9 +341,14 @@ def contenders_of(case: str):
         return lambda: jf.estimate(spectra, method).G
 
     n_lines = len(spectra.lines)
-    if case in ("h1", "jio-h1"):
-        reference = (R,) if case == "jio-h1" else ()
-        return n_lines, {BATCHED: lambda: baselines.classical(U, Y, *reference), FULL: public(spectra, method)}
+    if case == "h1":
+        return n_lines, {BATCHED: lambda: baselines.classical(U, Y), FULL: public(spectra, method)}
+    if case == "jio-h1":
+        return n_lines, {
+            BATCHED: lambda: baselines.classical(U, Y, R),
+            RATIO: lambda: baselines.two_responses(U, Y, R),
+            FULL: public(spectra, method),
+        }
     if case == "log":
         return n_lines, {LOOP: lambda: baselines.log_loop(U, Y), FULL: public(spectra, method)}
     if case == "auto":
