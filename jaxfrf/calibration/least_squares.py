@@ -142,7 +142,19 @@ def with_column_errors(posterior: Posterior, gram: Gram, errors: Float[np.ndarra
     A = gram.A.sum(axis=0)
     deflated = _information(A, errors) / posterior.effect + np.diag(posterior.prior)
     known = np.linalg.inv(posterior.normal)
-    return dataclasses.replace(posterior, beyond=_without_negative(np.linalg.inv(deflated) - known, np.diag(known)))
+    beyond = _without_negative(np.linalg.inv(deflated) - known, np.diag(known))
+    return dataclasses.replace(posterior, beyond=posterior.beyond + beyond)
+
+
+def with_another(posterior: Posterior, apart: Float[np.ndarray, "number"], other: Posterior) -> Posterior:
+    """The same, where the numbers may as well be so far `apart`, at another minimum of the cost: its intervals are
+    reached by those of this one, too."""
+    mine, its = (x.half_width()[: len(apart)] for x in (posterior, other))
+    further = np.zeros(len(posterior.change))
+    reach = np.sqrt(np.maximum((np.abs(apart) + its) ** 2 - mine**2, 0.0))
+    further[: len(apart)] = np.where(apart < 0.0, -reach, reach)
+    beyond = np.outer(further, further) / scipy.stats.norm.ppf(0.975) ** 2
+    return dataclasses.replace(posterior, beyond=posterior.beyond + beyond)
 
 
 def _without_negative(covariance, like):

@@ -63,6 +63,8 @@ RISES = 1.1  # of the torque that the effect's own joint is missed by
 TIMING = 0.01  # of the sampling interval: when within it a torque acts is known no better; .005 between two simulators
 LINK_ERROR = 0.01  # of what a mass, centre or inertia asks: no arm is known better; their columns are .05 to .08 off
 
+LIKELY = 3.84  # of the cost: another minimum that costs no more above the least is as likely, at a level of 95 %
+
 # Words
 UNEXPLAINED = 2.0  # mean square over the floor of one axis, which must not be left
 TOLERANCE = 0.06  # of the torque, rms of an axis: half a decibel

@@ -4,7 +4,7 @@ import types
 
 import numpy as np
 
-from jaxfrf.calibration.least_squares import solve, with_column_errors
+from jaxfrf.calibration.least_squares import solve, with_another, with_column_errors
 from jaxfrf.trajectory.evidence import Gram
 
 ERROR, RUNS, ROWS = 0.01, 8, 200
@@ -45,6 +45,22 @@ def test_columns_that_do_not_cancel_are_told_as_before():
     posterior = solve(gram, numbers, np.zeros(2))
     widened = with_column_errors(posterior, gram, np.full(2, ERROR))
     np.testing.assert_allclose(widened.half_width(), posterior.half_width(), rtol=1e-3)
+
+
+def test_another_minimum_that_is_as_likely_is_reached():
+    """Its interval by this one's; where both are the same, nothing changes."""
+    rng, numbers = np.random.default_rng(9), [types.SimpleNamespace(prior=1.0)] * 2
+
+    def fitted(noise):
+        X, y = rng.standard_normal((RUNS, 2, ROWS)), noise * rng.standard_normal((RUNS, ROWS))
+        b = np.einsum("rjn,rn->rj", X, y)
+        return solve(Gram(X @ X.swapaxes(1, 2), b, np.sum(y**2, 1), np.arange(RUNS), ROWS), numbers, np.zeros(2))
+
+    one, other, apart = fitted(1.0), fitted(3.0), np.array([0.7, 0.0])
+    both = with_another(one, apart, other).half_width()
+    assert np.all(both >= np.abs(apart) + other.half_width())
+    assert np.all(both <= np.abs(apart) + other.half_width() + one.half_width())
+    np.testing.assert_allclose(with_another(one, np.zeros(2), one).half_width(), one.half_width())
 
 
 def test_one_run_has_no_other():

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from ..._errors import InputError
 from ...calibration.columns import OF_LINKS
 from ...calibration.descent import Descent
-from ...calibration.least_squares import with_column_errors
+from ...calibration.least_squares import with_another, with_column_errors
 from ...calibration.numbers import Number, effect_parameters, numbers, prior_cost, with_numbers
 from ...calibration.result import Round
 from ...calibration.ripple import TRIED, found_waves
@@ -226,6 +226,12 @@ def with_link_errors(found: Fitted) -> Fitted:
     errors = np.zeros(len(found.iterate.posterior.change))
     errors[: len(found.numbers)] = [LINK_ERROR * (n.kind in OF_LINKS) for n in found.numbers]
     posterior = with_column_errors(found.iterate.posterior, found.iterate.weighed.gram, errors)
+    return dataclasses.replace(found, iterate=dataclasses.replace(found.iterate, posterior=posterior))
+
+
+def or_at(found: Fitted, other: Fitted) -> Fitted:
+    """The same, its numbers as uncertain as they are where they may as well be those of another fit of the robot."""
+    posterior = with_another(found.iterate.posterior, other.x - found.x, other.iterate.posterior)
     return dataclasses.replace(found, iterate=dataclasses.replace(found.iterate, posterior=posterior))
 
 

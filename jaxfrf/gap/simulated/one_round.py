@@ -18,10 +18,11 @@ from ..settings import (
     FLOOR,
     KEPT_WITHIN,
     LATE_ROUNDS,
+    LIKELY,
     MORE_ROUNDS,
     MUCH,
 )
-from .fitted import Fitted, RobotFit, Say, further_fit
+from .fitted import Fitted, RobotFit, Say, further_fit, or_at
 from .hypothesis import Hypothesis, hypothesis, one_class
 from .judge import (
     Comparison,
@@ -73,16 +74,28 @@ def on_all(now: Fitted, records: Records, say: Say) -> Fitted:
     if len(records.opened) == len(records.fit):
         return now
     say("fits it to all positions that are not held out")
-    return _of_least_cost(further_fit(now, records.whole.at(records.opened), say, FINAL_ROUNDS)).found
+    return _as_likely(*_from_everywhere(further_fit(now, records.whole.at(records.opened), say, FINAL_ROUNDS)))
 
 
-def _of_least_cost(fit: RobotFit) -> RobotFit:
-    """A fit that has ended, or one that began elsewhere, where effects have several minima, if that leaves less."""
+def _from_everywhere(fit: RobotFit) -> tuple[list[RobotFit], list[float]]:
+    """A fit that has ended and those that began elsewhere, where effects have several minima, with their costs: the
+    one that leaves least first."""
     others = fit.elsewhere()
     for other in others:
         other.go_on(MORE_ROUNDS)
     every = [fit, *others]
-    return every[int(np.argmin(costs_of([one.found for one in every])))]
+    costs = costs_of([one.found for one in every])
+    order = np.argsort(costs, kind="stable")
+    return [every[i] for i in order], [costs[i] for i in order]
+
+
+def _as_likely(fits: Sequence[RobotFit], costs: Sequence[float]) -> Fitted:
+    """Where the first ended, as uncertain as those have it that cost hardly more."""
+    found = fits[0].found
+    for fit, cost in zip(fits[1:], costs[1:], strict=True):
+        if cost - costs[0] < LIKELY:
+            found = or_at(found, fit.found)
+    return found
 
 
 def out_of_tolerance_names(now: Fitted) -> list[str]:
@@ -257,7 +270,7 @@ class Round:
 
     def _finish(self, candidate: _Candidate) -> _Candidate:
         candidate.fit.go_on(MORE_ROUNDS, LATE_ROUNDS)
-        candidate = dataclasses.replace(candidate, fit=_of_least_cost(candidate.fit))
+        candidate = dataclasses.replace(candidate, fit=_from_everywhere(candidate.fit)[0][0])
         estimates = candidate.hypothesis.estimates(candidate.found)
         values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in estimates.items())
         self.say(f"  {said(candidate.hypothesis.key)}: {values}")
