@@ -27,6 +27,11 @@ _QUOTES = re.compile(r"\"|'")
 _GROUPED = re.compile(r"[-+]?\d{1,3}([.,'\u2019 \u00a0\u202f])\d{3}(\1\d{3})*([.,]\d*)?")
 _DIGIT = re.compile(r"\d")
 _CLOCK = re.compile(r"\d:\d\d|\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}")
+_TIME_OF_DAY = re.compile(  # behind a date or nothing, before a time zone or nothing
+    r"(?:\d{4}-\d\d?-\d\d?[T ]\s*|\d\d?([./])\d\d?\1\d{2,4},?\s+)?"
+    r"(?P<h>\d\d?):(?P<m>[0-5]\d):(?P<s>[0-5]\d(?:[.,]\d+)?)(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?\s*(?:Z|[+-]\d\d:?\d\d)?"
+)
+_DAY = 86400.0  # s
 _WORD = re.compile(r"[^\W\d].*", re.DOTALL)
 
 
@@ -40,8 +45,9 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
     UTF-8 and UTF-16 are read, with or without a mark at the beginning. Fields may stand in quotes, numbers too, which
     then hold a decimal comma or thousands if they like; a first line `sep=;` is left out.
 
-    A column with a cell that is no number (a time of day, a comment, an empty cell) stays closed: who asks for it is
-    told where that cell stands.
+    Times of day that increase from line to line, `22:01:46.123`, with a date before them or not, are seconds, on from
+    midnight where they pass it. A column with another cell that is no number (a comment, an empty cell) stays closed:
+    who asks for it is told where that cell stands.
     """
     lines = _text(path).splitlines()
     lines = _unquoted(lines[1:] if lines and _SEP.fullmatch(lines[0].strip('"\r\n')) else lines)
@@ -52,7 +58,7 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
         raise input_error(str(path), "no lines of numbers", "a table", "Export or copy it again.")
     separator = _separator([line for _, line in numbered])
     text, numbered = _without_ends(*_preamble(numbered, separator), separator)
-    leaves = _leaves(path, text, numbered, separator)
+    leaves, clocks = _leaves(path, text, numbered, separator)
     width = len(leaves)
     headings = _headings(text, separator, width)
     if headings is None and text:  # separated by something else than the numbers
@@ -67,6 +73,7 @@ def load(path: pathlib.Path) -> dict[str, Leaf]:
     _check_headings(path, headings, width)
     plain, bracketed = _without_units(headings)
     units = _without_directions(_units(text, separator, width) or bracketed)
+    units = ["s" if k in clocks else unit for k, unit in enumerate(units)]
     columns = dict(zip(headings, leaves, strict=True))
     aliases = {short: name for short, name in zip(plain, headings, strict=True) if short not in columns}
     return Variables(columns, dict(zip(headings, units, strict=True)), aliases)
@@ -261,8 +268,10 @@ def _is_number(field: str, separator: str | None) -> bool:
     return True
 
 
-def _leaves(path: pathlib.Path, text: list[str], numbered: list[tuple[int, str]], separator: str | None) -> list[Leaf]:
-    """The columns: arrays, or closed where a cell is no number."""
+def _leaves(
+    path: pathlib.Path, text: list[str], numbered: list[tuple[int, str]], separator: str | None
+) -> tuple[list[Leaf], set[int]]:
+    """The columns: arrays, or closed where a cell is no number; and which of them are times of day."""
     if not numbered:
         raise input_error(str(path), "headings without numbers", "a table", "Export or copy it again.")
     try:
@@ -273,11 +282,13 @@ def _leaves(path: pathlib.Path, text: list[str], numbered: list[tuple[int, str]]
     empty_last = table.shape[1] < len(_fields(numbered[0][1], separator))  # behind tabs at the end
     if empty_last and _names_last(text, numbered, separator):
         return _mixed_leaves(path, numbered, separator)
-    return list(table.T)
+    return list(table.T), set()
 
 
-def _mixed_leaves(path: pathlib.Path, numbered: list[tuple[int, str]], separator: str | None) -> list[Leaf]:
-    """The columns of a table of which some hold more than numbers.
+def _mixed_leaves(
+    path: pathlib.Path, numbered: list[tuple[int, str]], separator: str | None
+) -> tuple[list[Leaf], set[int]]:
+    """The columns of a table of which some hold more than numbers; and which of them are times of day.
 
     **Raises:** `jaxfrf.InputError` where lines have other numbers of fields, no column is numbers, or a line is none of
     the table.
@@ -295,7 +306,24 @@ def _mixed_leaves(path: pathlib.Path, numbered: list[tuple[int, str]], separator
     except ValueError as error:
         raise input_error(str(path), "a table that cannot be read", "numbers in columns", "Export it again.") from error
     numbers = dict(zip(kept, table.T, strict=True))
-    return [numbers[k] if k in numbers else _closed(path, faults[k], separator) for k in columns]
+    clocks = {k: t for k in faults if (t := _times_of_day(numbered, separator, k)) is not None}
+    numbers |= clocks
+    return [numbers[k] if k in numbers else _closed(path, faults[k], separator) for k in columns], set(clocks)
+
+
+def _times_of_day(numbered: list[tuple[int, str]], separator: str | None, column: int) -> np.ndarray | None:
+    """Seconds since the first midnight; `None` where a cell is no time of day, and where times do not increase, as
+    those of a clock that is coarser than the sampling."""
+    found = []
+    for _, line in numbered:
+        match = _TIME_OF_DAY.fullmatch(_fields(line, separator)[column])
+        if match is None:
+            return None
+        hours = int(match["h"]) % 12 + 12 * (match["half"] in "Pp") if match["half"] else int(match["h"])
+        found.append(3600.0 * hours + 60.0 * int(match["m"]) + float(match["s"].replace(",", ".")))
+    steps = np.diff(found)
+    steps = np.where(steps < -_DAY / 2, steps + _DAY, steps)
+    return found[0] + np.concatenate([[0.0], np.cumsum(steps)]) if np.all(steps > 0.0) else None
 
 
 _Fault = tuple[int, int, str]  # line and column, as people count, and the cell that is no number

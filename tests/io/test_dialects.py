@@ -1,5 +1,6 @@
 """What people log: several files, units, structs of other programs, tables without headings, MDF, Parquet."""
 
+import datetime as dt
 import re
 
 import numpy as np
@@ -264,7 +265,7 @@ def rows(*columns, separator=",", point="."):
     return "\n".join(separator.join(row) for row in zip(*written, strict=True)) + "\n"
 
 
-_TIMES = [f"2026-03-01T23:59:{58 + t:09.6f}" for t in T]
+_TIMES = [f"2026-03-01T23:59:{58 + t:02.0f}" for t in T]  # of a clock that is coarser than the sampling
 _EMPTY, _HOLE = [""] * len(T), [1.5 if i != 7 else "" for i in range(len(T))]
 _BESIDE = {
     "dates": _TIMES,
@@ -308,6 +309,47 @@ def test_no_column_is_chosen_that_is_no_numbers(tmp_path):
     )
     with pytest.raises(jf.InputError, match='--map "u=torque,y=speed"'):
         jf.io.read(path)
+
+
+_MIDNIGHT = dt.datetime(2026, 3, 1, 23, 59, 59, 960000)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "%Y-%m-%dT%H:%M:%S.%fZ",
+        "%Y-%m-%dT%H:%M:%S.%f+01:00",
+        "%Y-%m-%d %H:%M:%S.%f",
+        "%d.%m.%Y %H:%M:%S.%f",
+        "%m/%d/%Y %I:%M:%S.%f %p",
+        "%H:%M:%S.%f",
+        "%H:%M:%S,%f",
+    ],
+)
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_times_of_day_past_midnight(tmp_path, form, separator):
+    path = tmp_path / "a.csv"
+    times = [(_MIDNIGHT + dt.timedelta(seconds=t)).strftime(form) for t in T]
+    path.write_text(
+        separator.join(["Clock [hh:mm:ss]", "u", "y"]) + "\n" + rows(times, U.tolist(), Y.tolist(), separator=separator)
+    )
+    data = jf.io.read(path, names={"t": "Clock"}, values=PERIOD)
+    assert data.fs == 1000.0
+    np.testing.assert_array_equal(data.u[0, 0, :, 0], U)
+    assert jf.io.read(path, values={**PERIOD, "fs": 1000.0}).fs == 1000.0
+    with pytest.raises(jf.InputError, match="500 Hz against 1000 Hz by the time vector"):
+        jf.io.read(path, names={"t": "Clock"}, values={**PERIOD, "fs": 500.0})
+
+
+@pytest.mark.parametrize(
+    "times", [["12:00:00.001"] * 80, ["12:00:00.5", "later", "12:00:01.5", "12:00:02.5"] * 20, ["25:61:00"] * 80]
+)
+def test_what_is_no_clock(tmp_path, times):
+    path = tmp_path / "a.csv"
+    path.write_text("Clock,u,y\n" + rows(times, U.tolist(), Y.tolist()))
+    assert jf.io.read(path, values={**PERIOD, "fs": 1000.0}).fs == 1000.0
+    with pytest.raises(jf.InputError, match="column 1: found"):
+        jf.io.read(path, names={"t": "Clock"}, values=PERIOD)
 
 
 def test_a_time_of_day_is_needed_where_no_rate_is_said(tmp_path):
