@@ -133,8 +133,8 @@ def modal(
     strongly damped poles more: it is fitted where it explains what is left, and is no mode (`lags`).
 
     Standard deviations are those of this fit, from the FRF's covariance (errors that all outputs share, as noise of an
-    input, count as such), with the misfit, and with lines that share data (`window`) counted as fewer. Where much is
-    left (`misfit` above 2: dynamics that are no modes, as several lags), every mode is fitted once more to the lines
+    input, count as such), with the misfit, and with how alike the errors of lines are that share data (`window`). Where
+    much is left (`misfit` above 2: dynamics that are no modes, as several lags), every mode is fitted once more to the lines
     around it alone, with a background and a delay of its own, and how far its frequency and damping move widens their
     standard deviations: the 95 % interval reaches where they move to. Where no mode at all is found and much is left, a
     hundredth of |G| stands in the place of smaller standard deviations, for `misfit` too. Biased: modes smoothed by a
