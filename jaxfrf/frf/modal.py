@@ -132,16 +132,16 @@ def modal(
     elements is fitted with the modes, and left out where it is not significant. A drive's lag or a filter is a pair of
     strongly damped poles more: it is fitted where it explains what is left, and is no mode (`lags`).
 
-    Standard deviations are those of this fit, from the FRF's covariance (errors that all outputs share, as noise of an
-    input, count as such), with the misfit, and with how alike the errors of lines are that share data (`window`). Where
-    much is left (`misfit` above 2: dynamics that are no modes, as several lags), every mode is fitted once more to the lines
-    around it alone, with a background and a delay of its own, and how far its frequency and damping move widens their
-    standard deviations: the 95 % interval reaches where they move to. Where no mode at all is found and much is left, a
-    hundredth of |G| stands in the place of smaller standard deviations, for `misfit` too. Biased: modes smoothed by a
-    window wider than their resonance look more damped, and closely spaced modes of a record with few lines may be taken
-    as one; delays that differ between channels misfit towards high lines; lags within the band pull modes by more than
-    the widened interval now and then: choose a `band` around the mode. Fails where fewer than three lines lie in a
-    resonance.
+    Standard deviations are those of this fit, from the FRF's covariance (errors that all outputs share, as noise of
+    an input, count as such), with the misfit, and with how alike the errors of lines are that share data
+    (`window`). Where much is left (`misfit` above 2: dynamics that are no modes, as several lags), every mode is
+    fitted once more to the lines around it alone, with a background and a delay of its own, and how far its
+    frequency and damping move widens their standard deviations: the 95 % interval reaches where they move to. Where
+    no mode at all is found and much is left, a hundredth of |G| stands in the place of smaller standard deviations,
+    for `misfit` too. Biased: modes smoothed by a window wider than their resonance look more damped, and closely
+    spaced modes of a record with few lines may be taken as one; delays that differ between channels misfit towards
+    high lines; lags within the band pull modes by more than the widened interval now and then: choose a `band`
+    around the mode. Fails where fewer than three lines lie in a resonance.
 
     **Arguments:**
 
