@@ -197,7 +197,7 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
         G = product(product(Y, adjoint(Z)), X) if G is None else G
         residual = Y - product(G, U)
         C = product(residual, adjoint(residual)) / (dof if dof > 0 else jnp.nan)
-        condition = jnp.sqrt(jnp.max(_squares(X) * _squares(Z).sum(axis=1)[:, None] * _squares(U).sum(axis=1)))
+        condition = jnp.max(jnp.abs(X) * jnp.linalg.norm(Z, axis=1)[:, None] * jnp.linalg.norm(U, axis=1))
         told = None if noise is None else _noise_covariance(G, product(adjoint(Z), X), noise)
         return G, KroneckerSum(S[None], C[None]), told, condition
 
@@ -214,11 +214,6 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
         cov_noise=cov_noise,
     )
     return estimate, condition
-
-
-def _squares(x):
-    """|x|^2, without the root that `abs` takes."""
-    return x.real**2 + x.imag**2
 
 
 def _influence(U, Z):

@@ -9,7 +9,7 @@ import scipy.ndimage
 from .._arguments import expect, expect_index
 from .._status import Status
 from .._threads import one_blas_thread
-from .overlap import of_fractions, overlaps
+from .overlap import Overlap, of_fractions, overlaps
 from .poles import PoleFit, fit_poles
 from .response import FRF
 
@@ -69,6 +69,7 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
     G = np.asarray(frf.G)[position, :, out, into]
     std = np.asarray(frf.std)[position, :, out, into]
     window, columns = np.asarray(frf.window, float)[position], np.asarray(frf.G)[position, :, :, into]
+    of_windows = overlaps(window[None])
     magnitude = np.maximum(np.abs(G), 1e-300)
     status = np.asarray(frf.status)[position]
     std = np.where(status & int(Status.NOISE_ONLY), np.maximum(std, _roughness(G)), std)
@@ -85,7 +86,7 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
                 continue
             value, slope = (G, np.ones_like(G)) if sign > 0 else (1 / G, -1 / G**2)
             lines = np.arange(len(G))[_lines(sign * level, i)]
-            alike = _alike(window, columns, slope, lines)
+            alike = () if of_windows is None else _alike(of_windows[0].at(lines), window, columns, slope[lines])
             fitted = _around(np.asarray(frf.frequency, float), value, std * np.abs(slope), alike, sign * level, i)
             if fitted is not None:
                 at, *intervals = map(float, fitted)
@@ -155,15 +156,12 @@ def _turn(G, level, at: int) -> float:
     return abs(np.angle(G[last] * G[first].conj()))
 
 
-def _alike(window, G, slope, lines) -> tuple:
-    """Correlations that errors of a function of G with this slope may have at some lines, of windows that share data:
-    as parabolas have them and as fractions do, which beside a pole err in its shape."""
-    of_windows = overlaps(window[None])
-    if of_windows is None:
-        return ()
-    turn = slope[lines] / np.maximum(np.abs(slope[lines]), 1e-300)
-    of_shape = of_fractions(window, np.where(np.isfinite(G), G, 0.0), lines)
-    return of_windows[0].at(lines), turn[:, None] * of_shape * turn.conj()
+def _alike(overlap: Overlap, window, G, slope) -> tuple:
+    """Correlations that errors of a function of G with this slope may have at the lines of `overlap`, of windows that
+    share data: as parabolas have them and as fractions do, which beside a pole err in its shape."""
+    turn = slope / np.maximum(np.abs(slope), 1e-300)
+    of_shape = of_fractions(window, np.where(np.isfinite(G), G, 0.0), overlap.lines)
+    return overlap, turn[:, None] * of_shape * turn.conj()
 
 
 def _around(frequency, G, std, alike, level, at: int) -> tuple[float, float, float, float] | None:

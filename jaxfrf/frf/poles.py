@@ -12,7 +12,7 @@ _STEPS = 60
 _ENOUGH = 1e-10  # relative change of the cost
 _LEAST, _MOST = 1e-6, 0.9999  # damping ratio
 _LOOSER = 2.0  # times a variance by windows that share data: they differ from line to line, and fractions in noise are
-# biased; without it rms z of features was 1.2 to 1.5 on two structures
+# biased; `pytest -s -m slow tests/frf/test_modal.py -k share_windows` prints how far estimates stand off with it
 
 
 Errors = Callable[[Complex[np.ndarray, "element freq k"], Float[np.ndarray, "freq element"]], Float[np.ndarray, "k k"]]
@@ -112,7 +112,8 @@ class _State(NamedTuple):
     gram: np.ndarray  # of the poles, the residues eliminated
     slope: np.ndarray
     coefficients: np.ndarray
-    weights: np.ndarray  # of the coefficients for known poles, (element, coefficient, part)
+    basis: np.ndarray  # orthonormal, (element, part, coefficient), and the coefficients by their place in it
+    inverse: np.ndarray
     change: np.ndarray  # of the coefficients with the poles
     dof: float
     outside: np.ndarray  # columns of the poles beside those of the residues, (element, part, pole)
@@ -165,7 +166,8 @@ def _project(s, G, sigma, x, background, middle: float) -> _State:
         gram=np.sum(outside.mT @ outside, axis=0),
         slope=np.sum(outside.mT @ left, axis=0)[:, 0],
         coefficients=coefficients,
-        weights=inverse @ Q.mT,
+        basis=Q,
+        inverse=inverse,
         change=-inverse @ inside,
         dof=max(dof, 1),
         outside=outside,
@@ -206,10 +208,12 @@ def _result(s, x, state: _State, middle: float, alike, known: bool, delay: float
     widened = (max(misfit, 1.0) if known else misfit) ** 2
     n, each = len(x) // 2 * 2, _if_alike(alike, _complex(state.outside)).sum(axis=0)
     each = each / np.maximum(np.sum(state.outside**2, axis=(0, 1)), 1e-300)
-    spread = np.sum(state.weights**2, axis=-1)
-    most = int(np.argmax(np.sum(state.outside**2, axis=(1, 2)))) if len(x) else 0  # the element that tells most: as all
-    spread = spread * (_if_alike(alike, _complex(state.weights[[most]].mT)) / np.maximum(spread[[most]], 1e-300))
-    mean = np.sum(spread) / np.sum(state.weights**2)
+    spread = independent_spread = np.sum(state.inverse**2, axis=-1)  # of the coefficients, for known poles
+    if alike:  # by the element that tells most of the poles, as all
+        most = int(np.argmax(np.sum(state.outside**2, axis=(1, 2)))) if len(x) else 0
+        weights = _complex(state.basis[[most]] @ state.inverse[[most]].mT)
+        spread = spread * (_if_alike(alike, weights) / np.maximum(spread[[most]], 1e-300))
+    mean = np.sum(spread) / np.sum(independent_spread)
     independent = np.linalg.pinv(state.gram) if len(x) else np.zeros((0, 0))
     covariance = independent if meat is None else independent @ meat @ independent
     covariance = covariance * np.sqrt(each[:, None] * each)

@@ -119,8 +119,10 @@ def test_intervals_of_lines_that_share_windows(method):
         first = [x for x in jf.features(frf) if abs(x.frequency - 12.0) < 0.2]
         features += [(x.frequency - 12.0) / x.frequency_std for x in first if x.kind == "resonance"]
     assert len(modes) >= 30 and len(features) >= 10
-    for apart in (modes, pole, features):
-        assert 0.4 < np.sqrt(np.mean(np.square(apart))) < 1.3 and np.mean(np.abs(apart) < 1.96) > 0.85
+    for name, apart in (("frequencies", modes), ("dampings", pole), ("features", features)):
+        size, held = np.sqrt(np.mean(np.square(apart))), np.mean(np.abs(apart) < 1.96)
+        print(f"{type(method).__name__}, {name}: rms error {size:.2f} deviations, {held:.0%} of {len(apart)} hold")
+        assert 0.4 < size < 1.3 and held > 0.85
 
 
 def test_errors_of_fractions_are_those_of_the_fits_written_out():

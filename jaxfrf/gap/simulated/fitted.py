@@ -3,6 +3,7 @@
 The fit is the calibration's (`calibration.descent`): ripple beside the robot first, then simulated with it.
 """
 
+import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -190,34 +191,18 @@ def as_given(robot: Robot, record: Measured, say: Say) -> Fitted:
     return fit.found
 
 
-def fitted_from(
-    robot: Robot, unknown: Tolerances, record: Measured, start: Fitted, say: Say, rounds: int, more: bool = False
-) -> Fitted:
-    """A robot with other effects or tolerances, its numbers from where those of `start` are. `more`: as of
-    `RobotFit.beside`."""
-    fit = RobotFit.beside(start, robot, unknown, record, say, more=more)
+def fitted_from(robot: Robot, unknown: Tolerances, record: Measured, start: Fitted, say: Say, rounds: int) -> Fitted:
+    """A robot with other effects or tolerances, its numbers from where those of `start` are."""
+    fit = RobotFit.beside(start, robot, unknown, record, say)
     fit.go_on(rounds - 1)
     return fit.found
 
 
-def further(found: Fitted, record: Measured, say: Say, rounds: int) -> Fitted:
+def further(found: Fitted, record: Measured, say: Say, rounds: int) -> "RobotFit":
     """The same robot, fitted for so many rounds to another record, in which ripple is looked for anew."""
-    return further_fit(found, record, say, rounds).found
-
-
-def further_fit(found: Fitted, record: Measured, say: Say, rounds: int) -> "RobotFit":
-    """The same, as a fit that can go on."""
     fit = RobotFit.beside(found, found.robot, found.unknown, record, say, more=True)
     fit.go_on(rounds - 1)
     return fit
-
-
-def at(robot: Robot, unknown: Tolerances, record: Measured, values, orders, floor, near, inside, say: Say) -> Fitted:
-    """The robot where an earlier run had left it; `values`: of its numbers, by name."""
-    fit = RobotFit(robot, unknown, record, say)
-    x = np.array([n.coordinate(values[n.name]) if n.name in values else 0.0 for n in fit.numbers])
-    fit.begin(_kept(x, orders, floor, near, inside))
-    return fit.found
 
 
 def with_link_errors(found: Fitted) -> Fitted:
@@ -276,7 +261,7 @@ class RobotFit:
         known = {n.name: (n, float(x)) for n, x in zip(start.numbers, start.x, strict=True) if n.name not in anew}
         x = np.array([_begins(n, known) for n in fit.numbers])
         floor = steady_seen(start.iterate.evidence)
-        fit.begin(_kept(x, start.iterate.orders, floor, start.near, start.inside), more)
+        fit.begin(start_of(x, start.iterate.orders, floor, start.near, start.inside), more)
         return fit
 
     @property
@@ -284,29 +269,41 @@ class RobotFit:
         d = self.descent
         return Fitted(self.robot, self.unknown, self.numbers, d.x, d.iterate, d.near, d.inside, d.settled)
 
+    @classmethod
+    def at(
+        cls,
+        robot: Robot,
+        unknown: Tolerances,
+        record: Measured,
+        values: Mapping[str, float],
+        start: Kept,
+        say: Say,
+        differences: Mapping[str, Difference] = MappingProxyType({}),
+    ) -> "RobotFit":
+        """A robot that begins where another fit of it was; `values`: of its numbers, by name. `start`: all else.
+
+        **Raises:** `jaxfrf.InputError` where it cannot be simulated there."""
+        fit = cls(robot, unknown, record, say, differences)
+        x = np.array([n.coordinate(values[n.name]) if n.name in values else 0.0 for n in fit.numbers])
+        fit.begin(dataclasses.replace(start, x=x))
+        return fit
+
     def elsewhere(self) -> "list[RobotFit]":
         """Fits of the same robot from where its effects do nearly the same (`AbstractEffect.elsewhere`)."""
         found = self.found
+        iterate = found.iterate
         here = {n.name: n.value(x) for n, x in zip(found.numbers, map(float, found.x), strict=True)}
+        start = start_of(found.x, iterate.orders, steady_seen(iterate.evidence), found.near, found.inside)
         acting = {(joint, effect.name): effect for joint, effect, _ in effect_parameters(found.written())}
         others = []
         for (joint, name), effect in acting.items():
             for other in effect.elsewhere(self.robot):
-                values = {f"{joint}.{name}.{parameter}": float(getattr(other, parameter)) for parameter in other.units}
-                others.append(self._at({n: values.get(n, value) for n, value in here.items()}))
-        return [x for x in others if x is not None]
-
-    def _at(self, values: Mapping[str, float]) -> "RobotFit | None":
-        """A fit that begins where its numbers have these values, `None` where that cannot be simulated."""
-        found = self.found
-        fit = RobotFit(self.robot, self.unknown, self.record, self.say, found.iterate.differences)
-        x = np.array([n.coordinate(values[n.name]) for n in fit.numbers])
-        floor = steady_seen(found.iterate.evidence)
-        try:
-            fit.begin(_kept(x, found.iterate.orders, floor, found.near, found.inside))
-        except InputError:
-            return None
-        return fit
+                values = here | {f"{joint}.{name}.{x}": float(getattr(other, x)) for x in other.units}
+                with contextlib.suppress(InputError):  # it cannot be simulated there
+                    others.append(
+                        RobotFit.at(self.robot, self.unknown, self.record, values, start, self.say, iterate.differences)
+                    )
+        return others
 
     def begin(self, start: Kept | None, more: bool = False) -> None:
         self.kept.done = [] if start is None else [start]
@@ -344,7 +341,8 @@ def _promises_much(iterate: Iterate) -> bool:
     return iterate.left <= PROMISING * iterate.misfit
 
 
-def _kept(x, orders: Sequence[Order], floor, near: bool, inside: Sequence[Wave]) -> Kept:
+def start_of(x, orders: Sequence[Order], floor, near: bool, inside: Sequence[Wave]) -> Kept:
+    """Where a fit ended, for another to begin there."""
     return Kept(x, tuple(orders), floor, Round(np.inf, np.inf, 1.0), near, tuple(inside), np.zeros(0))
 
 

@@ -22,7 +22,7 @@ from ..settings import (
     MORE_ROUNDS,
     MUCH,
 )
-from .fitted import Fitted, RobotFit, Say, further_fit, or_at
+from .fitted import Fitted, RobotFit, Say, further, or_at
 from .hypothesis import Hypothesis, hypothesis, one_class
 from .judge import (
     Comparison,
@@ -74,27 +74,22 @@ def on_all(now: Fitted, records: Records, say: Say) -> Fitted:
     if len(records.opened) == len(records.fit):
         return now
     say("fits it to all positions that are not held out")
-    return _as_likely(*_from_everywhere(further_fit(now, records.whole.at(records.opened), say, FINAL_ROUNDS)))
+    return _wherever_least(further(now, records.whole.at(records.opened), say, FINAL_ROUNDS))
 
 
-def _from_everywhere(fit: RobotFit) -> tuple[list[RobotFit], list[float]]:
-    """A fit that has ended and those that began elsewhere, where effects have several minima, with their costs: the
-    one that leaves least first."""
+def _wherever_least(fit: RobotFit) -> Fitted:
+    """Where a fit that has ended, or one that began elsewhere where an effect has several minima, leaves least; as
+    uncertain as those have it that cost hardly more."""
     others = fit.elsewhere()
     for other in others:
         other.go_on(MORE_ROUNDS)
-    every = [fit, *others]
-    costs = costs_of([one.found for one in every])
-    order = np.argsort(costs, kind="stable")
-    return [every[i] for i in order], [costs[i] for i in order]
-
-
-def _as_likely(fits: Sequence[RobotFit], costs: Sequence[float]) -> Fitted:
-    """Where the first ended, as uncertain as those have it that cost hardly more."""
-    found = fits[0].found
-    for fit, cost in zip(fits[1:], costs[1:], strict=True):
-        if cost - costs[0] < LIKELY:
-            found = or_at(found, fit.found)
+    ends = [one.found for one in (fit, *others)]
+    costs = costs_of(ends)
+    best = int(np.argmin(costs))
+    found = ends[best]
+    for k, end in enumerate(ends):
+        if k != best and costs[k] - costs[best] < LIKELY:
+            found = or_at(found, end)
     return found
 
 
@@ -113,15 +108,16 @@ def to_beat(now: Fitted, hypothesis: Hypothesis, found: Fitted, misses: bool) ->
 
 @dataclasses.dataclass(frozen=True)
 class _Candidate:
-    """An effect that is a candidate, and the fit of the robot with it."""
+    """An effect that is a candidate, and the fit of the robot with it; `end`: of all rounds, once they are done."""
 
     scored: Scored
     hypothesis: Hypothesis
     fit: RobotFit
+    end: Fitted | None = None
 
     @property
     def found(self) -> Fitted:
-        return self.fit.found
+        return self.fit.found if self.end is None else self.end
 
 
 class Round:
@@ -270,7 +266,7 @@ class Round:
 
     def _finish(self, candidate: _Candidate) -> _Candidate:
         candidate.fit.go_on(MORE_ROUNDS, LATE_ROUNDS)
-        candidate = dataclasses.replace(candidate, fit=_from_everywhere(candidate.fit)[0][0])
+        candidate = dataclasses.replace(candidate, end=_wherever_least(candidate.fit))
         estimates = candidate.hypothesis.estimates(candidate.found)
         values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in estimates.items())
         self.say(f"  {said(candidate.hypothesis.key)}: {values}")

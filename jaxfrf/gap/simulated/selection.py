@@ -20,7 +20,7 @@ from ..settings import (
     FLOOR,
     MOST,
 )
-from .fitted import Fitted, Say, as_given, at, fitted, with_link_errors
+from .fitted import Fitted, RobotFit, Say, as_given, fitted, start_of, with_link_errors
 from .hypothesis import hypothesis
 from .judge import (
     COMPARED,
@@ -131,7 +131,8 @@ def _base(robot: Robot, record: Measured, say: Say, parts) -> tuple[Fitted, Fitt
 
 
 def _again(kept: KeptRound, robot: Robot, unknown: Tolerances, record: Measured, say: Say) -> Fitted:
-    return at(robot, unknown, record, kept.values, kept.orders, kept.floor, kept.near, kept.inside, say)
+    start = start_of(np.zeros(0), kept.orders, kept.floor, kept.near, kept.inside)
+    return RobotFit.at(robot, unknown, record, kept.values, start, say).found
 
 
 def _kept_round(step: Step | None, refused: str) -> KeptRound:
