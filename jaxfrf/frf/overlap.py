@@ -4,6 +4,7 @@ import dataclasses
 
 import equinox as eqx
 import numpy as np
+import scipy.sparse
 from jaxtyping import Complex, Float, Int
 
 _RIDGE = 1e-9  # of a column's square
@@ -37,14 +38,21 @@ class Overlap(eqx.Module):
         own = self.weights[self.lines]
         columns = np.reshape(x, (len(self.lines), -1))
         rows = own[:, :, None] * columns[:, None, :]
-        at = np.zeros((n + 1, *rows.shape[1:]))
-        np.add.at(at, self.first[self.lines], rows)
-        np.add.at(at, (self.first + self.width)[self.lines], -rows)
-        shared = np.einsum("lk,lkc->lc", powers, np.cumsum(at, axis=0)[:-1])  # F^T x
+        at = self._ends @ rows.reshape(len(rows), -1)
+        running = np.cumsum(at, axis=0)[:-1].reshape(n, *rows.shape[1:])
+        shared = np.einsum("lk,lkc->lc", powers, running)  # F^T x
         total = np.cumsum(powers[:, :, None] * shared[:, None, :], axis=0)
         total = np.concatenate([np.zeros((1, *total.shape[1:])), total])
         window = total[(self.first + self.width)[self.lines]] - total[self.first[self.lines]]
         return np.einsum("lk,lkc->lc", own, window).reshape(np.shape(x))
+
+    @property
+    def _ends(self) -> scipy.sparse.csr_array:
+        """1 where the window of a chosen line begins, -1 behind its last line: (line + 1, chosen)."""
+        first, chosen = self.first[self.lines], np.arange(len(self.lines))
+        sign = np.repeat([1.0, -1.0], len(chosen))
+        where = np.concatenate([first, first + self.width[self.lines]]), np.concatenate([chosen, chosen])
+        return scipy.sparse.csr_array((sign, where), shape=(len(self.first) + 1, len(chosen)))
 
     def row_sums(self) -> Float[np.ndarray, "chosen"]:
         return self @ np.ones(len(self.lines))
