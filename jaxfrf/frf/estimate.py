@@ -240,7 +240,8 @@ def _ranks_of(X) -> np.ndarray:
 def _excitation_status(spectra: Spectra, method: AbstractMethod) -> np.ndarray:
     """LOW_EXCITATION where a channel of u carries almost no power over all experiments, (pos, freq); of methods that
     take a line's neighbours, too, where none does: lines may be shared among channels (zippered designs)."""
-    power = np.mean(np.abs(np.asarray(spectra.U)) ** 2, axis=1)
+    U = np.asarray(spectra.U)
+    power = np.mean(np.square(U.real) + np.square(U.imag), axis=1)
     weak = power <= _WEAK * np.median(power, axis=1, keepdims=True)
     low = weak.any(axis=-1) if method.block_size(spectra) > 1 else weak.all(axis=-1)
     return np.where(low, int(Status.LOW_EXCITATION), 0)
