@@ -79,6 +79,27 @@ def expect_real(name: str, value: Any) -> None:
         raise input_error(name, said(value), "finite real numbers", "Check it.")
 
 
+def expect_probability(name: str, value: Any) -> None:
+    """Refuse what does not lie between 0 and 1."""
+    expect_real(name, value)
+    if np.ndim(value) or not 0 < value < 1:
+        raise input_error(name, said(value), "a probability between 0 and 1", "Give 0.95, for 95 %.")
+
+
+def as_key(name: str, value: Any) -> Any:
+    """A key of JAX's; one that a whole number seeds.
+
+    **Raises:** `jaxfrf.InputError` for anything else.
+    """
+    import jax
+
+    if isinstance(value, jax.Array) and (jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key) or value.ndim):
+        return value
+    if isinstance(value, int | np.integer) and not isinstance(value, bool) and 0 <= value < _LARGEST:
+        return jax.random.key(int(value))
+    raise input_error(name, said(value), "a key or a whole number, its seed", "Give it as jax.random.key(0).")
+
+
 def expect_index(name: str, value: Any, count: int) -> None:
     """Refuse what is no place in a row of this length, counted from 0 (or from the end: -1 is the last)."""
     expect_whole(name, value, None)

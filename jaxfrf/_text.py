@@ -9,6 +9,9 @@ _WHOLE = 7  # digits before the point that are written out
 _LONG = 60  # characters
 _SMALL = -4  # the power of ten below which there is an exponent
 
+NORMAL_95 = 1.959964
+"""Standard deviations in half of a 95 % interval of a normal quantity."""
+
 
 def number(x: SupportsFloat, digits: int = 3, *, zeros: bool = False) -> str:
     """So many significant digits, thousands whole and no exponent where there is room: `0.25`, `1234`, `2.5e-7`.

@@ -20,7 +20,6 @@ from jaxtyping import Complex, Float, Int, PyTree
 Array = jax.Array | np.ndarray
 
 Signal = Float[Array, "pos exp time channel"]
-Spectrum = Complex[Array, "pos exp freq channel"]
 Response = Complex[Array, "pos freq out in"]
 Covariance = Complex[Array, "pos freq vec vec"]
 Frequency = Float[Array, "freq"]

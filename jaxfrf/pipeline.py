@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from ._status import describe
-from ._text import counted, number, percent, plus_minus
+from ._text import NORMAL_95, counted, number, percent, plus_minus
 from .frf import FRF, Distortion
 from .frf.features import features
 from .spectra import Spectra
@@ -112,7 +112,7 @@ def _independent(about: dict) -> str:
 
 def _at(feature) -> str:
     """Frequency and damping with their 95 % intervals."""
-    text = f"{plus_minus(feature.frequency, 1.96 * feature.frequency_std)} Hz"
+    text = f"{plus_minus(feature.frequency, NORMAL_95 * feature.frequency_std)} Hz"
     if not np.isfinite(feature.damping):
         return text
     return f"{text} (damping {plus_minus(100 * feature.damping, 196 * feature.damping_std)} %)"

@@ -27,6 +27,11 @@ def in_motion(data):
     )
 
 
+def information(frequency=(5.0, 6.0), points=None, **options):
+    points = np.zeros((1, 6)) if points is None else points
+    return jf.graybox.position_information(jf.RobotModel(ARM), np.asarray(frequency), points, **options)
+
+
 LONG = jf.Experiment(U, np.roll(U, 1, axis=0), 1000.0)
 
 WRONG = {
@@ -114,6 +119,30 @@ WRONG = {
     "identify(None)": lambda: jf.identify_springs(None, None),
     "calibrate(None)": lambda: jf.calibrate(None, None),
     "calibrate of files": lambda: jf.calibrate("r.toml", ["a.nc"]),
+    "random_odd_lines by a key of 3.5": lambda: jf.random_odd_lines(1, 99, key=3.5),
+    "random_odd_lines in groups of 2.5": lambda: jf.random_odd_lines(1, 99, group=2.5, key=0),
+    "detection_lines of none": lambda: jf.detection_lines([]),
+    "band_lines at 0 Hz": lambda: jf.band_lines(1.0, 9.0, 0.0, 50),
+    "select_positions of none": lambda: jf.select_positions(jf.dft(DATA), []),
+    "select_positions(5)": lambda: jf.select_positions(jf.dft(DATA), [5]),
+    "segment_spectra overlapping wholly": lambda: jf.segment_spectra(LONG, 20, overlap=1.0),
+    "segment_spectra overlapping by -0.5": lambda: jf.segment_spectra(LONG, 20, overlap=-0.5),
+    "segment_spectra overlapping by nan": lambda: jf.segment_spectra(LONG, 20, overlap=NAN),
+    "segment_spectra of 32.5": lambda: jf.segment_spectra(LONG, 32.5),
+    "segment_spectra with another window": lambda: jf.segment_spectra(LONG, 32, window="round"),
+    "best_linear_approximation(None)": lambda: jf.best_linear_approximation(None),
+    "RobotModel(None)": lambda: jf.RobotModel(None),
+    "modal in one number": lambda: jf.modal(FRF, band=(10.0,)),
+    "fit from 1.5 starts": lambda: jf.fit(jf.GrayBox(lambda s, p: p["g"] * FRF.G[0], {"g": 1.0}), FRF, starts=1.5),
+    "position_information with noise 0": lambda: information(noise=0.0),
+    "position_information with noise below 0": lambda: information(noise=-0.05),
+    "position_information with noise nan": lambda: information(noise=NAN),
+    "position_information of wrong weights": lambda: information(weights=np.ones((2, 2))),
+    "position_information without lines": lambda: information(frequency=np.zeros(0)),
+    "position_information without points": lambda: information(points=np.zeros((0, 6))),
+    "FRF of lines that fall": lambda: dataclasses.replace(FRF, frequency=FRF.frequency[::-1]),
+    "FRF of lines that are nan": lambda: dataclasses.replace(FRF, frequency=np.array([1.0, NAN, 3.0])),
+    "frf_from_arrays with one line twice": lambda: jf.io.frf_from_arrays(FRF.G, np.array([1.0, 1.0, 3.0])),
     "modal of data": lambda: jf.modal(DATA),
     "fit of arrays": lambda: jf.fit(None, U),
 }

@@ -14,7 +14,7 @@ from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order
 from .numbers import Number
 
-_DATA_SHARE = 0.9  # of the prior's variance that the data take away: less is not determined by the data
+DATA_SHARE = 0.9  # of the prior's variance that the data take away: less is not determined by the data
 _SURE = 0.3  # in x: a number of which nothing was known before is determined where its deviation is below
 _TOGETHER = 0.5  # correlation of numbers that are determined in combination only
 _MUCH = 0.1  # of an axis's torque: a robot that misses more lacks something, or was not given what moved
@@ -104,9 +104,9 @@ class Calibration(eqx.Module):
         i = [n.name for n in self.numbers].index(name)
         alone = 1.0 / np.linalg.inv(self.dependence)[i, i]  # variance of x where all others were known
         prior = self.numbers[i].prior
-        if (prior and self.data_share[i] >= _DATA_SHARE) or (not prior and np.sqrt(self.covariance[i, i]) < _SURE):
+        if (prior and self.data_share[i] >= DATA_SHARE) or (not prior and np.sqrt(self.covariance[i, i]) < _SURE):
             return "data"
-        if self.partners(name) and (1.0 - alone >= _DATA_SHARE if prior else alone < _SURE**2):
+        if self.partners(name) and (1.0 - alone >= DATA_SHARE if prior else alone < _SURE**2):
             return "data in combination"
         return "prior" if prior else "nothing"
 

@@ -3,7 +3,7 @@
 import pathlib
 
 from .._errors import input_error
-from .._text import counted, number, plus_minus
+from .._text import NORMAL_95, counted, number, plus_minus
 from ..io._formats import FRFS
 from .arguments import check_picture, check_result, check_target, command, naming, range_of
 
@@ -80,7 +80,7 @@ def _lines(found) -> list[str]:
     what = "no mode could be fitted" if failed else counted(len(found.modes), "mode")
     lines = [f"{what} from {number(found.frequency[0], 4)} to {number(found.frequency[-1], 4)} Hz (95 %)"]
     lines += [
-        f"  {plus_minus(m.frequency, 1.96 * m.frequency_std)} Hz, damping "
+        f"  {plus_minus(m.frequency, NORMAL_95 * m.frequency_std)} Hz, damping "
         f"{plus_minus(100 * m.damping, 196 * m.damping_std)} %"
         for m in found.modes
     ]

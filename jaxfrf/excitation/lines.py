@@ -36,6 +36,8 @@ def band_lines(low: float, high: float, fs: float, period: int) -> tuple[int, in
     expect_real("high", high)
     expect_real("fs", fs)
     expect_whole("period", period, 1)
+    if fs <= 0:
+        raise input_error("fs", f"{fs}", "samples in a second, above 0", "Give it in Hz.")
     resolution = fs / period
     if not (math.isfinite(low) and math.isfinite(high)):
         raise input_error("band", f"{low:g} to {high:g} Hz", "finite frequencies", "E.g. band = [4.0, 80.0].")
@@ -114,8 +116,7 @@ def random_odd_lines(first: int, last: int, *, group: int = 4, key: PRNGKeyArray
     """
     expect_whole("first", first)
     expect_whole("last", last)
-    if group < 2:
-        raise input_error("group", f"{group}", "2 or more odd lines", "Groups of 3 to 5 are usual.")
+    expect_whole("group", group, 2)
     lines = odd_lines(first, last)
     whole = len(lines) // group
     left_out = np.arange(whole) * group + np.floor(uniform(key, (whole,)) * group).astype(int)
@@ -161,11 +162,13 @@ def detection_lines(lines: Int[Array, "freq"], first: int | None = None, last: i
 
     **Returns:** the odd and the even lines that are not excited, each increasing; either may be empty.
 
-    **Raises:** `jaxfrf.InputError` unless 1 <= `first` <= `last`.
+    **Raises:** `jaxfrf.InputError` without lines, and unless 1 <= `first` <= `last`.
 
     **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, section 4.3.
     """
     lines = np.asarray(lines)
+    if not lines.size:
+        raise input_error("lines", "none", "the excited lines, one or more", "Take those of the design.")
     first, last = _range(lines.min() if first is None else first, lines.max() if last is None else last)
     silent = np.setdiff1d(np.arange(first, last + 1), lines)
     return silent[silent % 2 == 1], silent[silent % 2 == 0]

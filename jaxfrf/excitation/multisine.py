@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int, PRNGKeyArray
 
 from .._annotated import checked
-from .._arguments import expect
+from .._arguments import as_key, expect
 from .._errors import input_error
 from .._memory import check_memory
 from .._text import shortened
@@ -210,7 +210,7 @@ def reference_spectra(design: Multisine, *, key: PRNGKeyArray | None = None) -> 
 
     **Source:** Dobrowiecki & Schoukens, IEEE Trans. Instrum. Meas. 56 (2007).
     """
-    key = jr.key(design.seed) if key is None else key
+    key = as_key("key", design.seed if key is None else key)
     check_memory(
         f"references of {design.n_exp} experiments",
         16.0 * design.n_exp * len(design.lines) * design.n_in,

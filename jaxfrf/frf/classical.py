@@ -17,7 +17,7 @@ from .method import AbstractMethod, Estimate, Signals, flags
 from .regression import PIVOT
 from .window import Windows, windows
 
-_DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
+DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
 _AT_ONCE = 16  # lines whose rank is looked at together, after the first, which mostly tells
 
 
@@ -170,7 +170,7 @@ def _best_rank(X) -> int:
     while best < n and first < len(X):
         last = first + _AT_ONCE if first else 1
         singular = np.linalg.svd(X[first:last], compute_uv=False)
-        best = max(best, int((singular > _DEPENDENT * singular[..., :1]).sum(axis=-1).max()))
+        best = max(best, int((singular > DEPENDENT * singular[..., :1]).sum(axis=-1).max()))
         first = last
     return best
 
@@ -197,7 +197,8 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
         G = product(product(Y, adjoint(Z)), X) if G is None else G
         residual = Y - product(G, U)
         C = product(residual, adjoint(residual)) / (dof if dof > 0 else jnp.nan)
-        condition = jnp.sqrt(jnp.max(_squared(X) * jnp.sum(_squared(Z), axis=1)[:, None] * jnp.sum(_squared(U), axis=1)))
+        power_U, power_Z = (jnp.sum(_squared(x), axis=1) for x in (U, Z))
+        condition = jnp.sqrt(jnp.max(_squared(X) * power_Z[:, None] * power_U))
         told = None if noise is None else _noise_covariance(G, product(adjoint(Z), X), noise)
         return G, KroneckerSum(S[None], C[None]), told, condition
 

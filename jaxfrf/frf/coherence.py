@@ -71,7 +71,9 @@ def _output_noise(spectra: Spectra) -> np.ndarray:
 
 
 def _ratio(a, b) -> np.ndarray:
-    return np.divide(a, b, out=np.zeros(np.broadcast_shapes(a.shape, b.shape)), where=b > 0)
+    """a/b, 0 where there is no power; NaN where that is not known."""
+    unknown = np.where(np.isfinite(a + b), 0.0, np.nan)
+    return np.divide(a, b, out=unknown, where=b > 0)
 
 
 def _too_few(spectra: Spectra, needed: int):

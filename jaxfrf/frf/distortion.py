@@ -81,6 +81,7 @@ def best_linear_approximation(data: Experiment, method: AbstractMethod | None = 
 
     **Source:** Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012, section 4.3.
     """
+    expect("data", data, Experiment)
     chosen = Auto() if method is None else method
     return distortion_of(estimate(spectra_of(data, chosen), chosen), data)
 
@@ -96,7 +97,8 @@ def with_distortion(frf: FRF, data: Experiment, spectra: Spectra | None = None) 
 
     **Returns:** the FRF, with `cov_total` where the record tells it; units and lines stay.
 
-    **Raises:** `jaxfrf.InputError` if `frf` is no FRF or `data` no experiment.
+    **Raises:** `jaxfrf.InputError` if `frf` is no FRF or `data` no experiment, and where the lines of the FRF are not
+    all the record's.
 
     **Source:** as of `jaxfrf.best_linear_approximation`.
     """
@@ -104,6 +106,8 @@ def with_distortion(frf: FRF, data: Experiment, spectra: Spectra | None = None) 
     expect("data", data, Experiment)
     if not data.period:
         return frf
+    spectra = dft(data) if spectra is None else spectra
+    _same_lines(spectra, frf)
     try:
         return distortion_of(frf, data, spectra).frf
     except InputError:

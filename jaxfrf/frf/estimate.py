@@ -20,6 +20,7 @@ from ..experiment import Experiment
 from ..spectra import Spectra, select_positions
 from .aperiodic import adapted
 from .causes import with_causes
+from .classical import DEPENDENT
 from .from_record import spectra_of
 from .method import AbstractMethod, Estimate
 from .response import FRF
@@ -29,7 +30,6 @@ _BLOCK_BYTES = 8e8  # operating points are estimated in groups that need about t
 _ACCELERATED = 20  # times as much, on a GPU: to start a group takes longer than the arithmetic of a few points
 _SHARED = 1000  # lines of all operating points, from which on more than one core takes part
 _compiled: set = set()  # programs that the first group has compiled for the others
-_DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
 
 
@@ -234,7 +234,7 @@ def _ranks_of(X) -> np.ndarray:
     size = np.linalg.norm(X, axis=1, keepdims=True)
     R = np.linalg.qr(X / np.where(size > 0, size, 1.0), mode="r")
     singular = np.linalg.svd(R, compute_uv=False)
-    return (singular > _DEPENDENT * singular[:, :1]).sum(axis=1)
+    return (singular > DEPENDENT * singular[:, :1]).sum(axis=1)
 
 
 def _excitation_status(spectra: Spectra, method: AbstractMethod) -> np.ndarray:

@@ -8,9 +8,9 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Complex, Float
 
-from .._arguments import expect
+from .._arguments import expect, expect_real
 from .._errors import input_error
-from .._text import number
+from .._text import NORMAL_95, number
 from .._threads import one_blas_thread
 from .._types import Array
 from ..experiment import QUANTITIES
@@ -232,7 +232,7 @@ class _Lines(NamedTuple):
 def _chosen(frf: FRF, position: int, band) -> _Lines:
     if not -frf.n_pos <= position < frf.n_pos:
         raise input_error("position", f"{position}", f"one of {frf.n_pos} (from 0)", "Choose another.")
-    low, high = band or (0.0, np.inf)
+    low, high = (0.0, np.inf) if band is None else _band(band)
     frequency, G = np.asarray(frf.frequency, float), np.asarray(frf.G)[position]
     std = np.asarray(frf.std)[position]
     wanted = (frequency >= low) & (frequency <= high) & (frequency > 0) & np.isfinite(G).all(axis=(1, 2))
@@ -253,6 +253,13 @@ def _chosen(frf: FRF, position: int, band) -> _Lines:
     floored = np.maximum(std, 1e-4 * np.maximum(np.abs(G), 1e-2 * level))
     errors = _Errors(frf, position, np.flatnonzero(wanted), std.reshape(len(std), -1))
     return _Lines(s, G, floored, background, overlap, errors)
+
+
+def _band(band) -> tuple[float, float]:
+    expect_real("band", band)
+    if np.shape(band) != (2,) or not band[0] < band[1]:
+        raise input_error("band", f"{band}", "the lower and the upper end, Hz", "E.g. band=(5.0, 80.0).")
+    return float(band[0]), float(band[1])
 
 
 def _steady(std, dof) -> Float[np.ndarray, "freq out in"]:
@@ -336,7 +343,7 @@ def _profiled(fitted: PoleFit, lines: _Lines) -> PoleFit:
     nothing = each[0.0]
     best = min([fitted, *each.values()], key=lambda x: x.cost)
     rise = lambda x: (x.cost - best.cost) / fitted.unit
-    width, ends = 1.96 * fitted.delay_std, []
+    width, ends = NORMAL_95 * fitted.delay_std, []
     for sign in (-1.0, 1.0):
         beyond = sorted((x for x in each if sign * (x - fitted.delay) > 0), key=lambda x: sign * x)
         known = [x for x in beyond if rise(each[x]) < _LIKELY]
@@ -346,7 +353,7 @@ def _profiled(fitted: PoleFit, lines: _Lines) -> PoleFit:
             far = abs(behind[0] - fitted.delay) * np.sqrt(_LIKELY / rise(each[behind[0]]))
         width = max(width, far)
         ends += [each[x] for x in known[-1:]]
-    fitted = nothing if rise(nothing) < _LIKELY else fitted._replace(delay_std=width / 1.96)
+    fitted = nothing if rise(nothing) < _LIKELY else fitted._replace(delay_std=width / NORMAL_95)
     return _turning(fitted, ends)
 
 
@@ -355,7 +362,7 @@ def _turning(fitted: PoleFit, others: Sequence[PoleFit]) -> PoleFit:
     std = fitted.coefficient_std
     for other in others:
         if other.coefficients.shape == fitted.coefficients.shape:
-            std = np.maximum(std, np.abs(other.coefficients - fitted.coefficients) / 1.96)
+            std = np.maximum(std, np.abs(other.coefficients - fitted.coefficients) / NORMAL_95)
     return fitted._replace(coefficient_std=std)
 
 
@@ -397,8 +404,8 @@ def _widened(fitted: PoleFit, lines: _Lines) -> PoleFit:
     each = range(len(fitted.poles))
     moved = np.array([_moved(fitted, i, lines) for i in each]).reshape(-1, 2)
     return fitted._replace(
-        frequency_std=np.hypot(fitted.frequency_std, moved[:, 0] / 1.96),
-        damping_std=np.hypot(fitted.damping_std, moved[:, 1] / 1.96),
+        frequency_std=np.hypot(fitted.frequency_std, moved[:, 0] / NORMAL_95),
+        damping_std=np.hypot(fitted.damping_std, moved[:, 1] / NORMAL_95),
     )
 
 

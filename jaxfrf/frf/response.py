@@ -64,11 +64,19 @@ class FRF(eqx.Module):
             raise ValueError(
                 f"G has shape {self.G.shape} with {len(self.frequency)} frequencies; expected (pos, freq, out, in)."
             )
+        if isinstance(self.frequency, np.ndarray):
+            _check_frequency(self.frequency)
         vec = self.G.shape[2] * self.G.shape[3]
         for name in ("cov", "cov_noise", "cov_total"):
             value = getattr(self, name)
             if value is not None and value.shape != (*self.G.shape[:2], vec, vec):
                 raise ValueError(f"{name} has shape {value.shape}; expected {(*self.G.shape[:2], vec, vec)}.")
+        for name in ("dof", "status", "window"):
+            shape = np.shape(getattr(self, name))
+            if shape != self.G.shape[:2]:
+                raise ValueError(f"{name} has shape {shape}; expected (pos, freq), {self.G.shape[:2]}.")
+        if self.q is not None and (np.ndim(self.q) != 2 or len(self.q) != self.n_pos):
+            raise ValueError(f"q has shape {np.shape(self.q)}; expected (pos, joint) of {self.n_pos} positions.")
 
     @property
     def n_pos(self) -> int:
@@ -87,6 +95,16 @@ class FRF(eqx.Module):
         """Standard deviation of every element of G, sqrt(E|G - EG|^2): (pos, freq, out, in)."""
         variance = np.asarray(variances(self.cov))
         return np.sqrt(np.maximum(variance, 0)).reshape(*self.G.shape[:2], self.n_in, self.n_out).swapaxes(-1, -2)
+
+
+def _check_frequency(frequency: np.ndarray) -> None:
+    if not np.isfinite(frequency).all() or np.any(frequency < 0) or np.any(np.diff(frequency) <= 0):
+        raise input_error(
+            "frequency",
+            "values that are NaN or Inf, below zero, or do not increase",
+            "finite frequencies in Hz, each above the one before",
+            "Sort them, G and its covariance along.",
+        )
 
 
 def concatenate_positions(frfs: Sequence[FRF]) -> FRF:

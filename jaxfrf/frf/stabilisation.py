@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from .._arguments import expect_real
 from .._errors import input_error
 
 _NEAR_FREQUENCY = 0.01  # relative: poles of two orders nearer than this are one
@@ -124,7 +125,8 @@ def clusters(table: Stabilisation) -> np.ndarray:
 def nearest(table: Stabilisation, near: Sequence[float]) -> np.ndarray:
     """One pole, rad/s, for each frequency, Hz."""
     chosen = []
-    for f in near:
+    expect_real("near", near)
+    for f in np.atleast_1d(near):
         distance = np.abs(table.frequency - f)
         if not distance.size or distance.min() > 0.05 * f:
             raise input_error(

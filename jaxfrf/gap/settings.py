@@ -40,7 +40,6 @@ OTHERS = 3.0  # numbers that tell a common factor of all tolerances, at least
 FAR = 2.0  # tolerances that such a number is off by at least
 HOPELESS = 9.0  # tolerances: a robot in which one is further off explains nothing
 OFF = 1.0  # tolerances from which on a number is told to be off
-DATA_SHARE = 0.9  # of what was not known of a number, from the record, before it is told to be off
 
 # Which candidates are fitted
 CANDIDATES = 2  # of every view, by the cost that they promise to take away

@@ -4,7 +4,7 @@ from .corrections import Correction as Correction
 from .cost import Cost as Cost, cost_function as cost_function
 from .deflections import robot_points as robot_points
 from .derived import Derived as Derived, derived as derived
-from .fit import Fit as Fit, Start as Start, evaluate as evaluate, fit as fit
+from .fit import Fit as Fit, Start as Start, fit as fit
 from .guess import (
     Guess as Guess,
     guessed as guessed,

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import norm
 
-from .._arguments import expect
+from .._arguments import expect, expect_probability, said
+from .._errors import input_error
 from .fit import Fit
 
 
@@ -38,13 +39,16 @@ def derived(
 
     **Returns:** by name: value, standard deviation and interval, in the unit that the function gives.
 
-    **Raises:** `jaxfrf.InputError` if `fitted` is no fit.
+    **Raises:** `jaxfrf.InputError` if `fitted` is no fit, `level` no probability, and where `function` gives anything
+    but finite real scalars by name.
 
     **Source:** the delta method, e.g. Casella & Berger, Statistical Inference, 2nd ed. 2002, section 5.5.4.
     """
     expect("fitted", fitted, Fit)
+    expect_probability("level", level)
     x, cov = jnp.asarray(fitted.x), np.asarray(fitted.uncertainty.cov)
     at = lambda x: {name: jnp.asarray(v, float) for name, v in function(fitted.coordinates.values(x)).items()}
+    _check_scalars(function, fitted.coordinates.values(x))
     values, slopes = at(x), jax.jacfwd(at)(x)
     reach = float(norm.ppf(0.5 + level / 2))
     found: dict[str, Derived] = {}
@@ -57,3 +61,20 @@ def derived(
         else:
             found[name] = Derived(value, std, (value - reach * std, value + reach * std))
     return found
+
+
+def _check_scalars(function, parameters: Mapping[str, jax.Array]) -> None:
+    """Refuse a function that gives no finite real scalars by name."""
+    try:
+        found = function(parameters)
+    except KeyError as error:
+        raise input_error(
+            "function", f"a parameter {error}", f"one of {', '.join(parameters)}", "Take one of the fit's names."
+        ) from error
+    if not isinstance(found, Mapping):
+        raise input_error("function", f"{said(found)} as its result", "scalars by name", 'Return {"name": value}.')
+    for name, value in found.items():
+        x = np.asarray(value)
+        if x.dtype.kind not in "iuf" or x.ndim or not np.isfinite(x):
+            shown = said(value) if x.ndim else str(x)
+            raise input_error(f"function: {name!r}", shown, "a finite real number", "Derive one number each.")

@@ -11,7 +11,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray, PyTree
 
-from .._arguments import expect
+from .._arguments import as_key, expect, expect_probability, expect_whole
 from .._errors import input_error
 from .._threads import one_blas_thread
 from .._types import require_x64
@@ -20,7 +20,7 @@ from .cost import Cost, check_quantity, check_shape
 from .model import AbstractModel, Model, RobotModel, fix
 from .parameter import Coordinates, matching
 from .solver import AbstractSolver, LevenbergMarquardt, Minimisation, check_solver, descents
-from .target import Target, Weights, assumed_cost, select, target
+from .target import Target, Weights, select, target
 from .uncertainty import Uncertainty, products, uncertainty, without_sensitivity
 
 _COARSE = 28  # lines that the search for the valley needs at least
@@ -84,9 +84,11 @@ class Fit(eqx.Module):
         return scaled(self.coordinates, self.x, self.uncertainty.std)
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Confidence interval of every fitted parameter; of a positive one symmetric in its logarithm."""
+        """Confidence interval of every fitted parameter; of a positive one symmetric in its logarithm. `level`: between
+        0 and 1, or `jaxfrf.InputError`."""
         from scipy.stats import norm
 
+        expect_probability("level", level)
         reach = float(norm.ppf(0.5 + level / 2)) * self.uncertainty.std
         low, high = (self.coordinates.values(self.x + sign * reach) for sign in (-1, 1))
         return {n: (float(low[n]), float(high[n])) for n in self.coordinates.names}
@@ -218,7 +220,7 @@ def fit_target(
     """`fit` for a target that is already made."""
     model, blind = _without_blind(model, tg)
     coordinates = Coordinates(model.parameters)
-    begin = _starts(coordinates, starts, jr.key(0) if key is None else key)
+    begin = _starts(coordinates, starts, as_key("key", 0 if key is None else key))
     part, share = _coarse(tg, len(begin))
     whole, coarse = Cost(model, coordinates, tg), Cost(model, coordinates, part)
     total = len(begin) + (len(begin) if keep is None else min(keep, len(begin)))
@@ -255,12 +257,11 @@ def _without_blind(model: Model, tg: Target) -> tuple[Model, tuple[str, ...]]:
 
 
 def _starts(coordinates: Coordinates, starts, key) -> list[np.ndarray]:
-    if not isinstance(starts, numbers.Integral):
+    if not isinstance(starts, numbers.Real):
         return _named_starts(coordinates, starts)
-    if starts < 1:
-        raise input_error("starts", f"{starts}", "1 or more", "20 show whether there is one minimum.")
-    starts, first = int(starts), coordinates.start()
-    draws = np.array(jr.normal(key, (starts, coordinates.size)))
+    expect_whole("starts", starts, 1)
+    first = coordinates.start()
+    draws = np.array(jr.normal(key, (int(float(starts)), coordinates.size)))
     draws[0] = 0.0
     return [coordinates.inside(first + coordinates.spreads() * draw) for draw in draws]
 
@@ -336,29 +337,3 @@ def _polished(start: Start, end: Minimisation, alone: bool) -> Start:
         polished=True,
         converged=end.converged,
     )
-
-
-def evaluate(fitted: Fit, frf: FRF, weights: Weights | None = None, points: PyTree | None = None) -> float:
-    """Mean weighted square error of a fit on other FRFs (held-out positions), over what the same weights expect:
-    1 means errors as large as the floor plus the FRF's noise, |E|^2 = floor^2 + var/|G|^2.
-
-    **Arguments:**
-
-    - `fitted`: the fit, with the parameters at its result.
-    - `frf`: (pos, freq, out, in), of the quantity that the model gives.
-    - `weights`: as in `jaxfrf.fit`; `Weights()` by default.
-    - `points`: operating points, leading axis (pos), as the model takes them; by default those of the FRF, by its `q`
-      (rad).
-
-    **Returns:** the ratio, without unit.
-
-    **Raises:** `jaxfrf.InputError` where weights have another shape, nothing is left to compare, or the FRF has no `q`
-    that the model could take.
-
-    **Source:** a definition: the cost of `jaxfrf.fit` over its expected value.
-    """
-    weights = Weights() if weights is None else weights
-    points = fitted.model.points(frf.q, frf.n_pos) if points is None else points
-    tg = target(frf, weights, points)
-    cost = float(Cost(fitted.model, fitted.coordinates, tg)(jnp.asarray(fitted.x)))
-    return cost / assumed_cost(tg, weights.floor)

@@ -116,7 +116,7 @@ def fit_indirectly(
         raise input_error("rounds", f"{rounds}", "1 or more", "Use `fit` for the direct fit.")
     measured = measured_frf(data, method, model.quantity)
     direct = fit_in_motion(model, data, measured, weights=weights, solver=solver, starts=starts, key=key)
-    _say(say, f"direct fit: {direct.verdict}, {direct.close_starts} of {len(direct.starts)} starts agree")
+    tell(say, f"direct fit: {direct.verdict}, {direct.close_starts} of {len(direct.starts)} starts agree")
     loop = _Loop(model, data, method, measured, weights, solver, direct.model)
     history = list(done)
     x = np.asarray(direct.x) if not history else next_point(history, loop.coordinates, direct)
@@ -128,7 +128,7 @@ def fit_indirectly(
         wanted = loop.coordinates.wanted()
         moved = np.abs(correction.update - correction.x)[wanted]
         converged = bool(settled(correction, loop.coordinates, latest)[wanted].all())
-        _say(
+        tell(
             say,
             f"round {len(history)}: gap {correction.gap_db:.3f} dB, largest change {100 * moved.max():.2f} %"
             + (", converged" if converged else ""),
@@ -182,6 +182,6 @@ class _Loop:
         return correction, found, simulated
 
 
-def _say(say: Say | None, text: str) -> None:
+def tell(say: Say | None, text: str) -> None:
     if say is not None:
         say(text)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float, PyTree
 
+from .._arguments import expect
 from .._errors import input_error
 from .._types import Array
 from ..robot import (
@@ -164,6 +165,7 @@ class RobotModel(AbstractModel):
         damping_spread: float | None = None,
         friction_spread: float | None = None,
     ):
+        expect("robot", robot, Robot)
         self.robot, self.quantity = robot, quantity
         sampled = ZeroOrderHold(robot.sampling_frequency, "position")
         self.hold = sampled if isinstance(hold, str) else hold

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, PyTree
 
+from .._arguments import expect, expect_real, expect_whole
 from .._errors import input_error
 from .._types import Array
 from .cost import at_position
@@ -54,18 +55,26 @@ def position_information(
 
     **Returns:** (pos, parameter, parameter), in coordinates x: relative for positive parameters.
 
-    **Raises:** `jaxfrf.InputError` naming operating points at which the response is not finite.
+    **Raises:** `jaxfrf.InputError` for no lines or points, a `noise` that is not above 0, shapes that do not fit, and
+    naming operating points at which the response is not finite.
 
     **Source:** closed form for Gaussian errors, e.g. Ljung, System Identification, 2nd ed. 1999, section 7.4.
     """
+    expect("model", model, AbstractModel)
+    expect_real("frequency", frequency)
     coordinates = Coordinates(model.parameters)
-    frequency = jnp.asarray(frequency)
-    n_pos = len(jax.tree.leaves(points)[0])
+    frequency = jnp.atleast_1d(jnp.asarray(frequency, float))
+    n_pos = len(jax.tree.leaves(points)[0]) if jax.tree.leaves(points) else 0
+    if not n_pos:
+        raise input_error("points", "none", "operating points, one or more", "Give arm angles, (pos, axis), rad.")
     points = jax.tree.map(jnp.asarray, points)
     first = jax.tree.map(lambda a: a[0], points)
     x = jnp.asarray(coordinates.start())
     shape = jax.eval_shape(lambda p: model.response(frequency, coordinates.values(x), p), first).shape
-    precision = np.broadcast_to(1.0 / np.square(noise), shape) * (1.0 if weights is None else np.asarray(weights))
+    noise = _broadcast("noise", noise, shape)
+    if np.any(noise <= 0):
+        raise input_error("noise", f"{noise.min():g}", "a relative standard deviation above 0", "E.g. 0.05.")
+    precision = _broadcast("weights", 1.0 if weights is None else weights, shape[1:]) / np.square(noise)
     flat = jnp.asarray(np.swapaxes(precision, -1, -2).reshape(shape[0], -1))
     found = np.asarray(_information(model, coordinates, frequency, x, points, flat))
     if not np.isfinite(found).all():
@@ -77,6 +86,16 @@ def position_information(
             "Leave these points out.",
         )
     return found
+
+
+def _broadcast(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
+    expect_real(name, value)
+    try:
+        return np.broadcast_to(np.asarray(value, float), shape)
+    except ValueError:
+        raise input_error(
+            name, f"shape {np.shape(value)}", f"one number, or numbers for each of {shape}", "Check the axes."
+        ) from None
 
 
 @eqx.filter_jit
@@ -111,6 +130,7 @@ def d_optimal(
     """
     information = np.asarray(information)
     n = len(information)
+    expect_whole("count of positions", count, None)
     if not 1 <= count or (count > n and not repeat):
         raise input_error("count of positions", f"{count}", f"1 to {n}, the candidates", "Offer more candidates.")
     finite = np.isfinite(information).all(axis=(1, 2))
@@ -246,6 +266,7 @@ def plan_positions(
     choices is this project's own.
     """
     n = len(jax.tree.leaves(candidates)[0])
+    expect_whole("count of positions", count, None)
     if not 1 <= count <= n:
         raise input_error("count of positions", f"{count}", f"1 to {n}, the candidates", "Offer more candidates.")
     if not len(blocks) or min(blocks) < 1:

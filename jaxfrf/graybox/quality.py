@@ -102,7 +102,7 @@ class Quality(eqx.Module):
 
     @property
     def cost(self) -> float:
-        """Weighted square error over what the weights allow, as `graybox.evaluate`: 1 is floor and noise."""
+        """Weighted square error over what the weights allow, |E|^2 = floor^2 + var/|G|^2: 1 is floor and noise."""
         return float(np.sum(self.weighted) / np.sum(self.assumed))
 
     @property
@@ -187,14 +187,32 @@ def quality(fitted: Fit, frf: FRF, weights: Weights | None = None, bands: int = 
 
     **Returns:** a `Quality`: chi-square and errors by position, band and element.
 
-    **Raises:** `jaxfrf.InputError` for less than one band.
+    **Raises:** `jaxfrf.InputError` for another FRF than was fitted (see `jaxfrf.graybox.model_quality`), and for less
+    than one band.
 
     **Source:** a definition (chi-square, rms); the cells are this project's own.
     """
     expect("fitted", fitted, Fit)
     expect("frf", frf, FRF)
+    _check_fitted(fitted.target, frf)
     E, _ = Cost(fitted.model, fitted.coordinates, fitted.target).errors(jnp.asarray(fitted.x))
     return residual_quality(np.asarray(E), fitted.target, frf, weights, bands)
+
+
+def _check_fitted(fitted: Target, frf: FRF) -> None:
+    """Refuse another FRF than the one that a target was made of."""
+    lines = np.shape(fitted.frequency) == np.shape(frf.frequency) and np.allclose(fitted.frequency, frf.frequency)
+    G = np.asarray(frf.G)
+    g = G.swapaxes(-1, -2).reshape(*G.shape[:2], -1)
+    same = lines and g.shape == fitted.log_G.shape
+    used = np.asarray(fitted.used)
+    if not same or not np.allclose(np.exp(fitted.log_G[used]), g[used], rtol=1e-6, atol=0.0):
+        raise input_error(
+            "frf",
+            "other numbers" if same else "other lines or another shape",
+            "the FRF that was fitted",
+            "Compare the fit with another one by jaxfrf.graybox.model_quality.",
+        )
 
 
 def model_quality(

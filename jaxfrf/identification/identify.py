@@ -25,7 +25,7 @@ from ..graybox import (
     starting_near,
 )
 from ..graybox.in_motion import fit_in_motion
-from ..graybox.indirect import default_method, measured_frf
+from ..graybox.indirect import default_method, measured_frf, tell
 from ..graybox.quality import model_quality, quality, response_quality
 from ..graybox.slow_motion import response_in_motion
 from ..io.fits import plain_data
@@ -124,7 +124,7 @@ def identify_springs(
     key = jr.key(seed)
     indirect = None
     if why:
-        _tell(say, f"direct fit only: {why}")
+        tell(say, f"direct fit only: {why}")
         measured = frf_of(part)
         found = _direct(model, part, measured, weights, starts, key, say)
     else:
@@ -184,9 +184,9 @@ def _direct(model: RobotModel, data, measured: FRF, weights, starts: int, key, s
 def _guessed(model: RobotModel, measured: FRF, say: Say | None) -> RobotModel:
     """The model at a guess that does not know the robot's springs and dampers."""
     found = initial_guess(model, measured)
-    _tell(say, f"first guess from the antiresonances: {found.error_db:.2f} dB off")
+    tell(say, f"first guess from the antiresonances: {found.error_db:.2f} dB off")
     for note in found.notes:
-        _tell(say, f"first guess: {note}")
+        tell(say, f"first guess: {note}")
     return starting_near(model, found.values)
 
 
@@ -203,8 +203,3 @@ def _judged(
     played = replay(model.at(indirect.fit.values), rest)
     simulated = measured_frf(played, method, QUANTITY)
     return HeldOut(held, direct, response_quality(simulated.G, frf, weights))
-
-
-def _tell(say: Say | None, text: str) -> None:
-    if say is not None:
-        say(text)

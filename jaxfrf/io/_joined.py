@@ -2,7 +2,6 @@
 
 import dataclasses
 import pathlib
-import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -11,12 +10,11 @@ from .._errors import input_error
 from .._text import number
 from ..units import known_unit
 from ._container import Leaf, Variables, load
-from ._select import signals_of, sounds_like
+from ._select import TIME, signals_of, sounds_like
 from .record_arguments import MAPPED, SIGNALS, split
 
 _LATE = 0.5  # sample intervals that the clocks of two files may differ by
 _UNIT = 1e-3  # powers of 1000: steps that differ by one to within .7 % are in another unit
-_TIME = re.compile(r"t|t[\W_].*|(time|zeit|temps|tiempo|clock).*|.*[\W_](time|zeit)|.*time_?stamp|sec(ond)?s?")
 
 
 def part_of(expression: str, files: Sequence[pathlib.Path]) -> pathlib.Path | None:
@@ -146,7 +144,7 @@ def _clock(path: pathlib.Path, variables: Mapping[str, Leaf]) -> _Clock | None:
     units = getattr(variables, "units", {})
     aliases = {name: alias for alias, name in getattr(variables, "aliases", {}).items()}
     for name, value in variables.items():
-        if not _TIME.fullmatch(aliases.get(name, name).split(".")[-1].lower()) or isinstance(value, str):
+        if not TIME.fullmatch(aliases.get(name, name).split(".")[-1].lower()) or isinstance(value, str):
             continue
         time = np.ravel(np.asarray(value))
         if time.size > 2 and time.dtype.kind in "iuf" and np.isfinite(time).all() and np.all(np.diff(time) >= 0):

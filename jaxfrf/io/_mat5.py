@@ -37,7 +37,7 @@ def check_whole(path: pathlib.Path) -> None:
     data = path.read_bytes()
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None or data[:4].count(0):
-        _check_version_4(path, data)
+        _check_version_4(data)
         return
     expanded = 0
     for kind, part in _elements(memoryview(data)[_HEADER:], order, padded=False):
@@ -143,7 +143,7 @@ def _check_matrix(data: memoryview, order: str, depth: int) -> None:
     elif kind == _FUNCTION:
         _check_matrix(parts.take(_MATRIX), order, depth + 1)
     elif kind == _SPARSE:
-        _check_sparse(parts, shape, flags[1], is_complex)
+        _check_sparse(parts, shape, is_complex)
     elif kind == _CHAR:
         _check_text(parts, count)
     elif kind in _NUMERIC:
@@ -165,7 +165,7 @@ def _fields(parts: _Parts, kind: int) -> int:
     return len(names) // length[0]
 
 
-def _check_sparse(parts: _Parts, shape, most: int, is_complex: bool) -> None:
+def _check_sparse(parts: _Parts, shape, is_complex: bool) -> None:
     rows, columns = parts.whole_numbers(), parts.whole_numbers()
     rising = all(a <= b for a, b in itertools.pairwise(columns))
     if len(shape) != 2 or len(columns) != shape[1] + 1 or not rising or columns[0] != 0 or columns[-1] > len(rows):
@@ -182,7 +182,7 @@ def _check_text(parts: _Parts, count: int) -> None:
         raise DamagedError(f"{len(part)} bytes of type {kind} for {count} letters")
 
 
-def _check_version_4(path: pathlib.Path, data: bytes) -> None:
+def _check_version_4(data: bytes) -> None:
     """Version 4: twenty bytes before every variable, no mark at the beginning."""
     at = 0
     while at < len(data):

@@ -125,7 +125,7 @@ def signals_of(variables: Mapping[str, Leaf]) -> list[str]:
     """Names of the longest arrays but those of time."""
     sizes = {n: x.size for n, x in variables.items() if isinstance(x, np.ndarray) and x.dtype.kind in "fiu"}
     longest = max(sizes.values(), default=0)
-    return [n for n, size in sizes.items() if size == longest > 1 and not _TIME.fullmatch(n.split(".")[-1].lower())]
+    return [n for n, size in sizes.items() if size == longest > 1 and not TIME.fullmatch(n.split(".")[-1].lower())]
 
 
 def sounds_like(key: str, name: str) -> bool:
@@ -134,7 +134,8 @@ def sounds_like(key: str, name: str) -> bool:
     return last == key or any(hint in last for hint in _HINTS[key])
 
 
-_TIME = re.compile(r"t|t[\W_].*|(tim|zeit|temps|tempo).*")
+TIME = re.compile(r"t|t[\W_].*|(tim|zeit|temps|tempo|tiempo|clock).*|.*[\W_](time|zeit)|.*time_?stamp|sec(ond)?s?")
+"""Names that sound like time."""
 
 
 def time_like(variables: Mapping[str, Leaf], samples: int) -> list[str]:
@@ -142,7 +143,7 @@ def time_like(variables: Mapping[str, Leaf], samples: int) -> list[str]:
     return [
         name
         for name, x in variables.items()
-        if isinstance(x, np.ndarray) and x.size == samples and _TIME.fullmatch(name.split(".")[-1].lower())
+        if isinstance(x, np.ndarray) and x.size == samples and TIME.fullmatch(name.split(".")[-1].lower())
     ]
 
 

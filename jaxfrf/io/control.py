@@ -44,7 +44,8 @@ def from_control(system: Any, frequency: Float[Array, "freq"] | None = None, *, 
     **Arguments:**
 
     - `system`: `control.FrequencyResponseData`, or any linear system (`StateSpace`, `TransferFunction`,
-      discrete too), which is evaluated at `frequency`: G(j omega), or G(exp(j omega dt)).
+      discrete too), which is evaluated at `frequency`: G(j omega), or G(exp(j omega dt)). Frequencies in any
+      order.
     - `frequency`: (freq,), Hz; only for systems that are not frequency response data, which bring their own.
     - `y_quantity`: what the output is.
 

@@ -33,11 +33,11 @@ from typing import Any
 from .. import __version__
 from .._arguments import expect_path
 from .._errors import input_error
+from .._text import NORMAL_95
 from ..effects import AbstractEffect
 from ..robot import PARAMETER_UNITS, Robot, parameters
 from ._json import plain_data, write_json
 
-_Z = 1.959964  # of a 95 % interval
 _NEEDED = ("verdict", "effects", "ranking", "where", "gap", "parameters")
 
 
@@ -151,7 +151,7 @@ def _gap(gap, axes: tuple[str, ...]) -> dict[str, Any]:
 
 def _estimate(x) -> dict[str, Any]:
     known = math.isfinite(x.std)
-    interval = [x.value - _Z * x.std, x.value + _Z * x.std] if known else None
+    interval = [x.value - NORMAL_95 * x.std, x.value + NORMAL_95 * x.std] if known else None
     return {"value": x.value, "std": x.std, "unit": x.unit, "interval95": interval}
 
 

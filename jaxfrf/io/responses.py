@@ -161,7 +161,7 @@ def frf_from_arrays(
     **Arguments:**
 
     - `G`: (freq,), (freq, out, in) or (pos, freq, out, in).
-    - `frequency`: (freq,), Hz.
+    - `frequency`: (freq,), Hz, in any order.
     - `y_quantity`: `position`, `velocity` or `acceleration`.
     - `q`: (pos, joint), rad, or `None`.
     - `u_unit`, `y_unit`: SI units, where they are not N m and rad, rad/s or rad/s^2.
@@ -211,25 +211,29 @@ def _frf(names: Mapping, where: str) -> FRF:
     frequency = np.atleast_1d(_numbers(names["frequency"], f"{where}: frequency")).ravel()
     if np.iscomplexobj(frequency) or not np.isfinite(frequency).all():
         raise input_error(f"{where}: frequency", "complex, NaN or Inf values", "finite frequencies, Hz", "Repair it.")
+    order = np.argsort(frequency, kind="stable")
+    if np.any(np.diff(frequency[order]) == 0) or frequency[order[0]] < 0:
+        found = "one below zero" if frequency[order[0]] < 0 else "one of them twice"
+        raise input_error(f"{where}: frequency", found, "every frequency once, 0 Hz or more", "Leave it out.")
     G = _response(_numbers(names["G"], f"{where}: G"), len(frequency), f"{where}: G")
     per_line, vec = G.shape[:2], G.shape[2] * G.shape[3]
-    covariances = {
+    lines = {
         name: _complex(_shaped(names[name], (*per_line, vec, vec), f"{where}: {name}"))
         for name in ("cov", "cov_noise", "cov_total")
         if name in names
     }
+    lines.setdefault("cov", np.full((*per_line, vec, vec), np.nan, complex))
+    bare = {"dof": np.zeros(per_line), "status": _bare_status(G, "cov" in names), "window": np.ones(per_line)}
+    lines |= {name: _shaped(names.get(name, of), per_line, f"{where}: {name}") for name, of in bare.items()}
+    if "bias" in names:
+        lines["bias"] = np.real(_shaped(names["bias"], G.shape, f"{where}: bias"))
     y_quantity = _text(names, "y_quantity") or "velocity"
     if y_quantity not in QUANTITIES:
         raise input_error(f"{where}: y_quantity", repr(y_quantity), f"one of {', '.join(QUANTITIES)}", "Correct it.")
     return FRF(
-        G=G,
-        frequency=frequency,
-        cov=covariances.pop("cov", np.full((*per_line, vec, vec), np.nan, complex)),
-        dof=_shaped(names.get("dof", np.zeros(per_line)), per_line, f"{where}: dof"),
-        status=_shaped(names.get("status", _bare_status(G, "cov" in names)), per_line, f"{where}: status"),
-        window=_shaped(names.get("window", np.ones(per_line)), per_line, f"{where}: window"),
+        G=G[:, order],
+        frequency=frequency[order],
         q=_configurations(names["q"], len(G), f"{where}: q") if "q" in names else None,
-        bias=np.real(_shaped(names["bias"], G.shape, f"{where}: bias")) if "bias" in names else None,
         method=_text(names, "method"),
         y_quantity=y_quantity,
         u_unit=_text(names, "u_unit"),
@@ -237,7 +241,7 @@ def _frf(names: Mapping, where: str) -> FRF:
         sources=tuple(Source(s["name"], s["sha256"]) for s in _json(names, "provenance", where)),
         warnings=tuple(_json(names, "warnings", where)),
         version=_text(names, "version"),
-        **covariances,
+        **{name: x[:, order] for name, x in lines.items()},
     )
 
 

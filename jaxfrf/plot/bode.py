@@ -8,7 +8,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
-from .._arguments import expect
+from .._arguments import expect, expect_probability
 from .._errors import input_error
 from .._status import SERIOUS
 from .._types import Array
@@ -50,8 +50,7 @@ def confidence_radius(frf: FRF, level: float = 0.95) -> Float[Array, "pos freq o
 
     **Raises:** `jaxfrf.InputError` for a level that is no probability.
     """
-    if not 0 < level < 1:
-        raise input_error("confidence", f"{level}", "a probability between 0 and 1", "Give 0.95, or None for no band.")
+    expect_probability("confidence", level)
     dof = np.asarray(frf.dof, float)
     quantile = scipy.stats.f.ppf(level, 2, 2 * np.where(dof > 0, dof, np.nan))
     return np.asarray(frf.std) * np.sqrt(quantile)[..., None, None]

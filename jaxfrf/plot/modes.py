@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from .._text import NORMAL_95
 from ..frf import ModalModel
 from ..io._optional import require
 from ..units import response_unit
@@ -35,7 +36,7 @@ def stabilisation(model: ModalModel, *, axes: _style.Axes | None = None, title: 
     axes.plot(model.frequency, _level(model.measured), color=_style.DOUBTFUL, lw=1.4)
     axes.plot(grid, _level(model.response(grid)), color=_style.COLOURS[1], lw=0.8)
     for mode in model.modes:
-        half = 1.96 * mode.frequency_std
+        half = NORMAL_95 * mode.frequency_std
         axes.axvspan(mode.frequency - half, mode.frequency + half, color=_style.COLOURS[0], alpha=0.25, lw=0)
         axes.axvline(mode.frequency, color=_style.COLOURS[0], lw=0.6)
     table, orders = model.stabilisation, axes.twinx()

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .._text import NORMAL_95
 from ..effects import library
 from ..io.gaps import gap_contents
 from ..plot.gap import gap_bode, gap_dumbbells, gap_maps, torque_courses
@@ -347,7 +348,7 @@ def _parameters(d) -> str:
                 start,
                 x.value,
                 percent(change, signed=True) if math.isfinite(change) else None,
-                number(1.96 * x.std, 2) if math.isfinite(x.std) else None,
+                number(NORMAL_95 * x.std, 2) if math.isfinite(x.std) else None,
                 "" if x.unit == "1" else x.unit,
                 ", ".join(flags),
             ]

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Sequence
 
-_Z = 1.959964  # of a 95 % interval
+from .._text import NORMAL_95
+
 _FAR = 0.3  # of the largest misfit: less is not what a diagnosis is about
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -76,7 +77,7 @@ def joined(texts: Sequence[str]) -> str:
 
 def estimate(x) -> str:
     """A number with its 95 % interval and unit, rounded to what is known: `0.209 ± 0.012 N m`."""
-    value, half, unit = float(x.value), _Z * float(x.std), x.unit
+    value, half, unit = float(x.value), NORMAL_95 * float(x.std), x.unit
     if unit == "s" and 0 < abs(value) < 0.1:
         value, half, unit = 1e3 * value, 1e3 * half, "ms"
     unit = "" if unit in ("", "1") else f" {unit}"

@@ -7,8 +7,8 @@ import numpy as np
 
 from .._arguments import expect
 from .._errors import input_error
-from .._status import Status
-from .._text import number, plus_minus
+from .._status import SERIOUS
+from .._text import NORMAL_95, number, plus_minus
 from ..frf import FRF
 from ..frf.covariance import variances
 from ..frf.features import features
@@ -18,7 +18,6 @@ from ..units import input_unit, output_unit, response_unit
 from .page import facts, listing, page, paragraph, section, table, write_page
 from .picture import Curve, decibel, picture, responses
 
-_SERIOUS = Status.RANK_DEFICIENT | Status.LOW_EXCITATION | Status.LOG_BRANCH | Status.NOT_FINITE
 _NUMBERS = 950_000  # of two bytes each, that a page holds: some 2.6 MB of text
 _LINES = 12  # of a table of features
 
@@ -155,7 +154,7 @@ def _curve(frf: FRF, label: str, colour: str, positions: int, stride: int, confi
 
 
 def _doubted(frf: FRF) -> np.ndarray:
-    return ((np.asarray(frf.status) & int(_SERIOUS)) != 0).astype(float)
+    return ((np.asarray(frf.status) & int(SERIOUS)) != 0).astype(float)
 
 
 # --- words
@@ -169,7 +168,7 @@ def _features(frfs: Sequence[FRF], labels: Sequence[str]) -> str:
             for x in sorted(features(frf, k, k)[:_LINES], key=lambda x: x.frequency):
                 known = np.isfinite(x.damping)
                 damping = f"{plus_minus(100 * x.damping, 196 * x.damping_std, '±')} %" if known else ""
-                at = plus_minus(x.frequency, 1.96 * x.frequency_std, "±")
+                at = plus_minus(x.frequency, NORMAL_95 * x.frequency_std, "±")
                 rows.append([f"G{k + 1}{k + 1}", *([label] if len(frfs) > 1 else []), x.kind, at, damping])
     if not rows:
         return ""

@@ -86,7 +86,7 @@ def _frf_and_jacobian(robot: Robot, arm_angles, frequency, delay, friction, quan
         X = motion(model, omega)
         position = motor.T @ X
         G = position * factor + aliases(model, hold, corrections)
-        derivative = _rank_one(robot, model, slope, X, position, omega, factor, complex_share)
+        derivative = _rank_one(robot, slope, X, position, omega, factor, complex_share)
         if hold is not None:
             derivative = derivative + _alias_slopes(robot, model, slope, hold, corrections)
         return G, derivative
@@ -162,7 +162,7 @@ def _complex_share(robot: Robot, model: LinearRobot, omega):
     return jnp.concatenate([gears, jnp.ones((robot.n_elastic, omega.size), complex)]).T
 
 
-def _rank_one(robot: Robot, model: LinearRobot, slope: _Slopes, X, position, omega, factor, complex_share):
+def _rank_one(robot: Robot, slope: _Slopes, X, position, omega, factor, complex_share):
     """Derivative of `factor` times the position FRF: (freq, axis, axis, parameter)."""
     n_gears, n_springs = robot.n_motors, robot.n_motors + robot.n_elastic
     stretch = _stretch(robot, X)

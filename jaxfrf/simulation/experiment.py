@@ -1,10 +1,9 @@
 """From a design, or from what a record says was played, to the record of a simulated experiment."""
 
-import jax.random as jr
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from .._arguments import expect
+from .._arguments import as_key, expect
 from .._errors import input_error
 from .._types import Array, require_x64
 from ..excitation import Multisine
@@ -85,7 +84,7 @@ def study_of_design(
     positions = check_positions(robot, positions)
     check_noise(noise)
     loop, point = loop_at_rest(robot, positions, noise, steps)
-    return Study(loop, references_of_design(design, run_in), point, key, design.n_exp)
+    return Study(loop, references_of_design(design, run_in), point, as_key("key", key), design.n_exp)
 
 
 def played(study: Study) -> Float[np.ndarray, "exp time axis"]:
@@ -170,7 +169,7 @@ def study_of_record(
     positions = check_positions(robot, data.q)
     references = references_of_record(robot, data, run_in)
     loop, point = loop_at_rest(robot, positions, noise, steps)
-    return Study(loop, references, point, jr.key(0) if key is None else key, data.n_exp)
+    return Study(loop, references, point, as_key("key", 0 if key is None else key), data.n_exp)
 
 
 def _check_record(data: Experiment) -> None:

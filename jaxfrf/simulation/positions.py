@@ -7,7 +7,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from .._arguments import expect_whole
+from .._arguments import as_key, expect_whole
 from .._errors import input_error
 
 _LOW = np.array([-150.0, -60.0, 20.0, -150.0, 25.0, -150.0])  # degrees
@@ -32,7 +32,7 @@ def random_positions(n: int, key: PRNGKeyArray, axes: int = 6) -> Float[np.ndarr
     """
     expect_whole("n", n, 1)
     expect_whole("axes", axes, 1)
-    elbow = axes == len(_LOW)
+    elbow, key = axes == len(_LOW), as_key("key", key)
     low, high = (_LOW, _HIGH) if elbow else (np.full(axes, -90.0), np.full(axes, 90.0))
     draw = np.array([np.asarray(jr.uniform(jr.fold_in(key, i), (axes + 1,))) for i in range(n)]).reshape(n, axes + 1)
     q = low + (high - low) * draw[:, :axes]

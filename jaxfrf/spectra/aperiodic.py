@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import scipy  # its modules load when they are used: scipy.signal alone takes a second
 
-from .._arguments import expect
+from .._arguments import expect, expect_real, expect_whole
 from .._errors import input_error
 from .._text import number
 from ..experiment import Experiment, rebuilt
@@ -95,17 +95,22 @@ def segment_spectra(
     **Returns:** `Spectra` at multiples of fs/`segment` Hz, of all segments, in the units of `data` (the DFT over
     the sum of the window), with `periodic` false and without noise covariance.
 
-    **Raises:** `jaxfrf.InputError` if the record is shorter than a segment.
+    **Raises:** `jaxfrf.InputError` if the record is shorter than a segment, and for an overlap or window that is none.
 
     **Source:** Welch, IEEE Trans. Audio and Electroacoustics 15 (1967) 70-73.
     """
     expect("data", data, Experiment)
     n = data.n_time
+    if segment is not None:
+        expect_whole("segment", segment, 1)
+    expect_real("overlap", overlap)
+    if not 0 <= overlap < 1:
+        raise input_error("overlap", f"{overlap}", "a share of a segment, from 0 to below 1", "0.5 is usual.")
     length = max(2 * n // 9, 8) if segment is None else int(segment)
     if not 8 <= length <= n:
         raise input_error("segment", f"{length} samples of a record of {n}", f"from 8 to {n} samples", "Shorten it.")
     hop = max(length - int(length * overlap), 1)
-    taper = scipy.signal.get_window(window, length)
+    taper = _window(window, length)
     k = np.arange(1, (length - 1) // 2 + 1)
 
     def cut(x):
@@ -129,6 +134,14 @@ def segment_spectra(
         segments=(n - length) // hop + 1,
         **said_of(data),
     )
+
+
+def _window(name, length: int) -> np.ndarray:
+    try:
+        return scipy.signal.get_window(name, length)
+    except (ValueError, TypeError) as error:
+        found = f"{name!r} ({error})"
+        raise input_error("window", found, "a window of scipy.signal.get_window", "E.g. hann.") from None
 
 
 def _what_it_can_give(data: Experiment, spectra: Spectra) -> str:

@@ -109,10 +109,22 @@ def select_positions(spectra: Spectra, positions: slice | Sequence[int] | Int[Ar
 
     **Returns:** `Spectra` of these positions, in this order.
 
-    **Raises:** `jaxfrf.InputError` if `spectra` are none.
+    **Raises:** `jaxfrf.InputError` if `spectra` are none, and for no position or one that is not there.
     """
     expect("spectra", spectra, Spectra)
-
+    try:
+        there: np.ndarray = np.arange(spectra.n_pos)[
+            positions if isinstance(positions, slice) else np.asarray(positions)
+        ]
+    except (IndexError, TypeError, ValueError):
+        there = np.zeros(0, int)
+    if np.ndim(there) != 1 or not len(there):
+        raise input_error(
+            "positions",
+            f"{positions}",
+            f"one or more of 0 to {spectra.n_pos - 1}, in a list or as a slice",
+            "Count from 0.",
+        )
     q = None if spectra.q is None else spectra.q[positions]
     return dataclasses.replace(spectra, **changed_signals(spectra, lambda x: x[positions]), q=q)
 

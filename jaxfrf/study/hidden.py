@@ -10,6 +10,7 @@ import tomllib
 import jax.random as jr
 import numpy as np
 
+from .._text import NORMAL_95
 from ..effects import CoulombFriction, TorqueRipple
 from ..excitation import Multisine, SlowSine
 from ..experiment import Experiment
@@ -23,7 +24,6 @@ OFF = {"stiffness": 1.02, "damping": 0.95, "mass": 1.006, "viscous_friction": 1.
 POSITIONS = np.array([[0.3, 0.9], [-0.5, 1.4], [1.5, -1.1]])  # rad; the last one unloads the shoulder
 NOISE = 1e-4  # rad
 RUN_IN = 3.0  # s
-_Z = 1.96  # of a 95 % interval
 
 
 def model() -> Robot:
@@ -95,8 +95,8 @@ def _effect(named) -> dict:
             "value": x.value,
             "unit": x.unit,
             "std": x.std,
-            "low": x.value - _Z * x.std,
-            "high": x.value + _Z * x.std,
+            "low": x.value - NORMAL_95 * x.std,
+            "high": x.value + NORMAL_95 * x.std,
         }
         for name, x in named.parameters.items()
     }

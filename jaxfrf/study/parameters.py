@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.random as jr
 import numpy as np
 
+from .._text import NORMAL_95
 from ..experiment import Experiment, concatenate
 from ..frf import AbstractMethod
 from ..graybox import (
@@ -61,7 +62,7 @@ class Row(eqx.Module):
             "damping_bias": float(np.mean(of("damping"))),
             "largest_stiffness_bias": float(np.max(of("stiffness"))),
             "largest_damping_bias": float(np.max(of("damping"))),
-            "covered": float(np.mean([abs(z) < 1.96 for z in self.z.values()])),
+            "covered": float(np.mean([abs(z) < NORMAL_95 for z in self.z.values()])),
             "errors": self.errors,
             "verdict": self.verdict,
             "close_starts": self.close_starts,

@@ -11,21 +11,17 @@ from ..experiment import concatenate
 from ..graybox import RobotModel
 from ..graybox.in_motion import fit_in_motion
 from ..graybox.indirect import default_method, measured_frf
-from ..robot import Robot, parameters, r3x, r3x_ripple, with_parameters
+from ..robot import Robot, parameters, r3x, with_parameters
 from ..simulation import simulate
 from .bias import bias_at
 from .parameters import candidates, fit_positions, row, start_robot
-from .settings import SLOW_AMPLITUDE, Settings, design
+from .settings import SLOW_AMPLITUDE, Settings, design, truth
 
 POSITIONS = 2  # of the fit positions, for the FRFs
 
 
 def _without(robot: Robot, kind: str, value: float) -> Robot:
     return with_parameters(robot, dict.fromkeys(parameters(robot, (kind,)), value))
-
-
-def _everything() -> Robot:
-    return r3x().with_effects(*r3x_ripple())
 
 
 def _linear() -> Robot:
@@ -43,10 +39,10 @@ class Variant(eqx.Module):
 
 
 VARIANTS: dict[str, Variant] = {
-    "everything": Variant("everything switched on", _everything),
+    "everything": Variant("everything switched on", truth),
     "no-ripple": Variant("without ripple", r3x),
-    "linear-springs": Variant("with linear springs", lambda: _without(_everything(), "stiffness_ratio", 1.0)),
-    "no-coulomb": Variant("without Coulomb friction", lambda: _without(_everything(), "coulomb_friction", 0.0)),
+    "linear-springs": Variant("with linear springs", lambda: _without(truth(), "stiffness_ratio", 1.0)),
+    "no-coulomb": Variant("without Coulomb friction", lambda: _without(truth(), "coulomb_friction", 0.0)),
     "noise-only": Variant("linear robot: noise alone", _linear),
     "noise-free": Variant("linear robot, no noise", _linear, noise=0.0),
     "no-slow-sine": Variant("linear robot, no noise, no slow sine", _linear, noise=0.0, slow=False),

@@ -333,7 +333,7 @@ def test_bad_lines():
         ex.full_lines(0, 5)
     with pytest.raises(InputError, match="lines: found no odd line from 4 to 4; expected at least one"):
         ex.odd_lines(4, 4)
-    with pytest.raises(InputError, match="group: found 1; expected 2 or more odd lines"):
+    with pytest.raises(InputError, match="group: found 1; expected a whole number, 2 or more"):
         ex.random_odd_lines(1, 99, group=1, key=jr.key(0))
     with pytest.raises(InputError, match="points: found 0; expected 1 or more"):
         ex.log_odd_lines(1, 99, 0)

@@ -30,6 +30,14 @@ def refused(call, *patterns):
 # --- coherence
 
 
+def test_what_is_not_known_has_no_coherence():
+    U = plants.circular(np.random.default_rng(2), (1, 4, 3, 1))
+    Y = 2 * U
+    Y[0, 0, 1] = np.nan
+    known = jf.coherence(plants.spectra(U, Y))[0, :, 0, 0]
+    assert np.isnan(known[1]) and np.allclose(known[[0, 2]], 1.0)
+
+
 def open_loop(G, n_exp, snr=np.inf, n_freq=4, seed=0):
     """Gaussian inputs of unit power, y = G u + v with G (out, in) at every line and noise by the power ratio `snr`."""
     rng = np.random.default_rng(seed)
@@ -212,6 +220,20 @@ def test_distortion_wants_the_same_record():
     U = np.ones((1, 1, 3, 2), complex)
     frf = jf.io.frf_from_arrays(np.ones((1, 2, 1, 1), complex), np.array([1.0, 2.0]))
     refused(lambda: jf.distortion(plants.spectra(U, U), frf), "frf: found 1 positions of 1 x 1", "1 positions of 2 x 2")
+
+
+def test_a_record_says_nothing_of_an_frf_of_other_lines():
+    rng = np.random.default_rng(3)
+    lines = jf.random_odd_lines(1, 127, key=0)
+    X = np.zeros(129, complex)
+    X[lines] = np.exp(2j * np.pi * rng.random(len(lines)))
+    u = np.tile(np.fft.irfft(X)[:, None], (4, 1))
+    y = np.roll(u, 1, axis=0) + 1e-3 * rng.standard_normal(u.shape)
+    data = jf.Experiment(u, y, 256.0, 256, lines=lines)
+    frf = jf.estimate(jf.dft(data), jf.LRM())
+    assert jf.with_distortion(frf, data).cov_total is not None
+    shifted = dataclasses.replace(frf, frequency=frf.frequency + 0.013)
+    refused(lambda: jf.with_distortion(shifted, data), "frf: found other lines", "those of the record")
 
 
 # --- resonances and antiresonances

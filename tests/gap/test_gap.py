@@ -251,7 +251,15 @@ class TestResolution:
         reading = reading + noise * np.random.default_rng(0).standard_normal(reading.shape)
         assert resolution(reading, noise) == pytest.approx(count, rel=1e-2)
 
+    def test_beside_a_jump(self):
+        """A lost reading is no count, and costs no time: what is tried would grow with its size."""
+        count = 2 * np.pi / 4096
+        reading = count * np.round(self.position / count)
+        reading[0, 2000:] += 500.0
+        assert resolution(reading, 0.0) == pytest.approx(count, rel=1e-3)
+
     def test_none(self):
+        assert resolution(self.position[:, :1], 0.0) == 0.0
         short = self.position[:, :2000]
         assert resolution(short, 0.0) == 0.0
         assert resolution(np.ones((2, 100)), 0.0) == 0.0

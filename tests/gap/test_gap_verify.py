@@ -18,7 +18,7 @@ from jaxfrf.effects._harmonics import polar_deviation
 from jaxfrf.gap.simulated.conclude import close_rivals, counting
 from jaxfrf.gap.simulated.fitted import Fitted
 from jaxfrf.gap.simulated.hypothesis import hypothesis
-from jaxfrf.gap.simulated.judge import against_it, beyond, compared, over_floor
+from jaxfrf.gap.simulated.judge import against_it, beyond, compared, over_floor, shows_nothing
 from jaxfrf.gap.simulated.loud_ripple import holds_no_ripple
 from jaxfrf.gap.simulated.maps import shown_samples
 from jaxfrf.gap.simulated.one_round import costs_of, is_number_confused_with
@@ -127,6 +127,15 @@ class TestPositionsThatChooseNothing:
         assert found.p_value == found.finest == 2.0**-10
         few = compared(self.left(9.0, 2), self.left(1e-3, 2), FLOOR, np.arange(41.0))  # by combs of lines, too
         assert few.p_value == few.finest == 2.0**-8
+
+    def test_two_blocks_decide_nothing(self):
+        """All that is missed in two of eight blocks: a quarter of all signs makes as much of it."""
+        size = np.where(np.arange(4) == 3, 9.0, 1e-3)
+        found = compared(self.left(size, 4), self.left(1e-3, 4), FLOOR, np.arange(41.0))
+        assert found.p_value == found.finest == 0.25
+        assert "p = 0.25" in shows_nothing(found)
+        alone = compared(np.ones((1, 1, 4, 1)), np.zeros((1, 1, 4, 1)), 0.1, np.arange(4.0))
+        assert alone.p_value == 1.0 and shows_nothing(alone)
 
     def test_two_that_are_alike(self):
         found = compared(self.left(2.0, 6), self.left(2.0, 6, 1), FLOOR, np.arange(41.0))

@@ -598,7 +598,7 @@ class TestFit:
         fitted = jf.fit(at_truth, frf_of(true_response()), starts=1)
         frf = frf_of(noisy(rng, G, cov), cov, q=many)
         for weights in (jf.Weights(floor=0), jf.Weights(floor=0, correlated=True)):
-            np.testing.assert_allclose(jf.graybox.evaluate(fitted, frf, weights), 1.0, atol=0.08)
+            np.testing.assert_allclose(jf.graybox.model_quality(fitted, frf, weights).cost, 1.0, atol=0.08)
 
 
 class TestRobot:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import jaxfrf as jf
-from jaxfrf.graybox import evaluate, free, starting_at
+from jaxfrf.graybox import free, model_quality, starting_at
 
 
 class TwoMasses(eqx.Module):
@@ -98,7 +98,7 @@ def test_recovers_its_parameters():
     relative = dict(zip(fit.coordinates.names, fit.uncertainty.std, strict=True))
     assert max(relative[n] for n in ("J1", "J2", "k")) < 0.02
     other = synthetic(TRUTH, outputs=1, seed=1)
-    assert evaluate(fit, other, jf.Weights(focus=1.0)) < 0.1  # 1 % of noise beside a floor of 3 %
+    assert model_quality(fit, other, jf.Weights(focus=1.0)).cost < 0.1  # 1 % of noise beside a floor of 3 %
 
 
 @pytest.mark.slow
@@ -182,4 +182,4 @@ def test_bench(measured):
     low, high = fit.interval()["lag"]
     assert low < lag < high and high / low < 1.5
     assert fit.uncertainty.misfit > 2 and any("residuals are" in x for x in fit.explain())  # friction distorts
-    assert evaluate(fit, b, jf.Weights(focus=1.0)) < 2  # the record that it has not seen
+    assert model_quality(fit, b, jf.Weights(focus=1.0)).cost < 2  # the record that it has not seen

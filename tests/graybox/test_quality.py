@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import jaxfrf as jf
-from jaxfrf.graybox import evaluate
 from jaxfrf.graybox.quality import model_quality, quality, response_quality
 
 N_POS, FREQUENCY = 3, np.geomspace(4.0, 80.0, 240)
@@ -106,9 +105,24 @@ def test_known_errors_in_decibels(fitted):
     assert (found.total_db, found.total_degrees) == (pytest.approx(1.0), pytest.approx(5.0))
 
 
-def test_cost_is_that_of_evaluate(fitted):
-    other = noisy(seed=3)
-    assert model_quality(fitted, other).cost == pytest.approx(evaluate(fitted, other), rel=1e-9)
+def test_cost_against_a_sum(fitted):
+    """Squares over floor and noise together, their mean."""
+    other, weights = noisy(seed=3), jf.Weights(focus=1.0, off_diagonal=1.0)
+    model = np.asarray(response(2 * np.pi * FREQUENCY, fitted.values))
+    relative = (SPREAD * np.abs(TRUTH) / np.abs(other.G)) ** 2
+    weighted = np.abs(np.log(other.G / model)) ** 2 / (relative + weights.floor**2)
+    assert model_quality(fitted, other, weights).cost == pytest.approx(weighted.mean(), rel=1e-6)
+
+
+def test_another_frf_is_refused(fitted):
+    """Else its numbers would not be looked at: residuals are those of what was fitted."""
+    frf = noisy()
+    louder = dataclasses.replace(frf, G=3 * frf.G)
+    shorter = jf.io.frf_from_arrays(frf.G[:, :100], FREQUENCY[:100])
+    for other in (louder, shorter):
+        with pytest.raises(jf.InputError, match=r"the FRF that was fitted\. .*model_quality"):
+            quality(fitted, other)
+    assert model_quality(fitted, louder).total_db == pytest.approx(20 * np.log10(3), abs=0.1)
 
 
 def test_without_covariance(fitted):
@@ -122,3 +136,25 @@ def test_without_covariance(fitted):
 def test_other_lines_are_refused(fitted):
     with pytest.raises(jf.InputError, match=r"G: found shape .*expected .*as the FRF"):
         response_quality(TRUTH[:-1], noisy())
+
+
+@pytest.mark.parametrize("level", [95, -0.5, 0.0, float("nan")])
+def test_levels_are_probabilities(fitted, level):
+    for asked in (fitted.interval, lambda x: jf.derived(fitted, lambda p: {"gain": p["gain"]}, x)):
+        with pytest.raises(jf.InputError, match=r"level: found"):
+            asked(level)
+
+
+@pytest.mark.parametrize(
+    ("function", "says"),
+    [
+        (lambda p: {"x": 1j * p["gain"]}, "'x'"),
+        (lambda p: {"x": jnp.log(-p["gain"])}, "nan"),
+        (lambda p: {"x": jnp.ones(2) * p["gain"]}, "an array"),
+        (lambda p: {"x": p["mass"]}, "'mass'; expected one of gain, corner"),
+        (lambda p: p["gain"], "by name"),
+    ],
+)
+def test_what_is_derived_is_real_numbers_by_name(fitted, function, says):
+    with pytest.raises(jf.InputError, match=says):
+        jf.derived(fitted, function)

@@ -34,7 +34,7 @@ def concluded(
     outcome = Outcome(
         found.base.state, final.state, found.base.residual, final.residual, found.trials, _test(channel, final)
     )
-    ranking = tuple(_ranked(channel, t) for t in found.trials)
+    ranking = tuple(_ranked(t) for t in found.trials)
     maps = _maps(channel, final, found, gap.floor)
     begun = _numbers(channel, own)
     remarks = (*_refit_remark(channel, found, final), *_wrong_signs(found), *channel.remarks(outcome))
@@ -162,7 +162,7 @@ def _visible(channel: AbstractChannel, effect: AbstractEffect, joint: str, numbe
     return float(abs(value) / typical) if typical > 0 and low <= value <= high else float("nan")
 
 
-def _ranked(channel: AbstractChannel, t: TriedCandidate) -> Ranked:
+def _ranked(t: TriedCandidate) -> Ranked:
     effect = t.candidate.make(np.array(t.values))
     units = list(effect.units)[:1]
     expected = {k: float(np.ravel(getattr(effect, k))[0]) for k in units}

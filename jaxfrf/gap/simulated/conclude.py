@@ -7,13 +7,13 @@ import numpy as np
 
 from ..._threads import lapack_threads, shared
 from ...calibration.numbers import Number
+from ...calibration.result import DATA_SHARE
 from ...effects import AbstractEffect, EncoderQuantisation, library
 from ...effects._place import axis_of
 from ...robot import Robot
 from ...trajectory.measured import Measured
 from ..result import EstimatedValue, Named, WrongNumber
 from ..settings import (
-    DATA_SHARE,
     FINAL_ROUNDS,
     HOPELESS,
     LEAST_SIZE,

@@ -15,6 +15,7 @@ import scipy.stats
 from jaxtyping import Bool, Float
 
 from ..._errors import InputError
+from ..._text import NORMAL_95
 from ...calibration.columns import OF_LINKS
 from ...calibration.descent import Descent
 from ...calibration.least_squares import with_another, with_column_errors
@@ -30,8 +31,6 @@ from ...trajectory.ripple import Order, Wave, with_ripple
 from ..settings import FAR, FLOOR, LINK_ERROR, OTHERS, OUT_OF_TOLERANCE, PROMISING, ROUNDS, SLOW
 
 Say = Callable[[str], None]
-
-_Z = 1.959964
 
 
 class Fitted(eqx.Module):
@@ -85,7 +84,7 @@ class Fitted(eqx.Module):
         """Half of the 95 % interval over 1.96, in the number's unit; with the step that a fit has still ahead."""
         i, own = self.place(name), self.iterate.posterior
         ahead = float(self.iterate.x[i] + own.change[i] - self.x[i])
-        return self.numbers[i].deviation(float(self.x[i]), math.hypot(float(own.half_width()[i]) / _Z, ahead))
+        return self.numbers[i].deviation(float(self.x[i]), math.hypot(float(own.half_width()[i]) / NORMAL_95, ahead))
 
     def covariance(self, names: Sequence[str]) -> Float[np.ndarray, "name name"]:
         """Of numbers, in their units, as wide as their intervals are."""
@@ -154,7 +153,7 @@ class Fitted(eqx.Module):
     def wave_covariance(self, kind: str, axis: int) -> dict[float, Float[np.ndarray, "2 2"]]:
         """Of the coefficients of sine and cosine of one motor's ripple, by order, as wide as their intervals are."""
         orders = self.iterate.orders
-        wide, covariance = self.iterate.posterior.half_width() / _Z, self.iterate.posterior.covariance
+        wide, covariance = self.iterate.posterior.half_width() / NORMAL_95, self.iterate.posterior.covariance
         scale = wide / np.maximum(np.sqrt(np.diag(covariance)), 1e-300)
         scaled, first = scale[:, None] * covariance * scale, len(covariance) - 2 * len(orders)
         rows = {o.order: first + 2 * i for i, o in enumerate(orders) if (o.kind, o.axis) == (kind, axis)}

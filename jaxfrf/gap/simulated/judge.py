@@ -76,10 +76,12 @@ def compared(before, after, floor, frequency) -> Comparison:
         return Comparison(0.0, float(two.mean()), 0.0, -np.inf, np.inf, 1.0, 1.0)
     drop, count = one - two, len(one)
     gain = float(drop.sum() / one.sum())
+    finest = 2.0 ** -float(np.count_nonzero(drop))
+    if count < 2:
+        return Comparison(float(one.mean()), float(two.mean()), gain, -np.inf, np.inf, 1.0, finest)
     apart = drop - gain * one  # of a ratio of sums: Cochran, Sampling Techniques, 1977, chapter 6
     std = float(np.sqrt(count / (count - 1) * np.sum(apart**2)) / one.sum())
     half = float(scipy.stats.t.ppf(_LEVEL, count - 1)) * std
-    finest = 2.0 ** -float(np.count_nonzero(drop))
     return Comparison(float(one.mean()), float(two.mean()), gain, gain - half, gain + half, flipped(drop), finest)
 
 
@@ -99,12 +101,12 @@ def beyond(left, floor, frequency) -> Float[np.ndarray, "block"]:
     return np.concatenate(blocks)
 
 
-def shows_nothing(result: Comparison, least: float = LEAST_SHARE, own: float = 0.0) -> str:
+def shows_nothing(result: Comparison, least: float = LEAST_SHARE, own: float = 0.0, level: float = LEVEL) -> str:
     """Why a comparison does not speak for an effect that must take away so much, of all or of its `own` axis' part, in
-    words; empty where it does."""
+    words; empty where it does. `level`: of its p-value."""
     if not result.before:
         return "on the positions that decide the misfit is nowhere beyond its floor without it"
-    if result.p_value <= max(LEVEL, result.finest) and max(result.gain, own) >= least and result.least > 0.0:
+    if result.p_value <= level and max(result.gain, own) >= least and result.least > 0.0:
         return ""
     return (
         f"on the positions that decide it takes away {result.gain:.0%} of what is beyond the floor, p = "
@@ -116,7 +118,9 @@ def against_it(judged: Measured, before: Written, after: Written, joint: str) ->
     """What positions that were opened last say against an effect on this joint, "" for all of them; empty where
     nothing."""
     floor, names = before.evidence.plain, before.robot.axis_names
-    nothing = shows_nothing(compared(before.residual, after.residual, floor, judged.frequency))
+    result = compared(before.residual, after.residual, floor, judged.frequency)
+    # what was decided elsewhere must not be contradicted, however few blocks there are to see it in
+    nothing = shows_nothing(result, level=max(LEVEL, result.finest))
     if nothing:
         return nothing
     old, new = (over_floor(x.residual, floor) for x in (before, after))

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..._text import NORMAL_95
 from ..._threads import lapack_threads, shared
 from ...effects import AbstractEffect, TorqueRipple
 from ...effects._harmonics import polar_deviation
@@ -74,7 +75,7 @@ def holds_no_ripple(waves: Mapping[str, EstimatedValue]) -> bool:
     """Whether the interval of every order's amplitude holds nothing: neighbours that only together explain anything,
     where a motor hardly turns."""
     amplitudes = [value for name, value in waves.items() if name.startswith("amplitude")]
-    return all(a.value < 1.96 * a.std for a in amplitudes)
+    return all(a.value < NORMAL_95 * a.std for a in amplitudes)
 
 
 def stated_waves(effect, covariance: Mapping[float, np.ndarray] | None = None) -> dict[str, EstimatedValue]:

@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from ..._errors import InputError
+from ..._text import NORMAL_95
 from ..._threads import lapack_threads, shared
 from ...calibration.numbers import with_numbers
 from ...robot import Robot
@@ -268,7 +269,7 @@ class Round:
         candidate.fit.go_on(MORE_ROUNDS, LATE_ROUNDS)
         candidate = dataclasses.replace(candidate, end=_wherever_least(candidate.fit))
         estimates = candidate.hypothesis.estimates(candidate.found)
-        values = ", ".join(f"{name} {value:.4g} +- {1.96 * std:.2g}" for name, (value, std) in estimates.items())
+        values = ", ".join(f"{name} {value:.4g} +- {NORMAL_95 * std:.2g}" for name, (value, std) in estimates.items())
         self.say(f"  {said(candidate.hypothesis.key)}: {values}")
         return candidate
 
@@ -304,6 +305,6 @@ def costs_of(robots: Sequence[Fitted]) -> list[float]:
 def holds_none(start: Hypothesis, found: Fitted) -> str:
     """That an effect's interval holds none of it, in words; empty where it does not."""
     name, (value, std) = next(iter(start.estimates(found).items()), ("", (np.inf, 0.0)))
-    if abs(value - start.effect.nothing) < 1.96 * std:
-        return f"its {name} is {value:.3g} +- {1.96 * std:.2g}, which holds none of it"
+    if abs(value - start.effect.nothing) < NORMAL_95 * std:
+        return f"its {name} is {value:.3g} +- {NORMAL_95 * std:.2g}, which holds none of it"
     return ""

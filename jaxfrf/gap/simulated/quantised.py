@@ -5,6 +5,7 @@ import numpy as np
 _CLEAR = 0.5  # of the characteristic function at one count: 1 without noise, 0 for a smooth distribution
 _FINEST = 5.0  # counts below this many standard deviations of the noise are not resolved
 _SAMPLES = 40000
+_JUMP = 30.0  # times the median of those that move: others, as a lost reading, tell no count and make the search long
 
 
 def resolution(position: np.ndarray, noise: float) -> float:
@@ -15,6 +16,10 @@ def resolution(position: np.ndarray, noise: float) -> float:
     """
     increments = np.diff(position, axis=1).ravel()
     increments = increments[:: max(1, len(increments) // _SAMPLES)]
+    if not increments.size or not np.isfinite(increments).all():
+        return 0.0
+    size = np.abs(increments)
+    increments = increments[size <= _JUMP * np.median(size[size > 0])] if np.any(size) else increments
     spread = float(np.std(increments))
     if spread == 0.0:
         return 0.0
