@@ -8,6 +8,8 @@ reported on its other part; those of channels name the test that holds them.
 
 LEVEL = 0.05  # p-value of a test, family-wise where there are several candidates: a convention, which
 # `test_family_wise_level_in_coloured_noise` holds
+CONFIDENCE = 1.0 - LEVEL  # of one-sided tests of a mean, and of intervals
+STANDARD_ERROR = 0.84  # the share of a normal quantity below one deviation: "as good within a standard error"
 LEAST_SHARE = 0.2  # of what is beyond the floor, that an effect takes away where nothing was fitted: a fifth, as the
 # method has it; what is named in real data takes .6 or more, or is named with others (`tests/gap/test_gap_real.py`)
 NEAR = 0.05  # of the same: a rival that leaves no more than this beyond the best candidate is as good
@@ -68,6 +70,17 @@ LIKELY = 3.84  # of the cost: another minimum that costs no more above the least
 UNEXPLAINED = 2.0  # mean square over the floor of one axis, which must not be left
 TOLERANCE = 0.06  # of the torque, rms of an axis: half a decibel
 SHOWN = 12  # candidates in a ranking
+EVERYWHERE, SOMEWHERE = 2.0, 3.0  # times the floor, of cells of a map that are told: at all positions, or at one, where
+# twice the others'; noise makes 1, what is *unexplained* 1.4 and more
+CELLS = 8  # of a map, that are told
+AT_MOST = 0.9  # of the gap is floor: a steady torque alone hardly lifts the rms of all lines
+NOTHING = 1e-3  # of the floor: a gap that is smaller has nothing to shrink
+
+# Encoders, by the characteristic function of their readings' increments (`TestResolution`)
+COUNT_CLEAR = 0.5  # at one count: 1 without noise, 0 for a smooth distribution
+COUNT_FIRST = 0.8  # of the largest: the first count that is so clear is meant, not its parts
+COUNT_FINEST = 5.0  # deviations of the noise: finer counts are not resolved
+COUNT_JUMP = 30.0  # times the median of increments that move: others, as a lost reading, tell no count
 
 # --- Of channels ---
 
@@ -103,5 +116,6 @@ DISTORTION = 0.5  # of what would just be clear of the noise: noise alone is .3
 CLEARLY = 6.0  # dB between odd and even lines that make distortion odd or even: a factor of two
 
 # Words
+REFITTED = 0.8  # of the rms of the robot as given: where its own numbers leave less, it is said that they were wrong
 WORTH = 0.1  # of the residual's power: what remains and goes with a signature is worth a sentence from here on
 BANDS = 6  # of maps, evenly over the logarithm of the frequency

@@ -16,7 +16,7 @@ import scipy.special
 import scipy.stats
 from jaxtyping import Float, Int
 
-from .settings import BLOCKS, DRAWS, MEMORY
+from .settings import BLOCKS, CONFIDENCE, DRAWS, MEMORY
 
 Rows = Float[np.ndarray, "row"]
 
@@ -56,7 +56,7 @@ def summed(rows: Float[np.ndarray, "row free"], block: Int[np.ndarray, "row"]) -
     return total
 
 
-def surely_positive(drop: Float[np.ndarray, "block"], level: float = 0.95) -> bool:
+def surely_positive(drop: Float[np.ndarray, "block"], level: float = CONFIDENCE) -> bool:
     """Whether the mean of paired drops is above zero, by a one-sided t-test."""
     n = len(drop)
     return bool(np.mean(drop) > scipy.stats.t.ppf(level, n - 1) * np.std(drop, ddof=1) / np.sqrt(n))

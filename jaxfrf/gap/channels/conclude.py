@@ -10,7 +10,7 @@ from ...effects import AbstractEffect, Candidate
 from ...robot import Robot, parameter_unit, parameters
 from ...robot.parameters import unit_at
 from ..result import Cell, Diagnosis, EstimatedValue, Gap, Maps, Named, Ranked
-from ..settings import BANDS, DRAWS, EXPLAINED, LEAST_SHARE, LEVEL, SYSTEMATIC
+from ..settings import BANDS, CONFIDENCE, DRAWS, EXPLAINED, LEAST_SHARE, LEVEL, REFITTED, SYSTEMATIC
 from ..significance import family_wise, mean_squares, projector, summed
 from ..verdict import verdict_of
 from .channel import AbstractChannel, Outcome, State
@@ -89,7 +89,7 @@ def _upper(channel: AbstractChannel, fit: FittedState) -> float:
     """95 % bound of the rms held-out error, in the gap's unit."""
     squares = mean_squares(channel.plain(fit.left), channel.blocks(fit.residual))
     n = len(squares)
-    return float(np.sqrt(squares.mean() + scipy.stats.t.ppf(0.95, n - 1) * squares.std(ddof=1) / np.sqrt(n)))
+    return float(np.sqrt(squares.mean() + scipy.stats.t.ppf(CONFIDENCE, n - 1) * squares.std(ddof=1) / np.sqrt(n)))
 
 
 def _judged(channel: AbstractChannel, heldout: AbstractChannel | None, found: ChannelSelection) -> Gap:
@@ -241,7 +241,7 @@ def _refit_remark(channel: AbstractChannel, found: ChannelSelection, final: Fitt
     rms = lambda r: float(np.sqrt(np.mean(channel.plain(r) ** 2)))
     nominal, before = rms(channel.residual(State(channel.robot, channel.own()))), rms(found.base.residual)
     said = []
-    if before < 0.8 * nominal:
+    if before < REFITTED * nominal:
         said.append(
             f"refitting the robot's own numbers took the {channel.quantity} from {nominal:.3g} to {before:.3g} "
             f"{channel.unit}: that part was wrong numbers, no missing effect."

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..._errors import InputError
 from ...effects import AbstractEffect, Candidate
-from ..settings import BEST, DRAWS, LEAST_SHARE, LEVEL, MOST, RIVALS, THE_SAME
+from ..settings import BEST, CONFIDENCE, DRAWS, LEAST_SHARE, LEVEL, MOST, RIVALS, STANDARD_ERROR, THE_SAME
 from ..significance import covariance, family_wise, held_out, mean_squares, projector, summed, surely_positive
 from .channel import AbstractChannel, Rows, State, acting
 
@@ -272,7 +272,9 @@ def _simplest(good: list[TriedCandidate], before: float, tie: float) -> Found:
     same law under another name, and makes nothing ambiguous."""
     best = min(good, key=lambda t: np.mean(t.squares))
     least = before - (1.0 - tie) * (before - np.mean(best.squares))
-    as_good = lambda t: np.mean(t.squares) < least or not surely_positive(t.squares - best.squares, level=0.84)
+    as_good = lambda t: (
+        np.mean(t.squares) < least or not surely_positive(t.squares - best.squares, level=STANDARD_ERROR)
+    )
     level = [t for t in good if as_good(t) and _cosine(t.part, best.part) > RIVALS]
     chosen = min(level, key=lambda t: (len(t.values), np.mean(t.squares)))
     others = [t for t in level if t is not chosen]
@@ -342,7 +344,7 @@ def _holds_none(channel: AbstractChannel, fit: FittedState, i: int) -> bool:
     here = fit.state.place(i)
     V = spread(channel, fit)[here, here]
     distance = np.array(values) @ np.linalg.pinv(V, hermitian=True) @ np.array(values)
-    return bool(distance < scipy.stats.chi2.ppf(0.95, len(values)))
+    return bool(distance < scipy.stats.chi2.ppf(CONFIDENCE, len(values)))
 
 
 def spread(channel: AbstractChannel, fit: FittedState) -> Float[np.ndarray, "free free"]:

@@ -11,15 +11,12 @@ from ...frf import LRM
 from ...graybox.indirect import default_method, measured_frf
 from ...robot import Robot
 from ..result import Diagnosis, EstimatedValue, Gap, Maps, Ranked
-from ..settings import FLOOR, LEAST_SIZE, SHOWN
+from ..settings import AT_MOST, FLOOR, LEAST_SIZE, NOTHING, SHOWN
 from .conclude import Conclusion, concluded, next_experiment, redefined
 from .judge import Written, each_written, over_floor, relative_torque
 from .maps import largest_cells, maps_of
 from .records import Records
 from .selection import Selection
-
-_AT_MOST = 0.9  # of the gap is floor: a steady torque alone hardly lifts the rms of all lines
-_NOTHING = 1e-3  # of the floor: a gap that is smaller has nothing to shrink
 
 
 def assembled(found: Selection, records: Records, given: Robot, compared: str) -> Diagnosis:
@@ -69,8 +66,8 @@ def gap_between(records: Records, base: Written, extended: Written) -> Gap:
     """Of robots that were simulated where the result is told."""
     judged, floor = records.every.at(records.judged), base.evidence.plain
     b, a = (float(np.sqrt(np.mean(over_floor(x.residual, floor) ** 2))) for x in (base, extended))
-    low = min(np.sqrt(FLOOR), _AT_MOST * b)
-    shrink = float(np.clip(1.0 - (a - low) / max(b - low, _NOTHING), -9.0, 1.0))
+    low = min(np.sqrt(FLOOR), AT_MOST * b)
+    shrink = float(np.clip(1.0 - (a - low) / max(b - low, NOTHING), -9.0, 1.0))
     on = "held-out positions" if len(records.heldout) else "the fitted positions (none were held out)"
     before, after = (relative_torque(judged, x.residual) for x in (base, extended))
     return Gap(b, a, float(low), shrink, "1", on, before, after)

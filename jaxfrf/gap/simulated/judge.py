@@ -13,10 +13,8 @@ from ...robot import Robot
 from ...trajectory.alike import alike_as_written
 from ...trajectory.evidence import Evidence, band_edges
 from ...trajectory.measured import Measured
-from ..settings import COMBED, FLOOR, LEAST_SHARE, LEVEL, NEAR, PRICE, RISES, TOOTH
+from ..settings import COMBED, CONFIDENCE, FLOOR, LEAST_SHARE, LEVEL, NEAR, PRICE, RISES, TOOTH
 from ..significance import flipped
-
-_LEVEL = 0.95  # one-sided, of an interval
 
 
 class Written(eqx.Module):
@@ -81,7 +79,7 @@ def compared(before, after, floor, frequency) -> Comparison:
         return Comparison(float(one.mean()), float(two.mean()), gain, -np.inf, np.inf, 1.0, finest)
     apart = drop - gain * one  # of a ratio of sums: Cochran, Sampling Techniques, 1977, chapter 6
     std = float(np.sqrt(count / (count - 1) * np.sum(apart**2)) / one.sum())
-    half = float(scipy.stats.t.ppf(_LEVEL, count - 1)) * std
+    half = float(scipy.stats.t.ppf(CONFIDENCE, count - 1)) * std
     return Comparison(float(one.mean()), float(two.mean()), gain, gain - half, gain + half, flipped(drop), finest)
 
 

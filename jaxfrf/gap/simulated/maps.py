@@ -9,12 +9,11 @@ from jaxtyping import Int
 from ...trajectory.evidence import band_edges, by_band
 from ...trajectory.measured import Measured
 from ..result import Cell, Maps
+from ..settings import CELLS, EVERYWHERE, SOMEWHERE
 from .judge import Written
 
 _BINS = 24
 _SAMPLES = 1024  # of a period, of a course
-_CELLS = 8
-_EVERYWHERE, _SOMEWHERE = 2.0, 3.0  # floors, of cells that are told
 
 
 def maps_of(record: Measured, base: Written, extended: Written) -> Maps:
@@ -62,13 +61,13 @@ def largest_cells(names: Sequence[str], maps: Maps) -> tuple[Cell, ...]:
     overall = np.median(maps.before, axis=0)
     everywhere = ", at all positions" if len(maps.before) > 1 else ""
     cells = []
-    for axis, band in np.argwhere(overall > _EVERYWHERE):
+    for axis, band in np.argwhere(overall > EVERYWHERE):
         edges, z = maps.bands[band : band + 2], float(overall[axis, band])
         cells.append(_cell(names[axis], edges, z, None, everywhere))
-    for pos, axis, band in np.argwhere((maps.before > _SOMEWHERE) & (maps.before > 2.0 * overall)):
+    for pos, axis, band in np.argwhere((maps.before > SOMEWHERE) & (maps.before > 2.0 * overall)):
         edges, z = maps.bands[band : band + 2], float(maps.before[pos, axis, band])
         cells.append(_cell(names[axis], edges, z, int(pos), f", at position {pos}"))
-    return tuple(sorted(cells, key=lambda c: -c.z)[:_CELLS])
+    return tuple(sorted(cells, key=lambda c: -c.z)[:CELLS])
 
 
 def _cell(name: str, band, z: float, position: int | None, where: str) -> Cell:

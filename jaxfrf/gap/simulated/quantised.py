@@ -2,10 +2,9 @@
 
 import numpy as np
 
-_CLEAR = 0.5  # of the characteristic function at one count: 1 without noise, 0 for a smooth distribution
-_FINEST = 5.0  # counts below this many standard deviations of the noise are not resolved
+from ..settings import COUNT_CLEAR, COUNT_FINEST, COUNT_FIRST, COUNT_JUMP
+
 _SAMPLES = 40000
-_JUMP = 30.0  # times the median of those that move: others, as a lost reading, tell no count and make the search long
 
 
 def resolution(position: np.ndarray, noise: float) -> float:
@@ -19,20 +18,20 @@ def resolution(position: np.ndarray, noise: float) -> float:
     if not increments.size or not np.isfinite(increments).all():
         return 0.0
     size = np.abs(increments)
-    increments = increments[size <= _JUMP * np.median(size[size > 0])] if np.any(size) else increments
+    increments = increments[size <= COUNT_JUMP * np.median(size[size > 0])] if np.any(size) else increments
     spread = float(np.std(increments))
     if spread == 0.0:
         return 0.0
     widest = 1.2 / spread  # counts per rad from which on a smooth distribution has no characteristic function left
-    finest = 1.0 / (_FINEST * noise) if noise > 0 else 200.0 * widest
+    finest = 1.0 / (COUNT_FINEST * noise) if noise > 0 else 200.0 * widest
     step = 1.0 / (8.0 * np.max(np.abs(increments)))
     if finest <= widest:
         return 0.0
     tried = np.arange(widest, finest, step)
     level = _levels(increments, tried[0], step, len(tried))
-    if level.max() < _CLEAR:
+    if level.max() < COUNT_CLEAR:
         return 0.0
-    first = int(np.argmax(level > 0.8 * level.max()))
+    first = int(np.argmax(level > COUNT_FIRST * level.max()))
     while first + 1 < len(level) and level[first + 1] > level[first]:
         first += 1
     fine = tried[first] + np.linspace(-step, step, 41)
