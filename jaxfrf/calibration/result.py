@@ -14,6 +14,7 @@ from ..trajectory.measured import Measured
 from ..trajectory.ripple import Order
 from .numbers import Number
 
+_RISES, _LITTLE = 1.25, 0.01  # times the torque missed before; of the torque: less is noise or rounding
 DATA_SHARE = 0.9  # of the prior's variance that the data take away: less is not determined by the data
 _SURE = 0.3  # in x: a number of which nothing was known before is determined where its deviation is below
 _TOGETHER = 0.5  # correlation of numbers that are determined in combination only
@@ -139,14 +140,23 @@ class Calibration(eqx.Module):
 
     def doubts(self) -> list[str]:
         """What speaks against believing the intervals, in sentences."""
-        if not self.unexplained:
-            return []
-        after = dict(zip(self.given.axis_names, self.missed_after, strict=True))
-        axes = ", ".join(f"{percent(after[n])} of {n}" for n in self.unexplained)
-        return [
-            f"the model does not explain the torque: {axes} is missed, which no interval above holds. Are units, "
-            "payload, controller and positions right? If they are, an effect is missing."
-        ]
+        named = list(zip(self.given.axis_names, self.missed_before, self.missed_after, strict=True))
+        much = ", ".join(f"{percent(a)} of {n}" for n, _, a in named if n in self.unexplained)
+        more = ", ".join(
+            f"{n} ({percent(b, 3)} -> {percent(a, 3)})" for n, b, a in named if a > max(_RISES * b, _LITTLE)
+        )
+        said = []
+        if much:
+            said.append(
+                f"the model does not explain the torque: {much} is missed, which no interval above holds. Are units, "
+                "payload, controller and positions right? If they are, an effect is missing."
+            )
+        if more:
+            said.append(
+                f"more of the torque is missed than by the robot as given: {more}. What the fit gained elsewhere cost "
+                "it there; look at the numbers of that axis before you use them."
+            )
+        return said
 
     def as_dict(self) -> dict[str, Any]:
         """What fit.json holds."""

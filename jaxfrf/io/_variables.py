@@ -4,6 +4,7 @@ import dataclasses
 import pathlib
 import re
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -78,7 +79,8 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
             "one quantity in all channels",
             f"Estimate them apart (--map {key}=...), or say that they are one: --set {key}_unit=...",
         )
-    if key not in file.given.factor and len({factor for _, factor in found}) > 1:
+    stated = key in file.given.factor or (key == "q" and _of_each(file, key) is not None)
+    if not stated and len({factor for _, factor in found}) > 1:
         raise file.error(
             key,
             f"channels in {', '.join(sorted(said))}",
@@ -111,9 +113,21 @@ def _stated(units: Mapping[str, str], name: str) -> str:
     return units.get(name) or units.get(re.sub(r"'?(\[[^\[\]]*\])?$", "", name).strip(), "")
 
 
+def _of_each(file: File, key: str) -> np.ndarray | None:
+    """Factors of channels that state a unit each, as angles of turning joints beside lengths of sliding ones do."""
+    if key in file.given.values or f"{key}_unit" in file.given.values or f"{key}_unit" in file.variables:
+        return None
+    said = [_stated(file.variables.units, part) for part in _parts(file, file.given.names.get(key, key).strip())]
+    factors = np.array([(known_unit(text) or (text, 1.0))[1] for text in said])
+    return factors if len(factors) > 1 and len(set(said)) > 1 and all(said) else None
+
+
 def scaled(file: File, key: str, x: np.ndarray) -> np.ndarray:
-    factor = file.given.factor.get(key)
-    if factor is None:
+    factor: Any = file.given.factor.get(key)
+    each = _of_each(file, key) if key == "q" and factor is None else None
+    if each is not None:
+        factor = each
+    elif factor is None:
         factor = unit_of(file, key)[1] if key in (*SIGNALS, "q", "t") else 1.0
         return x if factor == 1.0 else x * factor
     channels = 1 if x.ndim == 0 else x.shape[-1]

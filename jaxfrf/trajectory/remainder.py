@@ -31,7 +31,7 @@ def usual_size(left, noise) -> Float[np.ndarray, "line axis"]:
     """rms of the real part of a remainder around every line, not below the measured noise; of the steady torque its
     own, but not below that of its neighbours."""
     power = 0.5 * np.mean(np.abs(left) ** 2, axis=(0, 1))
-    smooth = scipy.ndimage.uniform_filter1d(power[1:], _AROUND, axis=0, mode="nearest")
+    smooth = scipy.ndimage.uniform_filter1d(power[1:], _AROUND, axis=0, mode="mirror")  # each line once, the first, too
     steady = np.maximum(2.0 * power[:1], smooth[:1])
     return np.sqrt(np.maximum(np.concatenate([steady, smooth]), 0.5 * noise**2))
 

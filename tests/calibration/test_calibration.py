@@ -543,11 +543,19 @@ def test_the_page_shows_every_number(commanded):
 
 @pytest.mark.parametrize("missed", [0.41, np.nan])
 def test_intervals_beside_torque_that_is_missed_are_doubted(missed):
-    found = SimpleNamespace(given=SimpleNamespace(axis_names=("shoulder", "elbow")), missed_after=[0.02, missed])
+    names = SimpleNamespace(axis_names=("shoulder", "elbow"))
+    found = SimpleNamespace(given=names, missed_before=[0.018, 0.5], missed_after=[0.02, missed])
     assert Calibration.unexplained.fget(found) == ("elbow",)
     found.unexplained = ("elbow",)
     (text,) = Calibration.doubts(found)
     assert "of elbow" in text and "shoulder" not in text and "units" in text
+
+
+def test_a_fit_that_misses_more_than_it_began_with_says_so():
+    names = SimpleNamespace(axis_names=("shoulder", "elbow"))
+    found = SimpleNamespace(given=names, missed_before=[0.028, 0.02], missed_after=[0.053, 0.021], unexplained=())
+    (text,) = Calibration.doubts(found)
+    assert "than by the robot as given: shoulder (2.8 % -> 5.3 %)" in text and "elbow" not in text
 
 
 def test_springs_have_options_of_their_own(commanded, capsys):

@@ -29,6 +29,14 @@ def read(*paths, **more):
     return jf.io.read(*paths, names=NAMES, values=SETTINGS | more)
 
 
+def test_joints_that_turn_and_joints_that_slide_state_units_of_their_own(tmp_path):
+    path = log(tmp_path / "a.csv", [0.3, -0.7], 0)
+    head, rows = path.read_text().split("\n", 1)
+    path.write_text(head.replace("Pos2 [deg]", "Pos2 [mm]") + "\n" + rows)
+    data = jf.io.read(path, names=NAMES | {"q": "[Pos1 [deg];Pos2 [mm]]"}, values=SETTINGS)
+    np.testing.assert_allclose(data.q, [[0.3, 1e-3 * np.rad2deg(-0.7)]], atol=1e-12)
+
+
 def test_the_mean_of_the_steady_record_is_the_configuration(tmp_path):
     data = read(log(tmp_path / "a.csv", [0.3, -0.7], 0))
     np.testing.assert_allclose(data.q, [[0.3, -0.7]], atol=1e-12)
