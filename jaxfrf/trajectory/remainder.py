@@ -1,7 +1,6 @@
 """What columns leave of a residual, and how lines are weighed by it."""
 
 import numpy as np
-import scipy.ndimage
 from jaxtyping import Complex, Float
 
 from .evidence import Evidence, Weighed, by_band
@@ -29,9 +28,13 @@ def excess(left, plain, frequency) -> float:
 
 def usual_size(left, noise) -> Float[np.ndarray, "line axis"]:
     """rms of the real part of a remainder around every line, not below the measured noise; of the steady torque its
-    own, but not below that of its neighbours."""
+    own, but not below that of its neighbours. Windows at an end of the band are shifted inwards: a line that counted
+    more than once, as a slow sine on the first one may, would lose its weight to what it leaves itself."""
     power = 0.5 * np.mean(np.abs(left) ** 2, axis=(0, 1))
-    smooth = scipy.ndimage.uniform_filter1d(power[1:], _AROUND, axis=0, mode="mirror")  # each line once, the first, too
+    count = len(power) - 1
+    width = min(_AROUND, count)
+    first = np.clip(np.arange(count) - width // 2, 0, count - width)
+    smooth = np.lib.stride_tricks.sliding_window_view(power[1:], width, axis=0).mean(axis=-1)[first]
     steady = np.maximum(2.0 * power[:1], smooth[:1])
     return np.sqrt(np.maximum(np.concatenate([steady, smooth]), 0.5 * noise**2))
 
