@@ -282,6 +282,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "kept": kept,
     "speed": speed,
     "two_cores": lambda: speed(2, ("local_two_cores.txt",)),
+    "xeon": lambda: speed(1, ("local_xeon.txt",)),
+    "xeon_two_cores": lambda: speed(2, ("local_xeon.txt",)),
     "growth": growth,
     "coverage": coverage,
     "calibration": calibration,

@@ -15,7 +15,7 @@ from jaxfrf import effects as fx
 from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
 from jaxfrf.effects._harmonics import polar_deviation
-from jaxfrf.gap.simulated.conclude import close_rivals, counting
+from jaxfrf.gap.simulated.conclude import close_rivals, counting, stand_for_each_other
 from jaxfrf.gap.simulated.fitted import Fitted
 from jaxfrf.gap.simulated.hypothesis import hypothesis
 from jaxfrf.gap.simulated.judge import against_it, beyond, compared, over_floor, shows_nothing
@@ -470,3 +470,13 @@ class TestAlike:
         drive = fx.TorqueConstant("elbow", 0.1), fx.TorqueSaturation("elbow", 3.0)
         found = alike(small_robot().with_effects(*drive)).effects
         assert [type(e) for e in found if isinstance(e, type(drive[0]) | type(drive[1]))] == [type(e) for e in drive]
+
+
+def test_two_that_stand_for_each_other_on_one_joint():
+    """Play and a spring that hardens, both on one joint, are one law more often than two."""
+    named = lambda effect: SimpleNamespace(effect=effect, name=effect.name, joint=effect.joint)
+    play, bent = fx.Backlash("elbow", 1e-4), fx.StiffnessHardening("elbow", 0.1, 1e-4)
+    pair = [named(play), named(fx.TorqueDelay("elbow", 1e-3)), named(bent)]
+    assert {x.name for x in stand_for_each_other(pair)} == {"backlash", "stiffness_hardening"}
+    assert stand_for_each_other([named(play), named(fx.StiffnessHardening("shoulder", 0.1, 1e-4))]) == ()
+    assert stand_for_each_other(pair[:2]) == ()

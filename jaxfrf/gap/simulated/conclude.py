@@ -1,5 +1,6 @@
 """What stands of a selection once the held-out positions are opened: verdict, words, effects, the robot to write."""
 
+import itertools
 from collections.abc import Collection, Sequence
 
 import equinox as eqx
@@ -174,16 +175,18 @@ def _verdict(
     met, rivals = relative_torque(judged, extended.residual), close_rivals(steps)
     sufficient = bool(np.all(met < TOLERANCE) and np.all(np.abs(last.x) < HOPELESS))
     stands = bool(effects or counts)
+    alike = stand_for_each_other(effects) if worst > UNEXPLAINED else ()
     verdict = verdict_of(
         stands=stands,
-        rivals=bool(rivals),
+        rivals=bool(rivals or alike),
         explained=explained if effects else 0.0,
         systematic=worst > UNEXPLAINED,
         met=sufficient,
     )
     if stands and verdict != "unexplained":
         on = "the held-out positions" if heldout else "the fitted positions, none being held out"
-        return verdict, _named_words(effects, counts, rivals, base, extended, on)
+        words = _named_words(effects, counts, rivals, base, extended, on)
+        return verdict, f"{words}{_left_words(alike, worst)}"
     why = "no effect explains more of the rest on the positions that decide"
     if not looked_for:
         why = "what is left is nowhere beyond its floor, so that no effect was looked for"
@@ -199,6 +202,31 @@ def _verdict(
         ),
         "inconclusive": "No effect stands out, but the gap is not bounded below the tolerance either.",
     }[verdict]
+
+
+def stand_for_each_other(effects: Sequence[Named]) -> tuple[Named, ...]:
+    """Two of the effects that are on one joint and may be taken for each other; none where there are no such."""
+    for one, other in itertools.combinations(effects, 2):
+        alike = other.effect.name in one.effect.confusable or one.effect.name in other.effect.confusable
+        if one.joint == other.joint and alike:
+            return one, other
+    return ()
+
+
+def _left_words(alike: Sequence[Named], worst: float) -> str:
+    """What is to be said of what the effects leave, beyond what an honest model does."""
+    if alike:
+        one, other = (said((e.name, e.joint)) for e in alike)
+        return (
+            f" But {one} and {other} may stand for each other, and in one axis {worst:.3g} times the floor is left: "
+            "what is missing may be one of them alone, or a law between them."
+        )
+    if worst > UNEXPLAINED:
+        return (
+            f" In one axis {worst:.3g} times the floor is left all the same: something else is missing, too, which the "
+            "intervals do not count."
+        )
+    return ""
 
 
 def _named_words(
