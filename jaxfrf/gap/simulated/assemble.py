@@ -10,6 +10,7 @@ from ...experiment import Experiment
 from ...frf import LRM
 from ...graybox.indirect import default_method, measured_frf
 from ...robot import Robot
+from ...trajectory.following import why_followed
 from ..result import Diagnosis, EstimatedValue, Gap, Maps, Ranked
 from ..settings import AT_MOST, FLOOR, LEAST_SIZE, NOTHING, SHOWN
 from .conclude import Conclusion, concluded, next_experiment, redefined
@@ -27,7 +28,7 @@ def assembled(found: Selection, records: Records, given: Robot, compared: str) -
     maps = _maps(records, end)
     return Diagnosis(
         verdict=end.verdict,
-        says=end.says,
+        says=end.says + _of_standing_motors(end.verdict, given, records),
         effects=end.effects,
         ranking=_ranking(found, end),
         where=largest_cells(given.axis_names, maps),
@@ -46,6 +47,16 @@ def assembled(found: Selection, records: Records, given: Robot, compared: str) -
         sources=tuple(records.whole.data.sources),
         settings={"lines": len(records.whole.frequency), "highest_hz": float(records.whole.frequency[-1])},
         wrong_numbers=end.wrong,
+    )
+
+
+def _of_standing_motors(verdict: str, given: Robot, records: Records) -> str:
+    """What else may be the matter where motors are moved as measured."""
+    if verdict != "unexplained" or not why_followed(given, records.whole.data):
+        return ""
+    return (
+        " Motors were moved as they were measured: the torque of one that sticks, or turns over within a sample, is not "
+        "in its motion. State the controller and record the reference, and diagnose again, before you look for more."
     )
 
 
