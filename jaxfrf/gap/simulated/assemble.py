@@ -56,7 +56,7 @@ def _of_standing_motors(verdict: str, given: Robot, records: Records) -> str:
         return ""
     return (
         " Motors were moved as they were measured: the torque of one that sticks, or turns over within a sample, is "
-        "not in its motion. State the controller and record the reference, and diagnose again, before you look for more."
+        "not in its motion. State the controller, record the reference and diagnose again before you look for more."
     )
 
 
