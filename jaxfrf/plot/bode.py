@@ -139,14 +139,13 @@ class _Curve(NamedTuple):
 
 def _curve(frf: FRF, radius, position: int, cell: tuple[int, int]) -> _Curve:
     out, ref = cell
-    order = np.argsort(frf.frequency, kind="stable")
-    g, status = (np.asarray(x)[order] for x in (frf.G[position, :, out, ref], frf.status[position]))
+    g, status = (np.asarray(x) for x in (frf.G[position, :, out, ref], frf.status[position]))
     size = np.where(np.isfinite(g) & (g != 0), np.abs(g), np.nan)
     return _Curve(
-        frequency=np.asarray(frf.frequency)[order],
+        frequency=np.asarray(frf.frequency),
         magnitude=_style.decibel(size),
         phase=np.where(np.isfinite(size), np.degrees(np.angle(g)), np.nan),
-        relative=np.full(len(g), np.nan) if radius is None else radius[order, out, ref] / size,
+        relative=np.full(len(g), np.nan) if radius is None else radius[:, out, ref] / size,
         sound=np.isfinite(size) & ((status & int(SERIOUS)) == 0),
     )
 
@@ -188,10 +187,9 @@ def _levels(frf: FRF, position: int, cell: tuple[int, int]) -> dict[str, np.ndar
 
 
 def _draw_levels(axis, frf: FRF, position: int, cell: tuple[int, int], colour: str) -> None:
-    order = np.argsort(frf.frequency, kind="stable")
     for name, std in _levels(frf, position, cell).items():
         style = {"color": colour, "lw": 0.8, "alpha": 0.8, "ls": _LEVELS[name][0]}
-        axis.plot(np.asarray(frf.frequency)[order], _style.decibel(std)[order], zorder=1.5, **style)
+        axis.plot(np.asarray(frf.frequency), _style.decibel(std), zorder=1.5, **style)
 
 
 def _draw_magnitude(axis, curve: _Curve, colour: str) -> None:

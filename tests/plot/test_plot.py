@@ -231,12 +231,6 @@ def test_given_axes_are_used_and_their_number_is_checked():
         bode(make_frf(np.ones((1, 5, 2, 1))), axes=mine)
 
 
-def test_frequencies_in_any_order_are_joined_in_their_own():
-    frequency = np.random.default_rng(0).permutation(np.arange(1.0, 31.0))
-    _, axes = bode(make_frf(delayed(frequency), frequency))
-    np.testing.assert_array_equal(np.diff(strokes(axes[0, 0, 0])[:, :, 0]), np.ones((29, 1)))
-
-
 def test_nothing_estimated_is_an_empty_picture():
     status = np.full((1, 5), Status.NOT_FINITE.value)
     figure, axes = bode(make_frf(np.full((1, 5, 1, 1), np.nan), status=status))
