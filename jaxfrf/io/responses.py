@@ -212,8 +212,8 @@ def _frf(names: Mapping, where: str) -> FRF:
     if np.iscomplexobj(frequency) or not np.isfinite(frequency).all():
         raise input_error(f"{where}: frequency", "complex, NaN or Inf values", "finite frequencies, Hz", "Repair it.")
     order = np.argsort(frequency, kind="stable")
-    if np.any(np.diff(frequency[order]) == 0) or frequency[order[0]] < 0:
-        found = "one below zero" if frequency[order[0]] < 0 else "one of them twice"
+    if np.any(np.diff(frequency[order]) == 0) or np.any(frequency < 0):
+        found = "one below zero" if np.any(frequency < 0) else "one of them twice"
         raise input_error(f"{where}: frequency", found, "every frequency once, 0 Hz or more", "Leave it out.")
     G = _response(_numbers(names["G"], f"{where}: G"), len(frequency), f"{where}: G")
     per_line, vec = G.shape[:2], G.shape[2] * G.shape[3]
