@@ -41,7 +41,6 @@ HIDDEN_IN = {
     "small arm": "gap.json",
     "palletiser": "gap_pallet.json",
     "R3X": "gap_r3x.json",
-    "R3X, the others": "gap_r3x_rest.json",
 }
 HIDDEN: tuple[tuple[str, tuple[str, ...]], ...] = (
     (

@@ -53,6 +53,7 @@ DOUBTFUL = 0.3  # of the cost: where no candidate promises as much, those that n
 OWN = 1e-3  # of a column's square that must be its own beside the robot's numbers
 
 # What decides
+FEWEST = 4  # blocks that show anything decide where all agree: a steady torque of four positions shows in no more
 COMBED = 8  # blocks at least: runs, cut into combs of lines where there are fewer
 TOOTH = 4  # neighbouring lines of a comb's tooth: excited and unexcited ones stand in each
 

@@ -13,7 +13,7 @@ from ...robot import Robot
 from ...trajectory.alike import alike_as_written
 from ...trajectory.evidence import Evidence, band_edges
 from ...trajectory.measured import Measured
-from ..settings import COMBED, CONFIDENCE, FLOOR, LEAST_SHARE, LEVEL, NEAR, PRICE, RISES, TOOTH
+from ..settings import COMBED, CONFIDENCE, FEWEST, FLOOR, LEAST_SHARE, LEVEL, NEAR, PRICE, RISES, TOOTH
 from ..significance import flipped
 
 
@@ -99,12 +99,16 @@ def beyond(left, floor, frequency) -> Float[np.ndarray, "block"]:
     return np.concatenate(blocks)
 
 
-def shows_nothing(result: Comparison, least: float = LEAST_SHARE, own: float = 0.0, level: float = LEVEL) -> str:
+def shows_nothing(result: Comparison, least: float = LEAST_SHARE, own: float = 0.0, fewest: int = FEWEST) -> str:
     """Why a comparison does not speak for an effect that must take away so much, of all or of its `own` axis' part, in
-    words; empty where it does. `level`: of its p-value."""
+    words; empty where it does. `fewest`: blocks that are enough where all of them speak for it."""
     if not result.before:
         return "on the positions that decide the misfit is nowhere beyond its floor without it"
-    if result.p_value <= level and max(result.gain, own) >= least and result.least > 0.0:
+    if (
+        result.p_value <= max(LEVEL, min(result.finest, 2.0**-fewest))
+        and max(result.gain, own) >= least
+        and result.least > 0.0
+    ):
         return ""
     return (
         f"on the positions that decide it takes away {result.gain:.0%} of what is beyond the floor, p = "
@@ -117,8 +121,7 @@ def against_it(judged: Measured, before: Written, after: Written, joint: str) ->
     nothing."""
     floor, names = before.evidence.plain, before.robot.axis_names
     result = compared(before.residual, after.residual, floor, judged.frequency)
-    # what was decided elsewhere must not be contradicted, however few blocks there are to see it in
-    nothing = shows_nothing(result, level=max(LEVEL, result.finest))
+    nothing = shows_nothing(result, fewest=0)  # it was decided elsewhere, and must not be contradicted
     if nothing:
         return nothing
     old, new = (over_floor(x.residual, floor) for x in (before, after))
