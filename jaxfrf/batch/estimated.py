@@ -258,8 +258,10 @@ def _work(job: _EstimateJob, piece: range, read: list[Block | None] | None = Non
             place = job.folder / _name(pos)
             if not place.is_file():
                 one, record = (spectra, data) if len(piece) == 1 else _position(spectra, data, i)
-                known = None if chosen.robust or isinstance(method, Welch) else one
-                write_frf(place, with_distortion(estimate(one, method), record, known))
+                frf = estimate(one, method)
+                if one.periodic:  # segments have lines of their own
+                    frf = with_distortion(frf, record, None if chosen.robust else one)
+                write_frf(place, frf)
             alive()
             if advanced is not None:
                 advanced(1)

@@ -98,7 +98,9 @@ def estimate(
         warnings=(*spectra.warnings, *method.remarks(spectra), *_of_rank(spectra, status), *serious),
         version=__version__,
     )
-    return _with_distortion(found, data) if isinstance(data, Experiment) else found
+    if isinstance(data, Experiment) and spectra.periodic:  # segments have lines of their own
+        return _with_distortion(found, data)
+    return found
 
 
 def _with_distortion(frf: FRF, data: Experiment) -> FRF:
