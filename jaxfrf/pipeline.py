@@ -115,7 +115,7 @@ def _at(feature) -> str:
     text = f"{plus_minus(feature.frequency, NORMAL_95 * feature.frequency_std)} Hz"
     if not np.isfinite(feature.damping):
         return text
-    return f"{text} (damping {plus_minus(100 * feature.damping, 196 * feature.damping_std)} %)"
+    return f"{text} (damping {plus_minus(100 * feature.damping, 100 * NORMAL_95 * feature.damping_std)} %)"
 
 
 def summary(spectra: Spectra, frf: FRF) -> Summary:

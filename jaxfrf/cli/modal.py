@@ -81,7 +81,7 @@ def _lines(found) -> list[str]:
     lines = [f"{what} from {number(found.frequency[0], 4)} to {number(found.frequency[-1], 4)} Hz (95 %)"]
     lines += [
         f"  {plus_minus(m.frequency, NORMAL_95 * m.frequency_std)} Hz, damping "
-        f"{plus_minus(100 * m.damping, 196 * m.damping_std)} %"
+        f"{plus_minus(100 * m.damping, 100 * NORMAL_95 * m.damping_std)} %"
         for m in found.modes
     ]
     lines += [f"  a lag at {number(m.frequency, 2)} Hz, damped too much to be a mode" for m in found.lags]

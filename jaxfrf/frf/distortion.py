@@ -106,8 +106,11 @@ def with_distortion(frf: FRF, data: Experiment, spectra: Spectra | None = None) 
     expect("data", data, Experiment)
     if not data.period:
         return frf
-    spectra = dft(data) if spectra is None else spectra
-    _same_lines(spectra, frf)
+    try:
+        spectra = dft(data) if spectra is None else spectra
+    except InputError:
+        return frf
+    _places(spectra, frf)
     try:
         return distortion_of(frf, data, spectra).frf
     except InputError:
@@ -136,7 +139,7 @@ def distortion_of(frf: FRF, data: Experiment, spectra: Spectra | None = None) ->
         spectra = dft(data)
     else:
         check_power(data, spectra, silent_lines(data, spectra))
-    spectra = _same_lines(spectra, frf)
+    spectra = _at(spectra, _places(spectra, frf))
     shape = (spectra.n_pos, len(spectra.frequency), spectra.n_out)
     unknown = np.full(shape, np.nan)
     noise = unknown if spectra.noise is None else np.sqrt(noise_level(frf.G, spectra))
@@ -165,13 +168,13 @@ def distortion_of(frf: FRF, data: Experiment, spectra: Spectra | None = None) ->
     return Distortion(frf=frf, output=output, noise=noise, total=total, way=way, **found)
 
 
-def _same_lines(spectra: Spectra, frf: FRF) -> Spectra:
-    """The spectra at the lines of the FRF."""
+def _places(spectra: Spectra, frf: FRF) -> np.ndarray:
+    """Which of the lines of the spectra are those of the FRF; an error where one is not."""
     at = np.searchsorted(spectra.frequency, np.asarray(frf.frequency) * (1 - 1e-9))
     fits = (at < len(spectra.frequency)).all() and np.allclose(spectra.frequency[at], frf.frequency, rtol=1e-9)
     if not fits or (spectra.n_pos, spectra.n_out, spectra.n_in) != (frf.n_pos, frf.n_out, frf.n_in):
         raise input_error("frf", "other lines, positions or channels", "those of the record", "Take both from one.")
-    return _at(spectra, at)
+    return at
 
 
 def _at(spectra: Spectra, at) -> Spectra:

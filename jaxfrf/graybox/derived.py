@@ -48,12 +48,11 @@ def derived(
     expect_probability("level", level)
     x, cov = jnp.asarray(fitted.x), np.asarray(fitted.uncertainty.cov)
     at = lambda x: {name: jnp.asarray(v, float) for name, v in function(fitted.coordinates.values(x)).items()}
-    _check_scalars(function, fitted.coordinates.values(x))
-    values, slopes = at(x), jax.jacfwd(at)(x)
+    values, slopes = _scalars(function, fitted.coordinates.values(x)), jax.jacfwd(at)(x)
     reach = float(norm.ppf(0.5 + level / 2))
     found: dict[str, Derived] = {}
-    for name, traced in values.items():
-        slope, value = np.asarray(slopes[name]), float(traced)
+    for name, value in values.items():
+        slope = np.asarray(slopes[name])
         std = math.sqrt(max(float(slope @ cov @ slope), 0.0))
         if value > 0:
             factor = math.exp(min(reach * std / value, 700.0))
@@ -63,8 +62,8 @@ def derived(
     return found
 
 
-def _check_scalars(function, parameters: Mapping[str, jax.Array]) -> None:
-    """Refuse a function that gives no finite real scalars by name."""
+def _scalars(function, parameters: Mapping[str, jax.Array]) -> dict[str, float]:
+    """What the function gives; an error unless that is finite real scalars by name."""
     try:
         found = function(parameters)
     except KeyError as error:
@@ -78,3 +77,4 @@ def _check_scalars(function, parameters: Mapping[str, jax.Array]) -> None:
         if x.dtype.kind not in "iuf" or x.ndim or not np.isfinite(x):
             shown = said(value) if x.ndim else str(x)
             raise input_error(f"function: {name!r}", shown, "a finite real number", "Derive one number each.")
+    return {name: float(value) for name, value in found.items()}

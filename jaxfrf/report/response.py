@@ -167,7 +167,7 @@ def _features(frfs: Sequence[FRF], labels: Sequence[str]) -> str:
         for frf, label in zip(frfs, labels, strict=True):
             for x in sorted(features(frf, k, k)[:_LINES], key=lambda x: x.frequency):
                 known = np.isfinite(x.damping)
-                damping = f"{plus_minus(100 * x.damping, 196 * x.damping_std, '±')} %" if known else ""
+                damping = f"{plus_minus(100 * x.damping, 100 * NORMAL_95 * x.damping_std, '±')} %" if known else ""
                 at = plus_minus(x.frequency, NORMAL_95 * x.frequency_std, "±")
                 rows.append([f"G{k + 1}{k + 1}", *([label] if len(frfs) > 1 else []), x.kind, at, damping])
     if not rows:
