@@ -218,12 +218,12 @@ def _left_words(alike: Sequence[Named], worst: float) -> str:
     if alike:
         one, other = (said((e.name, e.joint)) for e in alike)
         return (
-            f" But {one} and {other} may stand for each other, and in one axis {worst:.3g} times the floor is left: "
-            "what is missing may be one of them alone, or a law between them."
+            f" But {one} and {other} may stand for each other, and in one axis the misfit is still {worst:.3g} times the "
+            "floor's: what is missing may be one of them alone, or a law between them."
         )
     if worst > UNEXPLAINED:
         return (
-            f" In one axis {worst:.3g} times the floor is left all the same: something else is missing, too, which the "
+            f" In one axis the misfit is still {worst:.3g} times the floor's: something else is missing, too, which the "
             "intervals do not count."
         )
     return ""
