@@ -215,18 +215,16 @@ def stand_for_each_other(effects: Sequence[Named]) -> tuple[Named, ...]:
 
 def _left_words(alike: Sequence[Named], worst: float) -> str:
     """What is to be said of what the effects leave, beyond what an honest model does."""
+    if worst <= UNEXPLAINED:
+        return ""
+    left = f"in one axis the misfit is still {worst:.3g} times the floor's: "
     if alike:
         one, other = (said((e.name, e.joint)) for e in alike)
         return (
-            f" But {one} and {other} may stand for each other, and in one axis the misfit is still {worst:.3g} times the "
-            "floor's: what is missing may be one of them alone, or a law between them."
+            f" But {one} and {other} may stand for each other, and {left}what is missing may be one of them alone, or a "
+            "law between them."
         )
-    if worst > UNEXPLAINED:
-        return (
-            f" In one axis the misfit is still {worst:.3g} times the floor's: something else is missing, too, which the "
-            "intervals do not count."
-        )
-    return ""
+    return f" I{left[1:]}something else is missing, too, which the intervals do not count."
 
 
 def _named_words(
