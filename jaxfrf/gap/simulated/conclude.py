@@ -221,8 +221,8 @@ def _left_words(alike: Sequence[Named], worst: float) -> str:
     if alike:
         one, other = (said((e.name, e.joint)) for e in alike)
         return (
-            f" But {one} and {other} may stand for each other, and {left}what is missing may be one of them alone, or a "
-            "law between them."
+            f" But {one} and {other} may stand for each other, and {left}what is missing may be one of them alone, "
+            "or a law between them."
         )
     return f" I{left[1:]}something else is missing, too, which the intervals do not count."
 
