@@ -14,7 +14,6 @@ from ..effects import (
     AbstractLinkSensor,
     AbstractSensor,
     AbstractStructure,
-    TorqueDelay,
 )
 from ..robot import Robot
 from ..robot.drive import Friction
@@ -22,7 +21,7 @@ from ..robot.regressor import PER_LINK, link_parameters
 from ..trajectory.evidence import Column
 from ..trajectory.scene import Scene, Signature
 from ..trajectory.signature import signature
-from .numbers import Number, effect_parameters, with_numbers
+from .numbers import Number, effect_parameters, of_drives, with_numbers
 
 _STEP = 1e-3  # of a coordinate's size, but at most this change of a logarithm
 _LATE = 1e-6  # s
@@ -62,7 +61,9 @@ def _column(robot: Robot, numbers, x, i: int, given: "_OnceAScene") -> Column:
         axis, part = robot.axis_names.index(joint), number.size / (1.0 + number.value(x[i]))
         return lambda scene: scene.by_command(axis, -given(scene)[..., axis]) * part
     if number.kind == "delay":
-        return lambda scene: signature(TorqueDelay(joint, _LATE), scene) * (number.size / _LATE)
+        late = of_drives()[number.kind].in_drive(joint, _LATE, ())
+        assert late is not None
+        return lambda scene: signature(late, scene) * (number.size / _LATE)
     step = _step(number)
     if number.of_effect:
         _, name, parameter = number.name.split(".")

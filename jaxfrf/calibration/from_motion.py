@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import input_error
-from ..effects import FrictionAsymmetry, Payload, TorqueConstant, TorqueDelay, WristCoupling
+from ..effects import AbstractEffect, AbstractGearCoupling, Payload, library
 from ..experiment import Experiment
 from ..robot import Friction, Robot
 from ..robot.equations import gear_coupling
@@ -20,7 +20,6 @@ from .least_squares import Posterior, solve
 from .numbers import Number, numbers, with_numbers
 from .result import Calibration, Round
 
-_KNOWN = (WristCoupling, TorqueConstant, FrictionAsymmetry, TorqueDelay)
 _BLOCKS = 20  # of all records together, at least two of each: what their scatter is seen from
 _LONGEST = 0.7  # of a logarithm, in one step
 _CONVERGED = 0.05  # of its standard deviation that every number moves less
@@ -42,14 +41,20 @@ class Rows(eqx.Module):
     carried: Float[np.ndarray, "parameter"]
 
 
+def _is_known(kind: type[AbstractEffect]) -> bool:
+    """Whether the needed torque has it: what a drive's numbers stand for, and gears that turn each other's."""
+    return bool(kind.drive_number) or issubclass(kind, AbstractGearCoupling)
+
+
 def _check_effects(robot: Robot) -> None:
     """Refuse effects that are in no inverse dynamics here."""
-    left_out = [e for e in robot.effects if not isinstance(e, _KNOWN)]
+    left_out = [e for e in robot.effects if not _is_known(type(e))]
     if left_out:
+        known = sorted(kind.name for kind in library().values() if _is_known(kind))
         raise input_error(
             f"effects of {robot.name}",
             f"{', '.join(e.name for e in left_out)} of a robot with rigid transmissions",
-            f"{', '.join(kind.name for kind in _KNOWN)}",
+            ", ".join(known),
             "Leave them out here; `jaxfrf diagnose` looks for the others.",
         )
 

@@ -1,5 +1,6 @@
 """The numbers of a robot that an experiment may tell, each in the coordinate that a fit moves."""
 
+import functools
 import math
 from collections.abc import Sequence
 
@@ -12,10 +13,6 @@ from .._errors import input_error
 from ..effects import (
     AbstractEffect,
     AbstractFriction,
-    EncoderQuantisation,
-    FrictionAsymmetry,
-    TorqueConstant,
-    TorqueDelay,
     library,
 )
 from ..effects._place import axis_of, stated
@@ -38,14 +35,7 @@ _POSITIVE = (
     "smoothing",
     "mass",
 )
-_DRIVE = {
-    "torque_constant": (TorqueConstant, "error"),
-    "delay": (TorqueDelay, "delay"),
-    "torque_offset": (FrictionAsymmetry, "offset"),
-}
-
-
-_OTHERWISE = (TorqueConstant, TorqueDelay, EncoderQuantisation)
+_OFFSET = "torque_offset"  # of the drives' numbers the one that not every fit has
 
 
 class Number(eqx.Module):
@@ -135,12 +125,12 @@ def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) 
         elif kind == "smoothing":
             if isinstance(robot.drives.friction, Friction) and np.any(np.asarray(robot.drives.friction.coulomb)):
                 add("friction.smoothing", kind, float(robot.drives.friction.smoothing))
-        elif kind == "torque_offset":
+        elif kind == _OFFSET:
             for axis, size in enumerate(() if offset_size is None else offset_size):
                 add(f"{robot.axis_names[axis]}.{kind}", kind, _of_drive(robot, kind, axis), float(size))
         elif kind == "effect":
             for joint, effect, parameter in effect_parameters(robot):
-                if offset_size is None or not isinstance(effect, FrictionAsymmetry):
+                if offset_size is None or effect.drive_number != _OFFSET:
                     name, value = f"{joint}.{effect.name}.{parameter}", float(getattr(effect, parameter))
                     turns = isinstance(effect, AbstractFriction) and parameter == "smoothing"
                     unit = unit_at(robot, joint, effect.units[parameter])
@@ -148,7 +138,7 @@ def numbers(robot: Robot, offset_size: Float[np.ndarray, "axis"] | None = None) 
         elif kind == "backlash":
             for name, gap in _gaps(robot).items():
                 add(f"{name}.{kind}", kind, gap)
-        elif kind in _DRIVE:
+        elif kind in of_drives():
             for axis, name in enumerate(robot.axis_names):
                 add(f"{name}.{kind}", kind, _of_drive(robot, kind, axis), 1.0)
         elif kind in _POSITIVE:
@@ -174,7 +164,8 @@ def effect_parameters(robot: Robot) -> list[tuple[str, AbstractEffect, str]]:
     """Joint, effect and name of every single number in the robot's effects that no other kind of number stands for."""
     found: dict[tuple[str, str, str], AbstractEffect] = {}
     for effect in robot.effects:
-        if effect.name in KINDS or isinstance(effect, _OTHERWISE):
+        drive = effect.drive_number not in ("", _OFFSET)
+        if effect.name in KINDS or drive or not effect.differentiable:
             continue
         joint = robot.axis_names[axis_of(robot, effect.joint)]
         for parameter in effect.units:
@@ -205,9 +196,15 @@ def _bent(robot: Robot) -> tuple[str, ...]:
     return tuple(name for name, r in zip(robot.spring_names, ratio, strict=True) if r != 1.0)
 
 
+@functools.cache
+def of_drives() -> dict[str, type[AbstractEffect]]:
+    """Kinds of numbers of every drive, and the effect that each is the first parameter of."""
+    return {effect.drive_number: effect for effect in library().values() if effect.drive_number}
+
+
 def _of_drive(robot: Robot, kind: str, axis: int) -> float:
-    effect, field = _DRIVE[kind]
-    return stated(robot, effect, axis, field)
+    effect = of_drives()[kind]
+    return stated(robot, effect, axis, next(iter(effect.units)))
 
 
 def with_numbers(robot: Robot, numbers: Sequence[Number], x: Float[np.ndarray, "number"]) -> Robot:
@@ -227,7 +224,7 @@ def with_numbers(robot: Robot, numbers: Sequence[Number], x: Float[np.ndarray, "
     drives: list[tuple[str, str, float]] = []
     for number, at in zip(numbers, x, strict=True):
         value, joint = number.value(float(at)), number.joint
-        if number.kind in _DRIVE:
+        if number.kind in of_drives():
             drives.append((number.kind, joint, value))
         elif number.of_effect:
             robot = _with_parameter(robot, number.name, value)
@@ -258,30 +255,14 @@ def _with_parameter(robot: Robot, name: str, value: float) -> Robot:
     return eqx.tree_at(lambda r: getattr(r.effects[place], parameter), robot, jnp.asarray(value, float))
 
 
-def _is_nothing(effect: AbstractEffect) -> bool:
-    return isinstance(effect, TorqueConstant) and float(effect.error) == 0.0
-
-
 def _with_drives(robot: Robot, values) -> Robot:
-    """Torque constants and delays in the place of those that the robot has; none that is nothing, but where the robot
-    has one that is: robots then share what is compiled."""
+    """What stands in the drives at these numbers, in the place of those that the robot has."""
     kept = list(robot.effects)
     for kind, joint, value in values:
-        effect, _ = _DRIVE[kind]
-        axis = robot.axis_names.index(joint)
+        effect, axis = of_drives()[kind], robot.axis_names.index(joint)
         had = [e for e in kept if isinstance(e, effect) and axis_of(robot, e.joint) == axis]
-        if kind == "torque_constant" and had and (value != 0.0 or _is_nothing(had[0])):
-            now = TorqueConstant(joint, jnp.asarray(value, float))
-            kept = [now if e is had[0] else e for e in kept if not any(e is other for other in had[1:])]
-            continue
+        now = effect.in_drive(joint, value, had)
+        place = next((i for i, e in enumerate(kept) if had and e is had[0]), len(kept))
+        kept[place : place + 1] = [] if now is None else [now]
         kept = [e for e in kept if not any(e is other for other in had)]
-        if kind == "torque_constant" and value != 0.0:
-            kept.append(TorqueConstant(joint, jnp.asarray(value, float)))
-        elif kind == "delay" and value > 0.0:
-            late = TorqueDelay(joint, jnp.asarray(value, float))
-            longest = max([late.longest, *(e.longest for e in had if isinstance(e, TorqueDelay))])
-            kept.append(TorqueDelay(joint, late.delay, longest))
-        elif kind == "torque_offset" and value != 0.0:
-            level = sum(float(e.level) for e in had if isinstance(e, FrictionAsymmetry))
-            kept.append(FrictionAsymmetry(joint, value, level))
     return eqx.tree_at(lambda r: r.effects, robot, tuple(kept), is_leaf=lambda leaf: leaf is robot.effects)

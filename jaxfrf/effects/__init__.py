@@ -35,6 +35,7 @@ from .effect import (
     Candidate as Candidate,
     OwnNumber as OwnNumber,
     Reach as Reach,
+    Swing as Swing,
 )
 from .friction import (
     ArmViscousFriction as ArmViscousFriction,

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
@@ -56,6 +57,8 @@ class TorqueDelay(AbstractActuator):
     signature: ClassVar = "phase -omega delay in one column of G"
     confusable: ClassVar = {"current_loop_lag": "above 300 Hz, or a step of torque; one class in 4-80 Hz"}
     alike: ClassVar = ("current_loop_lag",)
+    is_linear: ClassVar = True
+    drive_number: ClassVar = "delay"
 
     joint: Joint = eqx.field(static=True)
     delay: Number
@@ -77,6 +80,13 @@ class TorqueDelay(AbstractActuator):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 3e-4)
+
+    @classmethod
+    def in_drive(cls, joint: Joint, value: float, had: Sequence[Self]) -> Self | None:
+        if not value > 0.0:
+            return None
+        late = cls(joint, jnp.asarray(value, float))
+        return cls(joint, late.delay, max([late.longest, *(e.longest for e in had)]))
 
     def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
         had = stated(robot, TorqueDelay, self.joint, "delay")
@@ -119,6 +129,7 @@ class CurrentLoopLag(AbstractActuator):
     signature: ClassVar = "phase -omega time_constant in one column of G"
     confusable: ClassVar = {"torque_delay": "above 300 Hz, or a step of torque; one class in 4-80 Hz"}
     alike: ClassVar = ("torque_delay",)
+    is_linear: ClassVar = True
 
     joint: Joint = eqx.field(static=True)
     time_constant: Number
@@ -160,6 +171,8 @@ class TorqueConstant(AbstractStatelessActuator):
     signature: ClassVar = "a flat gain of one column of G, without phase"
     confusable: ClassVar = {"motor_inertia": "high against low frequencies"}
     is_error: ClassVar = True
+    is_linear: ClassVar = True
+    drive_number: ClassVar = "torque_constant"
 
     joint: Joint = eqx.field(static=True)
     error: Number
@@ -167,6 +180,12 @@ class TorqueConstant(AbstractStatelessActuator):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         return cls(joint, 0.02)
+
+    @classmethod
+    def in_drive(cls, joint: Joint, value: float, had: Sequence[Self]) -> Self | None:
+        """One of nothing stays: robots then share what is compiled."""
+        stays = bool(had) and float(had[0].error) == 0.0
+        return cls(joint, jnp.asarray(value, float)) if value != 0.0 or stays else None
 
     def own_numbers(self, robot: "Robot") -> tuple[OwnNumber, ...]:
         had = stated(robot, TorqueConstant, self.joint, "error")
@@ -324,6 +343,8 @@ class ElasticLoad(AbstractActuator):
     }
     signature: ClassVar = "a pair of antiresonance and resonance in the FRF of a single drive"
     confusable: ClassVar = {"current_loop_lag": "lines above the resonance, where a mode gives back the phase"}
+    is_linear: ClassVar = True
+    is_mechanical: ClassVar = True
 
     joint: Joint = eqx.field(static=True)
     antiresonance: Number

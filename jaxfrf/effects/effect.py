@@ -23,7 +23,7 @@ can be differentiated.
 import abc
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
@@ -32,6 +32,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float, PyTree
 
+from .._errors import input_error
 from .._types import Array
 from ._place import axis_of, own_spring, spring_of
 
@@ -56,6 +57,21 @@ class Reach(eqx.Module):
     torque: float = eqx.field(static=True)
 
 
+class Swing(eqx.Module):
+    """How far a record moves one place of a machine.
+
+    **Fields:** `deflection`, `speed`: rms, rad and rad/s or m and m/s. `force`: N m or N, at which an effect there is
+    just visible. `turn`: speed within which friction may change its sign. `sprung`: whether the machine has a spring
+    there.
+    """
+
+    deflection: float = eqx.field(static=True)
+    speed: float = eqx.field(static=True)
+    force: float = eqx.field(static=True)
+    turn: float = eqx.field(static=True)
+    sprung: bool = eqx.field(static=True)
+
+
 class AbstractEffect(eqx.Module):
     """One effect on one joint.
 
@@ -72,6 +88,8 @@ class AbstractEffect(eqx.Module):
       are told apart by their joint.
     - `imitated_by`: kinds of the joint's own numbers that imitate it, so that a fit alone tells it (`starts`).
     - `is_error`: whether it is no term of its own, but an error of one number that every robot has.
+    - `drive_number`: kind of the number of every drive that its first parameter is (`torque_constant`), or "".
+    - `differentiable`: whether a fit can move its parameters.
 
     `joint` is a driven joint's name, or its number counted from 0; "" where the effect has none. A joint that the robot
     does not have, or that has no motor, is refused in `with_effects` (`jaxfrf.InputError`).
@@ -89,6 +107,8 @@ class AbstractEffect(eqx.Module):
     same_law: ClassVar[tuple[str, ...]] = ()
     imitated_by: ClassVar[tuple[str, ...]] = ()
     is_error: ClassVar[bool] = False
+    drive_number: ClassVar[str] = ""
+    differentiable: ClassVar[bool] = True
 
     joint: eqx.AbstractVar[Joint]
 
@@ -162,6 +182,40 @@ class AbstractEffect(eqx.Module):
         joint = robot.axis_names[axis_of(robot, self.joint)]
         fitted = [p for p in self.units if p not in self.shapes and np.ndim(getattr(self, p)) == 0]
         return tuple(OwnNumber(f"{joint}.{self.name}.{p}", p) for p in fitted)
+
+    @classmethod
+    def in_drive(cls, joint: Joint, value: float, had: Sequence[Self]) -> Self | None:
+        """What stands in a drive whose `drive_number` has this value, in the place of those of the kind that it `had`;
+        by default the effect, `None` where the value is 0."""
+        return None if value == 0.0 else cls(joint, jnp.asarray(value, float))  # type: ignore[call-arg]
+
+    @classmethod
+    def of_swing(cls, place: str, swing: Swing) -> Self | None:
+        """The effect at a place of a machine of one's own, just visible: where a search starts; by default `None`, it
+        is not looked for there."""
+        return None
+
+    def against(self, x: Signal, v: Signal, stiffness: Signal, smoothing: float) -> Signal:
+        """Force against the motion at a place of a machine of one's own, beside its matrices (`jaxfrf.machine.force`).
+
+        **Raises:** `jaxfrf.InputError`, by default: effects of gears, sensors and drives need a robot.
+        """
+        raise input_error(
+            "effects",
+            type(self).__name__,
+            "friction, springs, play, or a torque by angle or speed",
+            "Effects of gears, sensors and drives need a robot.",
+        )
+
+    @classmethod
+    def of_readings(cls, joint: Joint, count: float) -> Self | None:
+        """The effect whose readings move in whole counts, rad; by default `None`: they do not."""
+        return None
+
+    def fitted_beside(self, robot: "Robot", values: Mapping[str, float]) -> "AbstractEffect":
+        """The effect beside a robot's numbers, by name, that were fitted with it; `robot`: the one without. By default
+        itself: its parameters say all."""
+        return self
 
     def in_numbers(self) -> "AbstractEffect":
         """The same effect, its parameters as plain numbers that a fit can move."""
@@ -263,6 +317,9 @@ class AbstractArmTorque(AbstractEffect):
     def torque(self, angle: Signal, rate: Signal) -> Signal:
         """Torque against the joint, rad and rad/s; N m."""
 
+    def against(self, x, v, stiffness, smoothing):
+        return self.torque(x, v)
+
 
 class AbstractFriction(AbstractEffect):
     """A torque against the motor, on the motor side, that depends on its speed and on the gear's load."""
@@ -270,6 +327,9 @@ class AbstractFriction(AbstractEffect):
     @abc.abstractmethod
     def torque(self, speed: Signal, load: Signal) -> Signal:
         """Torque against the motor at this speed, rad/s, and load (gear torque on the motor side, N m); N m."""
+
+    def against(self, x, v, stiffness, smoothing):
+        return self.torque(v, jnp.zeros_like(v))
 
     def gain(self, amplitude: Float[Array, ""] | float, load: Float[Array, ""] | float = 0.0) -> Float[Array, ""]:
         """Describing gain, N m s/rad: the mean slope of the torque over a slow sine of this speed amplitude, rad/s,
@@ -286,12 +346,19 @@ class AbstractMotorTorque(AbstractEffect):
     def torque(self, angle: Signal) -> Signal:
         """Torque that drives the motor, motor side, at this motor angle, rad; N m."""
 
+    def against(self, x, v, stiffness, smoothing):
+        return -self.torque(x)
+
 
 class AbstractActuator(AbstractEffect):
     """What becomes of the commanded torque on its way to the motor.
 
-    A control sample is cut into fine steps; torques are (step, run), constant within a step.
+    A control sample is cut into fine steps; torques are (step, run), constant within a step. `is_linear`: whether it
+    does the same before a gain and behind it. `is_mechanical`: whether it is a part of the machine, no drive.
     """
+
+    is_linear: ClassVar[bool] = False
+    is_mechanical: ClassVar[bool] = False
 
     @abc.abstractmethod
     def start(self, torque: Signal, step: float) -> PyTree:
@@ -366,6 +433,11 @@ class AbstractGearError(AbstractGear):
 
     Power is kept: the motor feels tau (1 + slope)/n of the spring's torque tau.
     """
+
+    @classmethod
+    def candidates_at(cls, robot: "Robot", joint: Joint, orders: Iterable[float]) -> tuple[Candidate, ...]:
+        """What is tried where a residual goes by these orders of the motor's turn; by default nothing."""
+        return ()
 
     @abc.abstractmethod
     def lead(self, angle: Signal) -> Signal:

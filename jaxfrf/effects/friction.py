@@ -1,6 +1,7 @@
 """Friction of motors and joints."""
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from .._errors import input_error
 from .._text import number
 from .._types import Array
 from ._place import axis_of, changed, coulomb, own
-from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint, OwnNumber, Reach
+from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint, OwnNumber, Reach, Swing
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -95,6 +96,13 @@ class CoulombFriction(AbstractStructure):
             )
         return changed(robot, lambda r: r.drives.friction.coulomb, lambda x: x.at[axis].add(self.level))
 
+    @classmethod
+    def of_swing(cls, place: str, swing: Swing) -> Self | None:
+        return cls(place, swing.force)
+
+    def against(self, x, v, stiffness, smoothing):
+        return self.level * jnp.tanh(v / smoothing)
+
 
 class ViscousFriction(AbstractStructure):
     """More (or less) viscous friction of a motor, tau = coefficient v.
@@ -132,6 +140,9 @@ class ViscousFriction(AbstractStructure):
     def apply(self, robot: "Robot"):
         axis = axis_of(robot, self.joint)
         return changed(robot, lambda r: r.drives.friction.viscous, lambda x: x.at[axis].add(self.coefficient))
+
+    def against(self, x, v, stiffness, smoothing):
+        return self.coefficient * v
 
 
 class ArmViscousFriction(AbstractArmTorque):
@@ -251,6 +262,10 @@ class StribeckFriction(AbstractFriction):
     def torque(self, speed, load):
         return self.level * jnp.exp(-jnp.square(speed / self.width)) * jnp.tanh(speed / self.smoothing)
 
+    @classmethod
+    def of_swing(cls, place: str, swing: Swing) -> Self | None:
+        return cls(place, swing.force, 0.2 * swing.speed, swing.turn)
+
 
 class FrictionAsymmetry(AbstractFriction):
     """Friction that differs by direction, tau = offset + level tanh(v/smoothing).
@@ -273,6 +288,7 @@ class FrictionAsymmetry(AbstractFriction):
     signature: ClassVar = "a constant torque residual; even distortion"
     confusable: ClassVar = {"counterbalance": "positions: gravity varies with the arm angle"}
     shapes: ClassVar = ("level", "smoothing")
+    drive_number: ClassVar = "torque_offset"
 
     joint: Joint = eqx.field(static=True)
     offset: Number
@@ -283,6 +299,14 @@ class FrictionAsymmetry(AbstractFriction):
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         offset = 0.1 * own(robot, joint, coulomb(robot), 0.1)
         return cls(joint, offset, smoothing=_own_smoothing(robot, _SMOOTHING))
+
+    @classmethod
+    def in_drive(cls, joint: Joint, value: float, had: Sequence[Self]) -> Self | None:
+        return None if value == 0.0 else cls(joint, value, sum(float(e.level) for e in had))
+
+    @classmethod
+    def of_swing(cls, place: str, swing: Swing) -> Self | None:
+        return cls(place, 0.5 * swing.force, 0.0, swing.turn)
 
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:

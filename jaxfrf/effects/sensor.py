@@ -84,6 +84,7 @@ class EncoderQuantisation(AbstractSensor):
     bounds: ClassVar = {"resolution": (0.0, 1e-2)}
     signature: ClassVar = "noise that grows as f^2, no structure in G"
     confusable: ClassVar = {"noise": "its distribution at standstill"}
+    differentiable: ClassVar = False
 
     joint: Joint = eqx.field(static=True)
     resolution: Float[Array, ""] | float
@@ -96,6 +97,10 @@ class EncoderQuantisation(AbstractSensor):
     def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """None: it is seen in the readings themselves."""
         return ()
+
+    @classmethod
+    def of_readings(cls, joint: Joint, count: float) -> Self | None:
+        return cls(joint, count)
 
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:

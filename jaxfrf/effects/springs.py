@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from .._types import Array
 from ._place import axis_of, changed, spring_of
-from .effect import AbstractStructure, Candidate, Joint, OwnNumber
+from .effect import AbstractStructure, Candidate, Joint, OwnNumber, Swing
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -86,6 +86,13 @@ class StiffnessHardening(AbstractStructure):
         robot = changed(robot, lambda r: r.springs.stiffness_ratio, lambda x: x.at[spring].set(self.ratio))
         return changed(robot, lambda r: r.springs.stiffness_knee, lambda x: x.at[spring].set(self.knee))
 
+    @classmethod
+    def of_swing(cls, place: str, swing: Swing) -> Self | None:
+        return cls(place, 0.8, swing.deflection) if swing.sprung else None
+
+    def against(self, x, v, stiffness, smoothing):
+        return -stiffness * (1.0 - self.ratio) * self.knee * jnp.tanh(x / self.knee)
+
 
 def _softened(joint, own, change, knee, c):
     return StiffnessHardening(joint, own + change * float(c[0]), knee)
@@ -142,3 +149,14 @@ class Backlash(AbstractStructure):
         return eqx.tree_at(
             lambda r: r.springs.backlash, robot, play.at[spring].set(self.gap), is_leaf=lambda x: x is None
         )
+
+    @classmethod
+    def of_swing(cls, place: str, swing: Swing) -> Self | None:
+        return cls(place, 0.2 * swing.deflection) if swing.sprung else None
+
+    def against(self, x, v, stiffness, smoothing):
+        """Inside the gap the spring is gone; corners rounded over a tenth of the gap, as in a gear."""
+        half = 0.5 * self.gap
+        width = 0.1 * half + 1e-300
+        corner = width * (jnp.logaddexp(0.0, (x - half) / width) - jnp.logaddexp(0.0, (-x - half) / width))
+        return stiffness * (corner - x)

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import equinox as eqx
@@ -115,6 +116,16 @@ class Payload(AbstractStructure):
         """Where it sits, and how far it reaches from there."""
         name = robot.joint_names[_link_of(robot, self.joint)]
         return {f"{name}.com": math.inf, f"{name}.inertia": _AROUND}
+
+    def fitted_beside(self, robot: "Robot", values: Mapping[str, float]) -> Self:
+        """Where it must be for the centre of its link to be where it was found."""
+        link = _link_of(robot, self.joint)
+        given, mass, more = np.asarray(robot.chain.com[link], float), float(robot.chain.mass[link]), float(self.mass)
+        if abs(more) <= 1e-9:
+            return dataclasses.replace(self, place=None)
+        names = (f"{robot.joint_names[link]}.com.{element}" for element in "xyz")
+        centre = np.array([values.get(name, at) for name, at in zip(names, given, strict=True)])
+        return dataclasses.replace(self, place=jnp.asarray(given + (centre - given) * (mass + more) / more))
 
     def apply(self, robot: "Robot"):
         chain = robot.chain

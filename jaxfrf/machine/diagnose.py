@@ -10,7 +10,7 @@ from jaxtyping import Bool, Complex, Float
 from .._arguments import expect
 from .._errors import InputError, input_error
 from .._text import number, percent
-from ..effects import AbstractEffect, Backlash, CoulombFriction, FrictionAsymmetry, StiffnessHardening, StribeckFriction
+from ..effects import AbstractEffect, Swing, library
 from ..experiment import Experiment
 from .fit import FLOOR, MachineFit, fit_machine, measured_lines, share_left
 from .forces import CubicSpring
@@ -22,7 +22,7 @@ _LEAST_GAIN = 0.15  # part of the held-out gap that an effect has to close
 _ALIKE = 1.3  # times what the best effect leaves on the held-out part: with less, another explains as well
 _SURE = 3.0  # standard deviations of its largest number from 0
 _EVERY = 3  # line that is held out, where there is one experiment
-_SHAPES = ("smoothing", "width")  # numbers that stay where they start: a record seldom tells them
+_SHAPES = ("width",)  # stays where it starts, as shapes of an effect itself do: a record seldom tells it
 _SLOW = 0.02  # of a place's rms speed, within which friction may turn
 _LEAST_FORCE = 0.05  # of the driving force's rms, at which an effect starts
 
@@ -152,9 +152,7 @@ def _gap(fit: MachineFit, used) -> float:
 
 def _with(fit: MachineFit, effect: AbstractEffect, fitted: Callable[[Machine], MachineFit]) -> MachineFit | None:
     machine = fit.machine.with_effects(effect)
-    shapes = [f"{effect.joint}.{effect.name}.{f}" for f in effect.units if f in _SHAPES]
-    if isinstance(effect, FrictionAsymmetry):
-        shapes.append(f"{effect.joint}.{effect.name}.level")  # that is Coulomb friction
+    shapes = [f"{effect.joint}.{effect.name}.{f}" for f in effect.units if f in (*effect.shapes, *_SHAPES)]
     try:
         return fitted(machine.held(*shapes))
     except InputError as error:  # no candidate
@@ -173,19 +171,16 @@ def _stands(effect: AbstractEffect, fit: MachineFit) -> bool:
 
 def _typical(machine: Machine, data: Experiment) -> list[AbstractEffect]:
     """Effects at every place of a size that the machine's motion there lets see."""
-    found = []
+    found: list[AbstractEffect] = []
+    kinds: tuple[type[AbstractEffect], ...] = (*library().values(), CubicSpring)
     for place, p in machine.places.items():
         x, v = (_rms(_seen(machine, p, kind), data) for kind in ("position", "velocity"))
         force = _LEAST_FORCE * float(np.sqrt(np.mean(driving(data) ** 2))) * float(np.abs(machine.inputs).max())
         slow = max(machine.smoothing, _SLOW * v)
-        found += [
-            CoulombFriction(place, force),
-            StribeckFriction(place, force, 0.2 * v, slow),
-            FrictionAsymmetry(place, 0.5 * force, 0.0, slow),
-        ]
         K = np.asarray(machine.matrices({n: p.start for n, p in machine.parameters.items()})[2], float)
-        if p @ K @ p > 0:
-            found += [CubicSpring(place, force / x**3), Backlash(place, 0.2 * x), StiffnessHardening(place, 0.8, x)]
+        swing = Swing(x, v, force, slow, sprung=bool(p @ K @ p > 0))
+        each = (kind.of_swing(place, swing) for kind in kinds)
+        found += [effect for effect in each if effect is not None]
     return found
 
 

@@ -3,21 +3,10 @@
 from typing import ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Float
 
-from .._errors import input_error
 from .._types import Array
-from ..effects import (
-    AbstractArmTorque,
-    AbstractEffect,
-    AbstractFriction,
-    AbstractMotorTorque,
-    Backlash,
-    CoulombFriction,
-    StiffnessHardening,
-    ViscousFriction,
-)
+from ..effects import AbstractArmTorque, AbstractEffect, Swing
 
 Signal = Float[Array, "*run"]
 
@@ -45,6 +34,10 @@ class CubicSpring(AbstractArmTorque):
     def typical(cls, robot, joint):
         return cls(joint, 1.0)
 
+    @classmethod
+    def of_swing(cls, place: str, swing: Swing):
+        return cls(place, swing.force / swing.deflection**3) if swing.sprung else None
+
     def torque(self, angle, rate):
         return self.stiffness * angle**3
 
@@ -66,27 +59,4 @@ def force(effect: AbstractEffect, x: Signal, v: Signal, stiffness: Signal, smoot
 
     **Source:** as each of the effects says; the smoothing is this project's own.
     """
-    if isinstance(effect, CoulombFriction):
-        return effect.level * jnp.tanh(v / smoothing)
-    if isinstance(effect, ViscousFriction):
-        return effect.coefficient * v
-    if isinstance(effect, AbstractArmTorque):
-        return effect.torque(x, v)
-    if isinstance(effect, AbstractFriction):
-        return effect.torque(v, jnp.zeros_like(v))
-    if isinstance(effect, AbstractMotorTorque):
-        return -effect.torque(x)
-    if isinstance(effect, StiffnessHardening):
-        return -stiffness * (1.0 - effect.ratio) * effect.knee * jnp.tanh(x / effect.knee)
-    if isinstance(effect, Backlash):
-        # Inside the gap the spring is gone; corners rounded over a tenth of the gap, as in a gear.
-        half = 0.5 * effect.gap
-        width = 0.1 * half + 1e-300
-        corner = width * (jnp.logaddexp(0.0, (x - half) / width) - jnp.logaddexp(0.0, (-x - half) / width))
-        return stiffness * (corner - x)
-    raise input_error(
-        "effects",
-        type(effect).__name__,
-        "friction, springs, play, or a torque by angle or speed",
-        "Effects of gears, sensors and drives need a robot.",
-    )
+    return effect.against(x, v, stiffness, smoothing)

@@ -11,19 +11,15 @@ from jaxtyping import Float
 
 from ..effects import (
     AbstractActuator,
-    CurrentLoopLag,
-    ElasticLoad,
     ResolverRipple,
     TorqueConstant,
-    TorqueDelay,
     TorqueRipple,
 )
 from ..effects._harmonics import LARGEST_ORDER
 from ..effects._place import axis_of
 from ..robot import Robot
-from .ripple import Order, Wave, ripple_effects, with_ripple
+from .ripple import RIPPLE, Order, Wave, kind_of, ripple_effects, with_ripple
 
-_LINEAR = (CurrentLoopLag, ElasticLoad, TorqueDelay)
 _ROOM = {TorqueRipple: 8, ResolverRipple: 4}  # orders of a motor, or a multiple of so many
 
 
@@ -84,7 +80,7 @@ def _clips_behind(robot: Robot) -> bool:
     for effect in robot.effects:
         if isinstance(effect, TorqueConstant):
             gains.add(axis_of(robot, effect.joint))
-        elif isinstance(effect, AbstractActuator) and not isinstance(effect, _LINEAR):
+        elif isinstance(effect, AbstractActuator) and not effect.is_linear:
             if axis_of(robot, effect.joint) in gains:
                 return True
     return False
@@ -96,14 +92,13 @@ def _apart(waves: Sequence[Wave]):
 
 def alike_as_written(robot: Robot) -> Robot:
     """The same, of a robot whose ripple stands in it already, where every motor's stands once."""
-    kinds = {TorqueRipple: "torque", ResolverRipple: "resolver"}
     own = [e for e in robot.effects if isinstance(e, TorqueRipple | ResolverRipple)]
     once = len({(type(e), axis_of(robot, e.joint)) for e in own}) == len(own)
-    plain = all(type(e) in kinds and max(e.order) <= LARGEST_ORDER for e in own)
+    plain = all(type(e) in RIPPLE.values() and max(e.order) <= LARGEST_ORDER for e in own)
     if not (once and plain):
         return alike(robot)
     waves = [
-        (Order(kinds[type(e)], axis_of(robot, e.joint), float(h)), (float(a * np.cos(p)), float(a * np.sin(p))))
+        (Order(kind_of(e), axis_of(robot, e.joint), float(h)), (float(a * np.cos(p)), float(a * np.sin(p))))
         for e in own
         for a, h, p in zip(np.asarray(e.amplitude), e.order, np.asarray(e.phase), strict=True)
     ]

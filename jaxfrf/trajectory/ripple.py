@@ -12,6 +12,7 @@ from ..effects import AbstractEffect, ResolverRipple, TorqueRipple
 from ..robot import Robot
 from .scene import Scene, Signature
 
+RIPPLE: dict[str, type[TorqueRipple] | type[ResolverRipple]] = {"torque": TorqueRipple, "resolver": ResolverRipple}
 _ORDERS = np.arange(1, 51)
 _GEAR_ORDERS = np.arange(0.25, 8.0, 0.1)  # of a gear's error: in a motor's turn
 _RATE = 500.0  # Hz, of the course of a residual that orders are looked for in, at least
@@ -194,11 +195,16 @@ class _Pair:
         return both[i]
 
 
+def kind_of(effect: AbstractEffect) -> str:
+    """`torque` or `resolver`; "" of what is no ripple."""
+    return next((kind for kind, make in RIPPLE.items() if isinstance(effect, make)), "")
+
+
 def ripple_effects(names: Sequence[str], orders: Sequence[Order], waves) -> list[AbstractEffect]:
     """One effect for each motor and kind; `waves`: coefficients of sine and cosine, (order, 2)."""
     found: list[AbstractEffect] = []
     for axis, joint in enumerate(names):
-        for kind, make in (("torque", TorqueRipple), ("resolver", ResolverRipple)):
+        for kind, make in RIPPLE.items():
             rows = [i for i, o in enumerate(orders) if (o.kind, o.axis) == (kind, axis)]
             if rows:
                 amplitude = np.hypot(*waves[rows].T)

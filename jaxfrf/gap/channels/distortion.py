@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from ..._errors import InputError, input_error
-from ...effects import AbstractActuator, ElasticLoad, Reach, library
+from ...effects import AbstractActuator, Reach, library
 from ...experiment import Experiment
 from ...robot import Robot
 from ...spectra import dft, unexcited_spectra
@@ -227,7 +227,7 @@ def _motion(record: Experiment, robot: Robot, order: int) -> MeasuredMotion:
     s = 2j * np.pi * np.asarray(excited.frequency)
     late = np.ones_like(s)
     for e in robot.effects:
-        if isinstance(e, AbstractActuator) and not isinstance(e, ElasticLoad):
+        if isinstance(e, AbstractActuator) and not e.is_mechanical:
             late = late * on_the_way(e, s)
     moved, driven = (np.mean(X[0], axis=0)[:, 0] for X in (excited.Y / late[:, None], excited.U))
 

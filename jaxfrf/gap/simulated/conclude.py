@@ -9,7 +9,7 @@ import numpy as np
 from ..._threads import lapack_threads, shared
 from ...calibration.numbers import Number
 from ...calibration.result import DATA_SHARE
-from ...effects import AbstractEffect, EncoderQuantisation, library
+from ...effects import AbstractEffect, library
 from ...effects._place import axis_of
 from ...robot import Robot
 from ...trajectory.measured import Measured
@@ -308,13 +308,16 @@ def counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
     data, found = record.data, []
     if data.y_quantity != "position":
         return ()
-    stated = {axis_of(robot, e.joint) for e in robot.effects if isinstance(e, EncoderQuantisation)}
+    kinds = [kind for kind in library().values() if kind.of_readings(0, 1.0) is not None]
+    stated = {axis_of(robot, e.joint) for e in robot.effects if type(e) in kinds}
     for axis, joint in enumerate(robot.axis_names):
         count = 0.0 if axis in stated else resolution(np.asarray(data.y[0, :, :, axis]), 0.0)
-        visible = count / float(EncoderQuantisation.typical(robot, joint).resolution)
-        if visible >= LEAST_SIZE:
-            value = {"resolution": EstimatedValue(count, 1e-3 * count, "rad")}
-            found.append(Named(EncoderQuantisation(joint, count), joint, value, 0.0, (), "", 1.0, visible))
+        for kind in kinds:
+            effect = kind.of_readings(joint, count)
+            visible = 0.0 if effect is None else _visible(effect, robot, joint)
+            if effect is not None and visible >= LEAST_SIZE:
+                value = {next(iter(kind.units)): EstimatedValue(count, 1e-3 * count, "rad")}
+                found.append(Named(effect, joint, value, 0.0, (), "", 1.0, visible))
     return tuple(found)
 
 

@@ -1,14 +1,11 @@
 """A robot that has one more effect, whose parameters are numbers like its others, of which nothing is known."""
 
-import dataclasses
 import math
 import operator
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from ... import effects as fx
 from ..._errors import InputError
 from ...calibration.numbers import numbers
 from ...effects import AbstractEffect, OwnNumber
@@ -59,9 +56,7 @@ class Hypothesis(eqx.Module):
     def effect_in(self, found: Fitted) -> AbstractEffect:
         """The effect with the parameters of a robot that was fitted, as it is stated."""
         effect = self._moved(found)
-        if isinstance(effect, fx.Payload):
-            effect = dataclasses.replace(effect, place=_place(self.robot, effect, found, self.own[0].minus))
-        return effect.stated()
+        return effect.fitted_beside(self.robot, {n.name: found.value(n.name) for n in found.numbers}).stated()
 
     def _moved(self, found: Fitted) -> AbstractEffect:
         effect = self.effect
@@ -105,15 +100,3 @@ def _range(effect: AbstractEffect, own: OwnNumber) -> Tolerance:
     if not math.isfinite(high - low):
         return _UNKNOWN
     return Tolerance(high if low >= 0.0 else 0.5 * (high - low), relative=False)
-
-
-def _place(robot: Robot, effect, found: Fitted, mass: float):
-    """Where a payload must be for the centre of its link to be where it was found."""
-    link = robot.joint_names[-1]
-    names = {n.name for n in found.numbers}
-    given = np.asarray(robot.chain.com[-1], float)
-    centre = np.array(
-        [found.value(n) if (n := f"{link}.com.{e}") in names else at for e, at in zip("xyz", given, strict=True)]
-    )
-    more = float(effect.mass)
-    return jnp.asarray(given + (centre - given) * (mass + more) / more) if abs(more) > 1e-9 else None

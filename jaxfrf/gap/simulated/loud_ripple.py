@@ -7,11 +7,11 @@ import numpy as np
 
 from ..._text import NORMAL_95
 from ..._threads import lapack_threads, shared
-from ...effects import AbstractEffect, TorqueRipple
+from ...effects import AbstractEffect
 from ...effects._harmonics import polar_deviation
 from ...robot import Robot
 from ...trajectory.measured import Measured
-from ...trajectory.ripple import Order, ripple_effects
+from ...trajectory.ripple import Order, kind_of, ripple_effects
 from ..result import EstimatedValue, Named
 from ..settings import LEAST_SIZE
 from .fitted import Fitted, is_loud
@@ -57,18 +57,14 @@ def _quiet(last: Fitted, own: tuple[type[AbstractEffect], str]) -> Robot:
 
 def _ripple(effect, last: Fitted, gain: Comparison) -> Named:
     visible = _loudness(effect, last.robot)
-    p_value = last.wave_p_value(_kind(effect), last.robot.axis_names.index(effect.joint))
+    p_value = last.wave_p_value(kind_of(effect), last.robot.axis_names.index(effect.joint))
     explains = float(np.clip(gain.gain, 0.0, 1.0))
     return Named(effect, effect.joint, _told_waves(effect, last), max(p_value, gain.p_value), (), "", explains, visible)
 
 
 def _told_waves(effect, last: Fitted) -> dict[str, EstimatedValue]:
     """Amplitudes, orders and phases of ripple with their intervals."""
-    return stated_waves(effect, last.wave_covariance(_kind(effect), last.robot.axis_names.index(effect.joint)))
-
-
-def _kind(effect) -> str:
-    return "torque" if isinstance(effect, TorqueRipple) else "resolver"
+    return stated_waves(effect, last.wave_covariance(kind_of(effect), last.robot.axis_names.index(effect.joint)))
 
 
 def holds_no_ripple(waves: Mapping[str, EstimatedValue]) -> bool:

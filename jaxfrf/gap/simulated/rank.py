@@ -135,7 +135,9 @@ def _gear_errors(view: Fitted) -> list[Candidate]:
         other = np.array([i < first or iterate.orders[(i - first) // 2].axis != axis for i in range(len(change))])
         left = remainder(iterate.evidence, iterate.weighed, change[other], np.flatnonzero(other))
         orders = gear_orders(iterate.evidence.scenes, left, iterate.evidence.floor, axis)
-        found += fx.TransmissionError.candidates_at(robot, robot.axis_names[axis], orders)
+        for kind in fx.library().values():
+            if issubclass(kind, fx.AbstractGearError):
+                found += kind.candidates_at(robot, robot.axis_names[axis], orders)
     return found
 
 
