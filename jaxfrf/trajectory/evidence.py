@@ -10,7 +10,7 @@ from jaxtyping import Complex, Float
 from .._threads import shared
 from ..robot import Robot
 from ..simulation.runs import Progress
-from .following import moved, torque_rate
+from .following import moved, torque_rate, unknown_friction
 from .frozen import frozen
 from .measured import Measured, mean_period
 from .scene import Scene
@@ -44,7 +44,8 @@ class Evidence:
             carrying = robot if payload is None else robot.with_effects(payload)
             self._simulate(carrying, record.at(here), here, scenes, steps, progress)
         self.scenes = [scenes[p] for p in range(record.data.n_pos)]
-        self.noise = _noise([s.still for s in self.scenes], record.noise)
+        unknown = unknown_friction(robot, record.data, record.Y)
+        self.noise = np.hypot(_noise([s.still for s in self.scenes], record.noise), unknown)
         self.plain = self.floor = _floor(self.U, self.noise, record.frequency)
 
     def _simulate(self, robot: Robot, record: Measured, here, scenes, steps, progress) -> None:

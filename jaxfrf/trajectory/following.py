@@ -10,11 +10,13 @@ import math
 
 import numpy as np
 import scipy.fft
-from jaxtyping import Complex, Float
+import scipy.ndimage
+from jaxtyping import Bool, Complex, Float
 
 from ..effects import AbstractActuator
 from ..experiment import Experiment
 from ..robot import Robot
+from ..robot.equations import friction_effects
 from ..robot.quantity import derivatives
 from ..simulation import Motion, imposed_motion, replay_motion
 from ..simulation.runs import Progress
@@ -23,6 +25,9 @@ from .measured import mean_period
 
 _BEYOND = 4.0  # times the highest line: up to there the motion is followed, friction that turns over is in it
 _PER_CYCLE = 12  # samples of the highest line, at least, in which it is followed
+_UNSURE = math.sqrt(1 / 12 + 1 / 12)  # samples, of when friction turns over: within one of the log, within one held
+_RUBBING = 5.0  # times the speed over which friction turns over: there it has all of its level
+_AROUND = 21  # lines over which the spectrum of standing motors is smoothed
 _TOGETHER = 12  # runs: few and many of them share what is compiled
 
 
@@ -72,6 +77,51 @@ def moved(
     path = mean_ahead(frequency, rate)[:, None] * torque_path(robot, frequency, torque_rate(robot, data))
     log = slice(None, None, finer)
     return Motion(_commanded(motion.u, path, data.period), motion.y[:, :, log], motion.z[:, :, log], data.fs)
+
+
+def unknown_friction(robot: Robot, data: Experiment, angle: Complex[np.ndarray, "pos exp line axis"]):
+    """Noise of the torque, rms amplitude of every line, by friction that a measured motion does not tell.
+
+    Where motors follow, the log tells when one turns over to within a sample, and what its friction changes by in that
+    sample, twice its level, counts for that much too long or too short. While one stands, the friction is whatever
+    holds it, anything up to its level. Both are pulses whose sign is not known. A motor counts as standing while it is
+    slower than where its friction turns over, no faster than it changes by in half a sample. None where references are
+    played: there the robot turns over when it does.
+
+    **Arguments:** `angle`: lines of the measured motion, rad, from 0 on.
+
+    **Returns:** (line, axis), N m.
+    """
+    count = angle.shape[2]
+    if not why_followed(robot, data):
+        return np.zeros((count, robot.n_axes))
+    s = 2j * np.pi * np.arange(count)[:, None] * data.fs / data.period
+    speed = data.period * scipy.fft.irfft(angle * s, n=data.period, axis=2).reshape(-1, data.period, robot.n_axes)
+    change = np.diff(speed, axis=1)
+    gained = 0.5 * np.sqrt(np.mean(change**2, axis=(0, 1)))
+    turns = np.count_nonzero(np.diff(np.sign(speed), axis=1), axis=1).mean(axis=0)
+    turned = _friction_step(robot, gained) * _UNSURE * np.sqrt(turns) / data.period
+    smoothing = float(getattr(robot.drives.friction, "smoothing", 0.0))
+    spells = _of_random_sign(np.abs(speed) < np.minimum(smoothing, gained))
+    power = np.mean(np.abs(scipy.fft.rfft(spells, axis=1)[:, :count] / data.period) ** 2, axis=0) / 3.0
+    held = 0.5 * _friction_step(robot, np.full(robot.n_axes, _RUBBING * smoothing))
+    return np.sqrt(turned**2 + held**2 * scipy.ndimage.uniform_filter1d(power, _AROUND, axis=0, mode="nearest"))
+
+
+def _of_random_sign(true: Bool[np.ndarray, "run time axis"]) -> Float[np.ndarray, "run time axis"]:
+    """Each uninterrupted spell as +1 or -1, 0 between them."""
+    signs, found = np.random.default_rng(0), np.zeros(true.shape)
+    for run, axis in np.ndindex(true.shape[0], true.shape[2]):
+        spell, count = scipy.ndimage.label(true[run, :, axis])
+        found[run, :, axis] = np.append(0.0, signs.choice([-1.0, 1.0], count))[spell]
+    return found
+
+
+def _friction_step(robot: Robot, speed: Float[np.ndarray, "axis"]) -> Float[np.ndarray, "axis"]:
+    """By how much friction without load differs between this speed and its opposite, N m."""
+    both = np.stack([speed, -speed])
+    torque = robot.drives.friction.torque(both) + friction_effects(robot, both, np.zeros_like(both))
+    return np.abs(np.asarray(torque[0] - torque[1]))
 
 
 def mean_ahead(frequency, rate: float) -> Complex[np.ndarray, "line"]:

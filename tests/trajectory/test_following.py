@@ -6,16 +6,18 @@ import functools
 import jax.random as jr
 import numpy as np
 import pytest
+from _mujoco_records import mujoco_experiment
 from marks import slow
-from small_arm import Q, small_robot
+from small_arm import FS, PERIOD, Q, small_robot
 from uncertain_arm import design, machine, model, played
 
 import jaxfrf as jf
 from jaxfrf import effects as fx
-from jaxfrf.robot import parameters
+from jaxfrf.robot import parameters, with_parameters
 from jaxfrf.trajectory.evidence import Evidence
-from jaxfrf.trajectory.following import compared
+from jaxfrf.trajectory.following import compared, unknown_friction
 from jaxfrf.trajectory.measured import measured
+from jaxfrf.trajectory.remainder import excess
 
 ROBOTS = {
     "springs": lambda: small_robot(),
@@ -89,3 +91,38 @@ def test_calibration_without_controller():
         assert abs(found.values[name] / true - 1.0) < 0.02, name
         low, high = found.interval(name)
         assert low < true < high, name
+
+
+def hard(much: float):
+    """MuJoCo's motors that stick, with this many times the friction, and whose motion is all that is known."""
+    robot = rubbing(machine(), much)
+    slow = jf.SlowSine([3, 5], [15.0, 15.0])
+    plan = jf.Multisine(FS, PERIOD, np.arange(17, 240, 2), rms=[2.0, 3.0], slow=slow, seed=0)
+    record = mujoco_experiment(robot, plan, Q[:2], seed=0, run_in=3.0, noise=1e-7, ripple=None, substeps=16, stick=2e-4)
+    return unknown(robot), dataclasses.replace(record, r=None)
+
+
+@pytest.mark.slow
+def test_friction_that_a_motion_does_not_tell():
+    """The true robot leaves what its motors stood still for, which is many times the floor of one whose motion says
+    all; it is known how much that may be."""
+    robot, data = hard(2.0)
+    record = measured(data)
+    evidence = Evidence(robot, record)
+    free = with_parameters(robot, dict.fromkeys(parameters(robot, ["coulomb_friction"]), 1e-9))
+    bare = Evidence(free, record).plain
+    beyond = lambda floor: excess(evidence.residual, floor, record.frequency)
+    assert beyond(bare) > 5.0
+    assert 0.3 < beyond(evidence.plain) < 2.0
+
+
+def test_friction_is_known_where_references_are_played():
+    robot, data = simulated("springs")
+    angle = measured(data).Y
+    assert not np.any(unknown_friction(robot, data, angle))
+    once, twice = (unknown_friction(unknown(x), data, angle) for x in (robot, rubbing(robot, 2.0)))
+    assert np.all(once > 0) and np.all(twice > 1.5 * once)
+
+
+def rubbing(robot, much: float):
+    return with_parameters(robot, {k: much * v for k, v in parameters(robot, ["coulomb_friction"]).items()})

@@ -55,8 +55,8 @@ def _of_standing_motors(verdict: str, given: Robot, records: Records) -> str:
     if verdict != "unexplained" or not why_followed(given, records.whole.data):
         return ""
     return (
-        " Motors were moved as they were measured: the torque of one that sticks, or turns over within a sample, is "
-        "not in its motion. State the controller, record the reference and diagnose again before you look for more."
+        " Motors were moved as they were measured: the torque of one that sticks is not in its motion. State the "
+        "controller, record the reference and diagnose again before you look for more."
     )
 
 
