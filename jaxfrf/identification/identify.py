@@ -103,21 +103,12 @@ def identify_springs(
     used = (Auto() if isinstance(data, FRF) or data.r is None else default_method()) if method is None else method
     settings: dict[str, Any] = {
         "method": None if isinstance(data, FRF) else describe_method(used),
-        "starts": starts,
-        "seed": seed,
-        "rounds": None if why else rounds,
-        "fixed": list(fixed),
-        "freed": list(freed),
-        "shared": [list(names) for names in shared],
-        "guess": guess,
-        "heldout": list(held),
-        "band_hz": None if band is None else list(band),
+        **{"starts": starts, "seed": seed, "rounds": None if why else rounds},
+        **{"fixed": list(fixed), "freed": list(freed), "shared": [list(names) for names in shared]},
+        **{"guess": guess, "heldout": list(held), "band_hz": None if band is None else list(band)},
         "weights": {f.name: getattr(weights, f.name) for f in dataclasses.fields(weights)},
     }
-    if isinstance(data, FRF):
-        frf_of = lambda frf: frf
-    else:
-        frf_of = lambda record: _frf_of_record(record, used, band)
+    frf_of = (lambda frf: frf) if isinstance(data, FRF) else (lambda record: _frf_of_record(record, used, band))
     done, keep = ((), None) if parts is None else kept_rounds(parts, model, part, settings)
     if guess:
         model = _guessed(model, frf_of(part), say)

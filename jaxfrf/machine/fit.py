@@ -124,59 +124,59 @@ def _starts(machine: Machine) -> dict[str, float]:
     return {n: float(p.start) for n, p in machine.parameters.items()}
 
 
-def _fitted(machine: Machine, data: Experiment, lines, measured, sigma, used, settle: int, steps) -> MachineFit:
-    names = [n for n, p in machine.parameters.items() if p.free and p.same_as is None]
-    start = _starts(machine)
-    steps = fine_steps(machine, start, data.fs) if steps is None else steps
-    u = jnp.asarray(np.tile(driving(data), (1, settle + 1, 1)))
-    x0 = np.array([np.log(start[n]) if machine.parameters[n].positive else 0.0 for n in names])
-    scale = np.array([machine.parameters[n].scale for n in names])
-    positive = np.array([machine.parameters[n].positive for n in names])
-    counted = used[..., None] / sigma
+class _Problem:
+    """What a fit moves, and what is left of a record there.
 
-    def values_at(x):
-        found = {n: jnp.asarray(v) for n, v in start.items()}
-        for i, n in enumerate(names):
-            found[n] = jnp.exp(x[i]) if positive[i] else start[n] + scale[i] * x[i]
-        return found | {n: found[p.same_as] for n, p in machine.parameters.items() if p.same_as}
+    Positive parameters move in their logarithm, others in their scale from where they start.
+    """
 
-    @jax.jit
-    def left(x):
-        y = motion(machine, values_at(x), u, data.fs, steps)[:, -data.period :]
-        return jnp.fft.rfft(y, axis=1)[:, lines] / data.period - measured
+    def __init__(self, machine: Machine, data: Experiment, lines, measured, counted, settle: int, steps):
+        self.machine, self.data = machine, data
+        self.lines, self.measured, self.counted = lines, measured, counted
+        self.names = [n for n, p in machine.parameters.items() if p.free and p.same_as is None]
+        self.start = _starts(machine)
+        self.positive = np.array([machine.parameters[n].positive for n in self.names])
+        self.scale = np.array([machine.parameters[n].scale for n in self.names])
+        self.x0 = np.array([np.log(self.start[n]) if machine.parameters[n].positive else 0.0 for n in self.names])
+        self.steps = fine_steps(machine, self.start, data.fs) if steps is None else steps
+        self.u = jnp.asarray(np.tile(driving(data), (1, settle + 1, 1)))
+        self.left, self.errors = jax.jit(self._left), jax.jit(self._errors)
+        self.jacobian = jax.jit(jax.jacfwd(self._errors))
 
-    def errors(x):
-        e = (left(x) * counted).ravel()
+    def values(self, x):
+        """Of all parameters by name, at coordinates x."""
+        found = {n: jnp.asarray(v) for n, v in self.start.items()}
+        for i, n in enumerate(self.names):
+            found[n] = jnp.exp(x[i]) if self.positive[i] else self.start[n] + self.scale[i] * x[i]
+        return found | {n: found[p.same_as] for n, p in self.machine.parameters.items() if p.same_as}
+
+    def spread(self, values, std) -> dict[str, float]:
+        """Standard deviations of the parameters, from those of the coordinates."""
+        own = np.where(self.positive, [values[n] for n in self.names], self.scale)
+        return {n: float(s * d) for n, s, d in zip(self.names, std, own, strict=True)}
+
+    def _left(self, x):
+        y = motion(self.machine, self.values(x), self.u, self.data.fs, self.steps)[:, -self.data.period :]
+        return jnp.fft.rfft(y, axis=1)[:, self.lines] / self.data.period - self.measured
+
+    def _errors(self, x):
+        e = (self._left(x) * self.counted).ravel()
         return jnp.concatenate([e.real, e.imag]) * jnp.sqrt(2.0)
 
-    errors, jacobian = jax.jit(errors), jax.jit(jax.jacfwd(errors))
-    if not np.isfinite(np.asarray(errors(x0))).all():
-        raise input_error("machine", "a simulation that diverges at its start", "a finite motion", "Correct the start.")
-    solved = scipy.optimize.least_squares(
-        lambda x: np.nan_to_num(np.asarray(errors(x)), nan=1e6, posinf=1e6, neginf=-1e6),
-        x0,
-        jac=lambda x: np.nan_to_num(np.asarray(jacobian(x))),
-        bounds=(np.where(positive, x0 - _REACH, -np.inf), np.where(positive, x0 + _REACH, np.inf)),
-        x_scale="jac",
-        max_nfev=60,
-        xtol=1e-8,
-        ftol=1e-10,
-    )
-    dof = max(2 * used.sum() * measured.shape[2] - len(names), 1)
+
+def _fitted(machine: Machine, data: Experiment, lines, measured, sigma, used, settle: int, steps) -> MachineFit:
+    problem = _Problem(machine, data, lines, measured, used[..., None] / sigma, settle, steps)
+    solved = _solved(problem)
+    dof = max(2 * used.sum() * measured.shape[2] - len(problem.names), 1)
     # Twice the sum of both parts is one complex residual: mean square 1 each where the model is right.
     misfit = np.sqrt(np.sum(solved.fun**2) / dof)
     covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * max(misfit, 1.0) ** 2
-    found = {n: float(v) for n, v in values_at(jnp.asarray(solved.x)).items()}
-    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    std = {
-        n: float(s * (found[n] if positive[i] else scale[i]))
-        for i, (n, s) in enumerate(zip(names, spread, strict=True))
-    }
-    rest = np.asarray(left(solved.x))
+    found = {n: float(v) for n, v in problem.values(jnp.asarray(solved.x)).items()}
+    rest = np.asarray(problem.left(solved.x))
     return MachineFit(
         machine=machine.with_values(found),
-        values={n: found[n] for n in names},
-        std=std,
+        values={n: found[n] for n in problem.names},
+        std=problem.spread(found, np.sqrt(np.maximum(np.diag(covariance), 0.0))),
         residual=share_left(rest, measured, used),
         misfit=float(misfit),
         lines=lines,
@@ -184,6 +184,23 @@ def _fitted(machine: Machine, data: Experiment, lines, measured, sigma, used, se
         measured=measured,
         settle=settle,
         converged=bool(solved.status > 0),
+    )
+
+
+def _solved(problem: _Problem):
+    """Least squares from the start, positive parameters within `_REACH` of it."""
+    x0, positive = problem.x0, problem.positive
+    if not np.isfinite(np.asarray(problem.errors(x0))).all():
+        raise input_error("machine", "a simulation that diverges at its start", "a finite motion", "Correct the start.")
+    return scipy.optimize.least_squares(
+        lambda x: np.nan_to_num(np.asarray(problem.errors(x)), nan=1e6, posinf=1e6, neginf=-1e6),
+        x0,
+        jac=lambda x: np.nan_to_num(np.asarray(problem.jacobian(x))),
+        bounds=(np.where(positive, x0 - _REACH, -np.inf), np.where(positive, x0 + _REACH, np.inf)),
+        x_scale="jac",
+        max_nfev=60,
+        xtol=1e-8,
+        ftol=1e-10,
     )
 
 
