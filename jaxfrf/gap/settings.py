@@ -48,6 +48,7 @@ CANDIDATES = 2  # of every view, by the cost that they promise to take away
 SHARE = 0.3  # of what the best promises
 LEAST_PART = 0.01  # of the cost
 LEAST_SIZE = 0.3  # of what is just visible
+LEAST_FITTED = 0.1  # of that, once fitted: a play of a few microradians stands for some other law
 MUCH = 0.7  # of the cost before: where a candidate leaves less, those of the next view are not fitted
 DOUBTFUL = 0.3  # of the cost: where no candidate promises as much, those that numbers imitate are fitted, too
 OWN = 1e-3  # of a column's square that must be its own beside the robot's numbers

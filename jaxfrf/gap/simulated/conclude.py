@@ -26,7 +26,7 @@ from ..settings import (
 )
 from ..verdict import verdict_of
 from .fitted import Fitted, further
-from .hypothesis import one_class
+from .hypothesis import one_class, visible_size
 from .judge import (
     Written,
     against_it,
@@ -279,7 +279,7 @@ def _named(step: Step, last: Fitted, given: Robot) -> Named:
         equivalent=equivalent,
         separating_experiment="; ".join(f"{o}: {how}" for o, how in effect.confusable.items() if o in equivalent),
         explains=float(np.clip(step.on_select.gain, 0.0, 1.0)),
-        visible=_visible(effect, given, joint) or step.scored.size,
+        visible=visible_size(effect, given, joint) or step.scored.size,
         is_number=step.hypothesis.is_number,
     )
 
@@ -287,19 +287,6 @@ def _named(step: Step, last: Fitted, given: Robot) -> Named:
 def _unit(effect: AbstractEffect, name: str) -> str:
     """Of a parameter, or of one entry of it: `amplitude_2`."""
     return effect.units.get(name) or effect.units[name.rpartition("_")[0]]
-
-
-def _visible(effect, robot: Robot, joint: str) -> float:
-    """Size over the just visible one, by the first parameter; 0 where that says nothing."""
-    first = next(iter(effect.units))
-    try:
-        typical = np.asarray(getattr(type(effect).typical(robot, joint), first), float)
-    except ValueError:
-        return 0.0
-    value = np.asarray(getattr(effect, first), float)
-    if typical.size != 1 or value.size != 1 or not typical or effect.nothing or not effect.grows:
-        return 0.0
-    return float(abs(value.item() / typical.item()))
 
 
 def counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
@@ -314,7 +301,7 @@ def counting(record: Measured, robot: Robot) -> tuple[Named, ...]:
         count = 0.0 if axis in stated else resolution(np.asarray(data.y[0, :, :, axis]), 0.0)
         for kind in kinds:
             effect = kind.of_readings(joint, count)
-            visible = 0.0 if effect is None else _visible(effect, robot, joint)
+            visible = 0.0 if effect is None else visible_size(effect, robot, joint)
             if effect is not None and visible >= LEAST_SIZE:
                 value = {next(iter(kind.units)): EstimatedValue(count, 1e-3 * count, "rad")}
                 found.append(Named(effect, joint, value, 0.0, (), "", 1.0, visible))

@@ -100,3 +100,16 @@ def _range(effect: AbstractEffect, own: OwnNumber) -> Tolerance:
     if not math.isfinite(high - low):
         return _UNKNOWN
     return Tolerance(high if low >= 0.0 else 0.5 * (high - low), relative=False)
+
+
+def visible_size(effect: AbstractEffect, robot: Robot, joint: str) -> float:
+    """Size over the just visible one, by the first parameter; 0 where that says nothing."""
+    first = next(iter(effect.units))
+    try:
+        typical = np.asarray(getattr(type(effect).typical(robot, joint), first), float)
+    except ValueError:
+        return 0.0
+    value = np.asarray(getattr(effect, first), float)
+    if typical.size != 1 or value.size != 1 or not typical or effect.nothing or not effect.grows:
+        return 0.0
+    return float(abs(value.item() / typical.item()))

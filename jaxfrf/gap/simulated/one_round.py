@@ -19,12 +19,13 @@ from ..settings import (
     FLOOR,
     KEPT_WITHIN,
     LATE_ROUNDS,
+    LEAST_FITTED,
     LIKELY,
     MORE_ROUNDS,
     MUCH,
 )
 from .fitted import Fitted, RobotFit, Say, further, or_at
-from .hypothesis import Hypothesis, hypothesis, one_class
+from .hypothesis import Hypothesis, hypothesis, one_class, visible_size
 from .judge import (
     Comparison,
     Written,
@@ -138,6 +139,11 @@ class Round:
         costs = costs_of([*(r.found for r in candidates), self.now])[:-1]
         candidates = [r for r, cost in zip(candidates, costs, strict=True) if cost <= KEPT_WITHIN * min(costs)]
         candidates = shared(self._finish, candidates, lapack_threads())
+        small = [r for r in candidates if 0.0 < self._size(r) < LEAST_FITTED]
+        candidates = [r for r in candidates if not any(r is x for x in small)]
+        if not candidates:
+            largest = max(small, key=self._size)
+            return None, f"{said(largest.hypothesis.key)} is fitted at {self._size(largest):.2g} of what is visible"
         candidates, costs, before = self._in_order(candidates)
         after = each_written([r.found.written() for r in candidates], self.deciding)
         simulated = [(r, c / before, w) for r, c, w in zip(candidates, costs, after, strict=True) if w is not None]
@@ -272,6 +278,11 @@ class Round:
         values = ", ".join(f"{name} {value:.4g} +- {NORMAL_95 * std:.2g}" for name, (value, std) in estimates.items())
         self.say(f"  {said(candidate.hypothesis.key)}: {values}")
         return candidate
+
+    def _size(self, candidate: _Candidate) -> float:
+        """Of a fitted effect over the just visible one; 0 of a number, and where it says nothing."""
+        this = candidate.hypothesis
+        return 0.0 if this.is_number else visible_size(this.effect_in(candidate.found), self.now.robot, this.joint)
 
     def _in_order(self, candidates: Sequence[_Candidate]) -> tuple[list[_Candidate], list[float], float]:
         """Each effect once, the cheapest first, with their costs and that of the robot before."""
