@@ -41,6 +41,7 @@ DISBELIEVED = 1e-3  # the same, from which on it is tried however little of the 
 OTHERS = 3.0  # numbers that tell a common factor of all tolerances, at least
 FAR = 2.0  # tolerances that such a number is off by at least
 HOPELESS = 9.0  # tolerances: a robot in which one is further off explains nothing
+WORSE = 1.1  # times as much of an axis's torque missed as before: is said
 OFF = 1.0  # tolerances from which on a number is told to be off
 
 # Which candidates are fitted

@@ -15,7 +15,7 @@ from jaxfrf import effects as fx
 from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
 from jaxfrf.effects._harmonics import polar_deviation
-from jaxfrf.gap.simulated.conclude import close_rivals, counting, stand_for_each_other
+from jaxfrf.gap.simulated.conclude import close_rivals, counting, stand_for_each_other, worse_words
 from jaxfrf.gap.simulated.fitted import Fitted
 from jaxfrf.gap.simulated.hypothesis import hypothesis
 from jaxfrf.gap.simulated.judge import against_it, beyond, compared, over_floor, shows_nothing
@@ -480,3 +480,12 @@ def test_two_that_stand_for_each_other_on_one_joint():
     assert {x.name for x in stand_for_each_other(pair)} == {"backlash", "stiffness_hardening"}
     assert stand_for_each_other([named(play), named(fx.StiffnessHardening("shoulder", 0.1, 1e-4))]) == ()
     assert stand_for_each_other(pair[:2]) == ()
+
+
+def test_an_axis_that_got_worse_is_told():
+    """Within the floor, too: whoever reads the figures finds it there."""
+    before, after = np.array([0.0167, 0.05]), np.array([0.0187, 0.051])
+    assert (
+        worse_words(("joint3", "joint4"), before, after)
+        == " The torque of joint3 is missed by 1.9 % there, 1.7 % before."
+    )

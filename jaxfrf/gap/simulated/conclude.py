@@ -5,6 +5,7 @@ from collections.abc import Collection, Sequence
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Float
 
 from ..._threads import lapack_threads, shared
 from ...calibration.numbers import Number
@@ -23,6 +24,7 @@ from ..settings import (
     OUT_OF_TOLERANCE,
     TOLERANCE,
     UNEXPLAINED,
+    WORSE,
 )
 from ..verdict import verdict_of
 from .fitted import Fitted, further
@@ -186,7 +188,8 @@ def _verdict(
     if stands and verdict != "unexplained":
         on = "the held-out positions" if heldout else "the fitted positions, none being held out"
         words = _named_words(effects, counts, rivals, base, extended, on)
-        return verdict, f"{words}{_left_words(alike, worst)}"
+        missed = relative_torque(judged, base.residual)
+        return verdict, f"{words}{worse_words(last.robot.axis_names, missed, met)}{_left_words(alike, worst)}"
     why = "no effect explains more of the rest on the positions that decide"
     if not looked_for:
         why = "what is left is nowhere beyond its floor, so that no effect was looked for"
@@ -211,6 +214,16 @@ def stand_for_each_other(effects: Sequence[Named]) -> tuple[Named, ...]:
         if one.joint == other.joint and alike:
             return one, other
     return ()
+
+
+def worse_words(names: Sequence[str], before: Float[np.ndarray, "axis"], after: Float[np.ndarray, "axis"]) -> str:
+    """Axes that the written robot misses by more than the one before it."""
+    told = [
+        f" The torque of {name} is missed by {100 * a:.2g} % there, {100 * b:.2g} % before."
+        for name, b, a in zip(names, before, after, strict=True)
+        if a > WORSE * b
+    ]
+    return "".join(told)
 
 
 def _left_words(alike: Sequence[Named], worst: float) -> str:
