@@ -130,24 +130,45 @@ class _Records:
 
 def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]:
     """All steps in the order in which they are begun: long ones first, since a study may make two at a time."""
-    robot, made, runs = truth(), _Records(settings), 6 * settings.blocks
-    seeds = settings.seeds
-    places = range(1 if settings.at_once else settings.positions)
-    count = settings.positions if settings.at_once else 1
-    indirect_one = lambda seed, n: indirect_row(settings, seed, n, first_experiments(made.fitted(seed, 1), n), say)
-    bias_one = lambda i: {"positions": bias_at(robot, made.at(i), settings)}
-    direct_one = lambda seed: {"rows": direct_rows(settings, seed, made.fitted(seed, settings.blocks), say)}
-    indirect = [
+    made, runs = _Records(settings), 6 * settings.blocks
+    hidden = Task(parts / "hidden.json", "a hidden effect", 40.0, lambda: _hidden(settings, parts, say))
+    example = Task(
+        parts / "example.json",
+        "responses at the example position",
+        5.0 if settings.at_once else 1.5 * runs + 20,
+        lambda: _example(settings, parts, made),
+    )
+    why = [
+        Task(parts / f"why-{name}.json", f"why: {name}", 60.0, functools.partial(variant_row, settings, name))
+        for name in (VARIANTS if settings.ablations else ())
+    ]
+    return [
+        *_indirect_tasks(settings, parts, made, say),
+        *_uncertain_tasks(settings, parts, say),
+        hidden,
+        *_bias_tasks(settings, parts, made, runs),
+        example,
+        *_direct_tasks(settings, parts, made, runs, say),
+        *why,
+    ]
+
+
+def _indirect_tasks(settings: Settings, parts: pathlib.Path, made: _Records, say: Say) -> list[Task]:
+    one = lambda seed, n: indirect_row(settings, seed, n, first_experiments(made.fitted(seed, 1), n), say)
+    return [
         Task(
             parts / f"indirect-{n}-{seed}.json",
             f"indirect fit, n_e = {n}, seed {seed}",
             settings.fit_positions * (4 + 1.5 * n) + 30,
-            functools.partial(indirect_one, seed, n),
+            functools.partial(one, seed, n),
         )
-        for seed in seeds
+        for seed in settings.seeds
         for n in settings.indirect
     ]
-    uncertain = [
+
+
+def _uncertain_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]:
+    return [
         Task(
             parts / f"uncertain-{n}-{seed}.json",
             f"nothing known exactly, n_e = {n}, machine {seed}",
@@ -157,37 +178,36 @@ def study_tasks(settings: Settings, parts: pathlib.Path, say: Say) -> list[Task]
         for seed in settings.machines
         for n in settings.uncertain
     ]
-    hidden = Task(parts / "hidden.json", "a hidden effect", 40.0, lambda: _hidden(settings, parts, say))
-    bias = [
+
+
+def _bias_tasks(settings: Settings, parts: pathlib.Path, made: _Records, runs: int) -> list[Task]:
+    robot, places = truth(), range(1 if settings.at_once else settings.positions)
+    count = settings.positions if settings.at_once else 1
+    one = lambda i: {"positions": bias_at(robot, made.at(i), settings)}
+    return [
         Task(
             parts / f"bias-{i:03d}.json",
             f"FRFs at {count} positions" if settings.at_once else f"FRFs at position {i + 1} of {len(places)}",
             count * (0.6 * runs + 6),
-            functools.partial(bias_one, i),
+            functools.partial(one, i),
         )
         for i in places
     ]
-    example = Task(
-        parts / "example.json",
-        "responses at the example position",
-        5.0 if settings.at_once else 1.5 * runs + 20,
-        lambda: _example(settings, parts, made),
-    )
-    direct = [
+
+
+def _direct_tasks(settings: Settings, parts: pathlib.Path, made: _Records, runs: int, say: Say) -> list[Task]:
+    one = lambda seed: {"rows": direct_rows(settings, seed, made.fitted(seed, settings.blocks), say)}
+    fits = 1 + len(settings.fitted) * (len(settings.experiments) - 1) + len(settings.fitted_single)
+    simulated = 0.0 if settings.at_once else settings.fit_positions * (0.6 * runs + 6)
+    return [
         Task(
             parts / f"direct-{seed}.json",
             f"direct fits, seed {seed}",
-            9.0 * (1 + len(settings.fitted) * (len(settings.experiments) - 1) + len(settings.fitted_single))
-            + (0.0 if settings.at_once else settings.fit_positions * (0.6 * runs + 6)),
-            functools.partial(direct_one, seed),
+            9.0 * fits + simulated,
+            functools.partial(one, seed),
         )
-        for seed in seeds
+        for seed in settings.seeds
     ]
-    why = [
-        Task(parts / f"why-{name}.json", f"why: {name}", 60.0, functools.partial(variant_row, settings, name))
-        for name in (VARIANTS if settings.ablations else ())
-    ]
-    return [*indirect, *uncertain, hidden, *bias, example, *direct, *why]
 
 
 def _example(settings: Settings, parts: pathlib.Path, made: _Records) -> dict:
