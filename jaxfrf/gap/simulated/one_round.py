@@ -139,11 +139,11 @@ class Round:
         costs = costs_of([*(r.found for r in candidates), self.now])[:-1]
         candidates = [r for r, cost in zip(candidates, costs, strict=True) if cost <= KEPT_WITHIN * min(costs)]
         candidates = shared(self._finish, candidates, lapack_threads())
-        small = [r for r in candidates if 0.0 < self._size(r) < LEAST_FITTED]
-        candidates = [r for r in candidates if not any(r is x for x in small)]
+        sized = [(self._size(r), r) for r in candidates]
+        candidates = [r for size, r in sized if not 0.0 < size < LEAST_FITTED]
         if not candidates:
-            largest = max(small, key=self._size)
-            return None, f"{said(largest.hypothesis.key)} is fitted at {self._size(largest):.2g} of what is visible"
+            size, largest = max(sized, key=lambda pair: pair[0])
+            return None, f"{said(largest.hypothesis.key)} is fitted at {size:.2g} of what is visible"
         candidates, costs, before = self._in_order(candidates)
         after = each_written([r.found.written() for r in candidates], self.deciding)
         simulated = [(r, c / before, w) for r, c, w in zip(candidates, costs, after, strict=True) if w is not None]
