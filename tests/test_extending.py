@@ -54,7 +54,8 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from .effect import AbstractFriction, Joint
+from .effect import Joint
+from .insertion import AbstractFriction
 
 
 class Drag(AbstractFriction):

@@ -19,19 +19,7 @@ from .catalogue import (
     library as library,
 )
 from .effect import (
-    AbstractActuator as AbstractActuator,
-    AbstractArmTorque as AbstractArmTorque,
     AbstractEffect as AbstractEffect,
-    AbstractFriction as AbstractFriction,
-    AbstractGear as AbstractGear,
-    AbstractGearCoupling as AbstractGearCoupling,
-    AbstractGearError as AbstractGearError,
-    AbstractGearTorque as AbstractGearTorque,
-    AbstractLinkSensor as AbstractLinkSensor,
-    AbstractMotorTorque as AbstractMotorTorque,
-    AbstractSensor as AbstractSensor,
-    AbstractStatelessActuator as AbstractStatelessActuator,
-    AbstractStructure as AbstractStructure,
     Candidate as Candidate,
     OwnNumber as OwnNumber,
     Reach as Reach,
@@ -44,6 +32,20 @@ from .friction import (
     LoadDependentFriction as LoadDependentFriction,
     StribeckFriction as StribeckFriction,
     ViscousFriction as ViscousFriction,
+)
+from .insertion import (
+    AbstractActuator as AbstractActuator,
+    AbstractArmTorque as AbstractArmTorque,
+    AbstractFriction as AbstractFriction,
+    AbstractGear as AbstractGear,
+    AbstractGearCoupling as AbstractGearCoupling,
+    AbstractGearError as AbstractGearError,
+    AbstractGearTorque as AbstractGearTorque,
+    AbstractLinkSensor as AbstractLinkSensor,
+    AbstractMotorTorque as AbstractMotorTorque,
+    AbstractSensor as AbstractSensor,
+    AbstractStatelessActuator as AbstractStatelessActuator,
+    AbstractStructure as AbstractStructure,
 )
 from .sensor import (
     EncoderQuantisation as EncoderQuantisation,

@@ -16,7 +16,8 @@ from .._text import number
 from .._types import Array
 from ._harmonics import by_order, checked, harmonics
 from ._place import axis_of, stated
-from .effect import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator, Candidate, Joint, OwnNumber, Reach
+from .effect import Candidate, Joint, OwnNumber, Reach
+from .insertion import AbstractActuator, AbstractMotorTorque, AbstractStatelessActuator
 
 if TYPE_CHECKING:
     from ..robot import Robot

@@ -14,7 +14,8 @@ from .._errors import input_error
 from .._text import number
 from .._types import Array
 from ._place import axis_of, changed, coulomb, own
-from .effect import AbstractArmTorque, AbstractFriction, AbstractStructure, Candidate, Joint, OwnNumber, Reach, Swing
+from .effect import Candidate, Joint, OwnNumber, Reach, Swing
+from .insertion import AbstractArmTorque, AbstractFriction, AbstractStructure
 
 if TYPE_CHECKING:
     from ..robot import Robot

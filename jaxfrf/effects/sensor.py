@@ -10,7 +10,8 @@ from jaxtyping import Float
 from .._errors import input_error
 from .._types import Array
 from ._harmonics import by_order, checked, harmonics
-from .effect import AbstractLinkSensor, AbstractSensor, Candidate, Joint, Reach
+from .effect import Candidate, Joint, Reach
+from .insertion import AbstractLinkSensor, AbstractSensor
 
 if TYPE_CHECKING:
     from ..robot import Robot

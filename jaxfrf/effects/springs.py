@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from .._types import Array
 from ._place import axis_of, changed, spring_of
-from .effect import AbstractStructure, Candidate, Joint, OwnNumber, Swing
+from .effect import Candidate, Joint, OwnNumber, Swing
+from .insertion import AbstractStructure
 
 if TYPE_CHECKING:
     from ..robot import Robot

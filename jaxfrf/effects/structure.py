@@ -15,7 +15,8 @@ from jaxtyping import Float
 from .._errors import input_error
 from .._types import Array
 from ._place import axis_of, changed, spring_of
-from .effect import AbstractArmTorque, AbstractStructure, Candidate, Joint, OwnNumber, Reach
+from .effect import Candidate, Joint, OwnNumber, Reach
+from .insertion import AbstractArmTorque, AbstractStructure
 
 if TYPE_CHECKING:
     from ..robot import Robot

@@ -15,16 +15,8 @@ from .._text import number
 from .._types import Array
 from ._harmonics import checked, harmonics, polar_deviation
 from ._place import axis_of, own_spring, spring_of
-from .effect import (
-    AbstractEffect,
-    AbstractGearCoupling,
-    AbstractGearError,
-    AbstractGearTorque,
-    Candidate,
-    Joint,
-    OwnNumber,
-    Reach,
-)
+from .effect import AbstractEffect, Candidate, Joint, OwnNumber, Reach
+from .insertion import AbstractGearCoupling, AbstractGearError, AbstractGearTorque
 
 if TYPE_CHECKING:
     from ..robot import Robot
