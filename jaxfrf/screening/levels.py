@@ -21,7 +21,7 @@ _HEAP_SHARE = 0.01
 _HEAP_BESIDE, _HEAP_OF_REFERENCE = 2.5, 1.3  # where the reference has so little; multisines have less than 1
 _HEAP_OF_LINES = 1.5  # over that of the same lines at other phases: a limit has its phases of its own, a slow sine none
 _SURROGATES = 8
-_EDGE, _EDGE_SURE = 2.0, 2.5  # at the end over beside it; standard deviations of the count
+_EDGE, _EDGE_SURE = 2.0, 2.5  # at the end over beside it; standard deviations of the count, at least
 _EDGE_FINE = 1.6  # that ratio over the same at four times the scale: 1 for sines, which crowd at every scale
 _EDGE_LEAST = 0.3  # sample in a bin
 _EDGE_VISITS = 6  # of a period: a limit is met again and again, the highest crests stand anywhere
@@ -140,10 +140,16 @@ def _sharp_edge(c: Channel) -> tuple[float, float]:
         if ratio > _EDGE and ratio > _EDGE_FINE * coarse:
             low, high = sorted((ends[first], ends[first + 2]))
             stay = _stay((x >= low) & (x <= high))
-            sure = _EDGE_SURE * np.sqrt(max(8 / 3 * beside * stay, 4 / 3 * stay**2))
+            sure = _surely(c) * np.sqrt(max(8 / 3 * beside * stay, 4 / 3 * stay**2))
             if top - 2 * beside > sure and top >= _EDGE_VISITS * stay:
                 return float(ratio), float(top / max(len(x) / max(c.n_periods, 1), 1))
     return 0.0, 0.0
+
+
+def _surely(c: Channel) -> float:
+    """Standard deviations that chance does not reach at any end of any channel of the position."""
+    data = c.record.data
+    return max(_EDGE_SURE, float(np.sqrt(2 * np.log(2 * data.n_exp * (data.n_in + data.n_out)))))
 
 
 def _stay(inside: np.ndarray) -> float:

@@ -7,6 +7,7 @@ from scipy.interpolate import CubicSpline
 
 import jaxfrf as jf
 from jaxfrf.screening import Severity
+from jaxfrf.screening.levels import saturated
 
 FS, PERIOD = 500.0, 1000
 LINES = np.arange(7, 200, 2)
@@ -354,3 +355,16 @@ def test_a_crest_that_is_sampled_finely_is_no_limit(times):
         y[at : at + 9] = limit + 0.05 * rng.random(9)
     found = jf.examine(jf.Experiment(u[None, None, :, None], y[None, None, :, None], 2000.0, n, lines=lines))
     assert bool([f for f in found if f.kind == "saturated"]) == (times > 1)
+
+
+@pytest.mark.parametrize("seed", [11, 14, 17, 19])
+def test_one_of_many_channels_crowds_at_an_end_by_chance(seed):
+    """Forty runs of seven channels have 560 ends: one stands out by 2.5 standard deviations in every ninth such set."""
+    rng, n = np.random.default_rng(seed), 4000
+    X = np.zeros((1, 40, n // 2 + 1, 6), complex)
+    X[:, :, 5:105] = np.exp(2j * np.pi * rng.random((1, 40, 100, 6)))
+    x = np.fft.irfft(X, axis=2)
+    stepping = 0.3 * np.sign(np.sin(2 * np.pi * 3 * np.arange(n) / n))  # as friction does
+    u = x / x.std() + stepping[:, None] + 0.02 * rng.standard_normal(x.shape)
+    u = np.concatenate([u, u], axis=2)
+    assert not jf.examine(jf.Experiment(u, u[..., :1], 1000.0, n), (saturated,))
