@@ -120,14 +120,17 @@ def solved_again(estimate: Estimate, method: AbstractMethod, spectra: Spectra) -
     estimate = jax.tree.map(np.array, estimate)
     points, frequency = arrays_of(spectra)
     for pos in np.flatnonzero(estimate.doubtful.any(axis=1)):
-        signals = jax.tree.map(lambda x, pos=pos: x[pos], points)
-        for lines, count in _batches(np.flatnonzero(estimate.doubtful[pos])):
-            again = jax.tree.map(
-                lambda x, n=count: np.asarray(x)[:n], compiled(_run_again)(method, signals, frequency, lines)
-            )
-            jax.tree.map(lambda old, new, at=(pos, lines[:count]): old.__setitem__(at, new), estimate, again)
-            estimate.status[pos, lines[:count]] |= int(Status.REFINED)
+        point, here = (jax.tree.map(lambda x, pos=pos: x[pos], x) for x in (points, estimate))
+        solve_again(here, method, Signals(**point, frequency=frequency))
     return estimate
+
+
+def solve_again(estimate: Estimate, method: AbstractMethod, signals: Signals) -> None:
+    """Write the doubtful lines of one operating point, by orthogonal factorisation, into the estimate's arrays."""
+    for lines, count in _batches(np.flatnonzero(estimate.doubtful)):
+        again = on_host(compiled(_run_again)(method, signals, lines))
+        jax.tree.map(lambda old, new, at=lines[:count]: old.__setitem__(at, new[: len(at)]), estimate, again)
+        estimate.status[lines[:count]] |= int(Status.REFINED)
 
 
 def on_host(x):
@@ -174,8 +177,8 @@ def _points_at_once(points: dict) -> int:
     return min(n_pos, max(1, at_once(columns) // (n_exp * n_freq)))
 
 
-def _run_again(method: AbstractMethod, point: dict, frequency, lines) -> Estimate:
-    return method.at_point(Signals(**point, frequency=frequency), lines)
+def _run_again(method: AbstractMethod, signals: Signals, lines) -> Estimate:
+    return method.at_point(signals, lines)
 
 
 def _batches(lines):

@@ -7,7 +7,7 @@ import numbers
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from .._annotated import check_fields
 from .._compile import after, compiled
@@ -19,7 +19,7 @@ from .classical import H1
 from .covariance import KroneckerSum, dense, variances
 from .joint import JointInputOutput
 from .local import LRM, AbstractLocal
-from .method import AbstractMethod, Estimate, Signals, on_host, run, solved_again
+from .method import AbstractMethod, Estimate, Signals, arrays_of, on_host, run, solve_again
 from .scaled import Scaled
 from .two_stage import has_second_stage, prediction, second_stage
 
@@ -128,24 +128,27 @@ class Auto(AbstractMethod):
         return self._with_width(self.candidates(signals)[0], signals).residual_dof(signals)
 
     def at_point(self, signals: Signals, lines=None) -> Estimate:
-        tried = self._tried(signals)
+        tried, _ = self._tried(signals)
         widths = self._reach(signals)
         blended = _blend(tried, widths, _local_noise(tried, signals.U, signals.Y, widths))
         return blended if lines is None else jax.tree.map(lambda x: x[lines], blended)
 
     def estimate(self, spectra: Spectra) -> Estimate:
         """As everywhere; but doubtful lines are solved again before the windows are compared."""
-        tried = run(Auto._tried, self, spectra)
+        tried, predicted = run(Auto._tried, self, spectra)
         if np.asarray(tried.doubtful).any():
-            tried = self._solved_again(on_host(tried), spectra)
+            tried = self._solved_again(tried, predicted, spectra)
         return on_host(compiled(_blended)(tried, np.asarray(spectra.U), np.asarray(spectra.Y), self._reach(spectra)))
 
-    def _solved_again(self, tried: Estimate, spectra: Spectra) -> Estimate:
-        first = tried.G.shape[1] - len(self.candidates(spectra))
-        each = [jax.tree.map(lambda x, i=i: x[:, i], tried) for i in range(tried.G.shape[1])]
-        methods = [_OneWidth(self, w) for w in self.candidates(spectra)]
-        again = [solved_again(x, m, spectra) for x, m in zip(each[first:], methods, strict=True)]
-        return jax.tree.map(lambda *x: np.stack(x, axis=1), *each[:first], *again)
+    def _solved_again(self, tried: Estimate, predicted, spectra: Spectra) -> Estimate:
+        tried, (points, frequency) = jax.tree.map(np.array, tried), arrays_of(spectra)
+        widths = self._reach(spectra)
+        for pos, number in np.argwhere(tried.doubtful.any(axis=-1)):
+            point, here = (jax.tree.map(lambda x, pos=pos: x[pos], x) for x in (points, predicted))
+            one_width = _OneWidth(self, widths[number], here)
+            estimate = jax.tree.map(lambda x, at=(pos, number): x[at], tried)
+            solve_again(estimate, one_width, Signals(**point, frequency=frequency))
+        return tried
 
     def _reach(self, spectra: Spectra | Signals) -> tuple[int, ...]:
         widths = self.candidates(spectra)
@@ -154,22 +157,23 @@ class Auto(AbstractMethod):
     def _has_pilot(self, spectra: Spectra | Signals) -> bool:
         return self.method.transient is None and spectra.n_exp > spectra.n_in
 
-    def _tried(self, signals: Signals) -> Estimate:
-        """The estimates with every width, which is the leading axis, the pilot in front of them."""
+    def _tried(self, signals: Signals) -> tuple[Estimate, Array | None]:
+        """The estimates with every width, which is the leading axis, the pilot in front of them; and the prediction
+        that fits in two stages have made."""
         joint = self._through_reference(signals)
         methods = [dataclasses.replace(self.method, width=w) for w in self.candidates(signals)]
         plans = [method.plan(signals, joint) for method in methods]
         windows = [plan.windows for plan in plans]
+        predicted = self._prediction(signals, joint) if self._two_stages else None
         if self._two_stages:
-            predicted = self._prediction(signals, joint)
             found = second_stage(methods[0], signals, joint, predicted, windows)
         else:
             found = self.method.regressed_with(signals, joint, plans[0], windows)
         if not self._has_pilot(signals):
-            return found
+            return found, predicted
         waiting = dataclasses.replace(signals, U=after(signals.U, found.G))
         pilot = _pilot(JointInputOutput(H1()) if joint else H1(), waiting, found)
-        return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pilot, found)
+        return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pilot, found), predicted
 
     @property
     def _two_stages(self) -> bool:
@@ -188,10 +192,13 @@ class Auto(AbstractMethod):
 
 
 class _OneWidth(AbstractMethod):
-    """The estimate of `Auto` with one of its windows, for lines that are solved again."""
+    """The estimate of `Auto` with one of its windows, for lines that are solved again.
+
+    `predicted`: what its fits in two stages have for a prediction; `None` where it has one stage."""
 
     of: Auto
     width: int
+    predicted: Complex[Array, "exp freq target"] | None
 
     def block_size(self, spectra) -> int:
         return 1
@@ -205,8 +212,8 @@ class _OneWidth(AbstractMethod):
     def at_point(self, signals: Signals, lines=None) -> Estimate:
         method = dataclasses.replace(self.of.method, width=self.width)
         joint = self.of._through_reference(signals)
-        if self.of._two_stages:
-            return second_stage(method, signals, joint, self.of._prediction(signals, joint), lines=lines)
+        if self.predicted is not None:
+            return second_stage(method, signals, joint, self.predicted, lines=lines)
         return method.regressed(signals, joint, lines)
 
 
