@@ -22,6 +22,7 @@ from ..robot.parameters import parameter_field, unit_at
 from ..robot.tolerances import KINDS, Tolerance, relative_sizes
 
 _UNKNOWN = 1.0  # size of the coordinate of a number of which nothing is known: of its logarithm
+_FAR = 50.0  # logarithms that a fit that goes astray may move a number by: further, and it is no number any more
 _ELEMENTS = {"com": ("x", "y", "z"), "inertia": ("xx", "yy", "zz", "xy", "xz", "yz")}
 _POSITIVE = (
     "stiffness",
@@ -72,7 +73,9 @@ class Number(eqx.Module):
 
     def value(self, x: float) -> float:
         """Of the number, in its unit, where its coordinate is x."""
-        return self.given * math.exp(self.size * x) if self.positive else self.given + self.size * x
+        if not self.positive:
+            return self.given + self.size * x
+        return self.given * math.exp(min(max(self.size * x, -_FAR), _FAR))
 
     def coordinate(self, value: float) -> float:
         """x of a value; the inverse of `value`."""

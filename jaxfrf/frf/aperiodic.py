@@ -13,10 +13,11 @@ from .select import Auto
 def adapted(method: AbstractMethod, spectra: Spectra) -> AbstractMethod:
     """The method as it is used on these spectra: on those of whole periods as it stands.
 
-    On those of a record without a period local methods get a transient term of their own order where they have none,
-    count the distance between lines in Hz (a transient is smooth in frequency), and, where no width is given, choose
-    their window at every line (`jaxfrf.Auto`): as wide as for a multisine is far too narrow for lines that lie as close
-    as 1/duration and carry as little as a part of a sweep or of noise. Others stay as they are, and say what they need.
+    On those of a record without a period local methods get a transient term of their own order where they have none and
+    something leaks, count the distance between lines in Hz (a transient is smooth in frequency), and, where no width is
+    given, choose their window at every line (`jaxfrf.Auto`): as wide as for a multisine is far too narrow for lines
+    that lie as close as 1/duration and carry as little as a part of a sweep or of noise. Others stay as they are, and
+    say what they need.
 
     **Arguments:** `method`: any. `spectra`: of `jaxfrf.dft`, `jaxfrf.record_spectra` or `jaxfrf.segment_spectra`.
 
@@ -29,26 +30,26 @@ def adapted(method: AbstractMethod, spectra: Spectra) -> AbstractMethod:
     if spectra.segments:
         return method
     if not spectra.periodic:
-        return _without_period(method)
+        return _without_period(method, spectra.leaks)
     return method.without_windows(spectra) if isinstance(method, Auto) else method
 
 
-def _without_period(method: AbstractMethod) -> AbstractMethod:
+def _without_period(method: AbstractMethod, leaks: bool) -> AbstractMethod:
     if isinstance(method, Auto):
-        return dataclasses.replace(method, method=_with_transient(method.method))
+        return dataclasses.replace(method, method=_whole(method.method, leaks))
     if isinstance(method, AbstractLocal):
-        method = _with_transient(method)
+        method = _whole(method, leaks)
         return method if method.width is not None else Auto(method, use_reference=False)
     if isinstance(method, JointInputOutput) and isinstance(method.method, AbstractLocal):
-        inner = _with_transient(method.method)
+        inner = _whole(method.method, leaks)
         return JointInputOutput(inner) if inner.width is not None else Auto(inner)
     if isinstance(method, AbstractAverage) and takes_transients(method):
-        return dataclasses.replace(method, **{"method": _without_period(method.inner)})
+        return dataclasses.replace(method, **{"method": _without_period(method.inner, leaks)})
     return method
 
 
-def _with_transient(method: AbstractLocal) -> AbstractLocal:
-    transient = method.order if method.transient is None else method.transient
+def _whole(method: AbstractLocal, leaks: bool) -> AbstractLocal:
+    transient = method.order if method.transient is None and leaks else method.transient
     return dataclasses.replace(method, transient=transient, variable="frequency")
 
 

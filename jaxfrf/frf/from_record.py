@@ -3,7 +3,7 @@
 from .._errors import input_error
 from ..experiment import Experiment, seen_period, select_periods
 from ..screening import screened
-from ..spectra import Spectra, dft, record_spectra, segment_spectra, select_band
+from ..spectra import Spectra, at_rest, dft, record_spectra, segment_spectra, select_band
 from .aperiodic import asks_for_transients, takes_transients
 from .method import AbstractMethod
 from .welch import Welch
@@ -13,7 +13,7 @@ def spectra_of(
     data: Experiment, method: AbstractMethod, *, periods=None, band=None, robust: bool = False, silent: bool = False
 ) -> Spectra:
     """The spectra that `method` needs: of steady periods; of the whole record if it is not periodic and the method can
-    have a transient term; of segments for `jaxfrf.Welch`. `periods` (from, to) and `band` (low, high, Hz) choose a
+    have a transient term, or if it begins and ends at rest; of segments for `jaxfrf.Welch`. `periods` (from, to) and `band` (low, high, Hz) choose a
     part, `None` at an end: open. `robust`: weigh periods, `silent`: take lines without power, too (`jaxfrf.dft`). A
     record that shows a period, but states none, is taken whole only if the method was given a transient term.
 
@@ -42,6 +42,8 @@ def spectra_of(
 
 
 def _taken_whole(data: Experiment, method: AbstractMethod) -> bool:
+    if at_rest(data):
+        return True
     if not takes_transients(method):
         return False
     return asks_for_transients(method) or seen_period(data.r, data.u, data.y) is None

@@ -147,7 +147,7 @@ class Plan(eqx.Module):
 
 
 def check_periodic(spectra: Spectra, method: AbstractLeastSquares) -> None:
-    if not spectra.periodic and method.transient_order is None:
+    if spectra.leaks and method.transient_order is None:
         raise input_error(
             "spectra",
             "the spectra of a record that is not periodic",

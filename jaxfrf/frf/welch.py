@@ -80,7 +80,7 @@ class Welch(AbstractMethod):
                 "Shorten them (option segment), or record longer.",
             )
         if self.use_reference:
-            self.inner.check(dataclasses.replace(spectra, periodic=True))
+            self.inner.check(dataclasses.replace(spectra, at_rest=True))
 
     def residual_dof(self, signals: Signals) -> float:
         return float(signals.n_exp - signals.n_in)

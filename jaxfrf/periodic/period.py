@@ -26,6 +26,11 @@ _MOST = 0.85  # mismatch of a period: of what repeats so little most is somethin
 _EXACT = 1e-3  # mismatch of a record that repeats whatever the statistics say
 _MULTIPLES = 0.6  # of the match after one period, that must be left after two, three, ... of them
 _AS_GOOD = 1.35  # mismatch of the shortest period over the best one (multiples of it), beyond which it is another
+_WELL = 0.1  # mismatch below which no other lag is asked
+_STANDS_OUT = 2.0  # over how far any other lag is from chance: steps at random match by halves at many lags
+_BESIDE, _QUARTERS = 8, 32  # parts of a period, one on either side, that belong to it (side lobes), and to a quarter of
+# it, after which every fourth line is as it was but for its phase
+_HELD = 0.25  # of its power by the length, that must be left in what is compared: a blow leaves nothing
 _WHITE = 1e-4  # power, of the strongest band, up to which weaker bands are raised
 _FLAT_BINS = 64  # a spectrum is smoothed over this part of its width
 
@@ -100,7 +105,8 @@ def _mismatch(x, spectrum) -> np.ndarray:
     energy = np.concatenate([[0.0], np.cumsum(np.sum(x**2, axis=1))])
     lags = np.arange(len(together))
     both = energy[n - lags] + energy[n] - energy[lags]
-    return np.maximum(1 - 2 * together / np.maximum(both, 1e-300), 0.0)
+    D = np.maximum(1 - 2 * together / np.maximum(both, 1e-300), 0.0)
+    return np.where(both < _HELD * 2 * energy[n] * (n - lags) / n, 1.0, D)
 
 
 def _clearest(D: np.ndarray) -> FoundPeriod | None:
@@ -113,11 +119,12 @@ def _clearest(D: np.ndarray) -> FoundPeriod | None:
     usual = np.median(D[max(first, _LEAST_LAG) :])
     spread = 1.4826 * np.median(np.abs(D[max(first, _LEAST_LAG) :] - usual)) + 1e-12
     sure = (usual - D[lags]) / (spread * np.sqrt(n / (n - lags)))
-    lags = lags[((sure > _SURE) & (D[lags] < _MOST)) | (D[lags] < _EXACT)]
-    if not lags.size:
+    clear = ((sure > _SURE) & (D[lags] < _MOST)) | (D[lags] < _EXACT)
+    if not clear.any():
         return None
-    good = lags[D[lags] <= _AS_GOOD * D[lags].min() + 1e-9]
-    repeating = [p for p in good if _repeats(D, p, usual)]
+    best = D[lags[clear]].min()
+    good = lags[clear & (D[lags] <= _AS_GOOD * best + 1e-9)]
+    repeating = [p for p in good if _repeats(D, p, usual) and (D[p] < _WELL or _stands_out(lags, sure, p))]
     if not repeating:
         return None
     shortest = _refined(D, int(repeating[0]))
@@ -131,6 +138,13 @@ def _repeats(D: np.ndarray, period: int, usual: float) -> bool:
         D[k * period - min(k, period // 4) : k * period + min(k, period // 4) + 1].min() for k in range(2, count + 1)
     ]
     return not dips or bool(np.mean(usual - np.array(dips)) >= _MULTIPLES * (usual - D[period]))
+
+
+def _stands_out(lags, sure, period: int) -> bool:
+    """Whether it is farther from chance than every lag that is no multiple of it, nor beside one."""
+    far = lambda step, part: np.abs((lags + step / 2) % step - step / 2) > max(2, period / part)
+    others = sure[far(period, _BESIDE) & far(period / 4, _QUARTERS)]
+    return bool(sure[lags == period][0] >= _STANDS_OUT * others.max(initial=0.0))
 
 
 def _refined(D: np.ndarray, period: int) -> int:

@@ -22,9 +22,9 @@ def glitch(c: Channel) -> Iterator[Finding]:
     """A jump or spike that nothing before it announces, once in a record of one period or none.
 
     The signal is predicted from its 16 last samples (autoregression over the whole record); a place counts where the
-    error is 60 times the usual one around it, and no other place comes near.
+    error is 60 times the usual one around it, and no other place comes near. A blow that is the input is none.
     """
-    if c.record.data.n_periods < 2 and (found := _place(c)) is not None:
+    if c.record.data.n_periods < 2 and (found := _place(c)) is not None and not _struck(c, found[0]):
         at, size = found
         yield c.finding(
             "glitch",
@@ -36,6 +36,13 @@ def glitch(c: Channel) -> Iterator[Finding]:
             sure=size,
             samples=(at, at + 1),
         )
+
+
+def _struck(c: Channel, at: int) -> bool:
+    """Whether most of what an input does in the run stands around a sample."""
+    u = np.asarray(c.record.data.u)[c.pos, c.exp]
+    power = (u - np.median(u, axis=0)) ** 2
+    return bool(np.any(power[max(at - _NEAR, 0) : at + _NEAR].sum(axis=0) > 0.5 * power.sum(axis=0)))
 
 
 def _place(c: Channel) -> tuple[int, float] | None:

@@ -18,6 +18,7 @@ _MANY_LINES = 20
 _HEAP = 3.2  # a sine has 2.4
 _HEAP_FLOOR = 0.004  # of the samples: tails hold too few to compare
 _HEAP_SHARE = 0.01
+_RESTS = 0.4  # of the samples: a level that a signal is meant to have, at rest or of a random binary one
 _HEAP_BESIDE, _HEAP_OF_REFERENCE = 2.5, 1.3  # where the reference has so little; multisines have less than 1
 _HEAP_OF_LINES = 1.5  # over that of the same lines at other phases: a limit has its phases of its own, a slow sine none
 _SURROGATES = 8
@@ -83,7 +84,7 @@ def saturated(c: Channel) -> Iterator[Finding]:
     sharp = not (calm and ratio > least and share > _HEAP_SHARE and ratio > _HEAP_OF_LINES * _heap_of_lines(c))
     if sharp:
         ratio, share = _sharp_edge(c)
-    if ratio:
+    if 0 < share < _RESTS and ratio:
         yield c.finding(
             "saturated",
             Severity.WARNED,

@@ -11,6 +11,7 @@ from .lines import (
     lines_in as lines_in,
     weighed_power as weighed_power,
 )
+from .rest import at_rest as at_rest
 from .spectra import (
     Spectra as Spectra,
     changed_signals as changed_signals,

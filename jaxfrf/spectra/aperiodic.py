@@ -7,9 +7,10 @@ import scipy  # its modules load when they are used: scipy.signal alone takes a 
 
 from .._arguments import expect, expect_real, expect_whole
 from .._errors import input_error
-from .._text import number
+from .._text import number, percent
 from ..experiment import Experiment, rebuilt
 from .lines import strength, where
+from .rest import at_rest, is_short, left_at_end
 from .spectra import Spectra
 from .steady import at_lines, said_of
 
@@ -23,7 +24,9 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     """Spectra of the whole record, for data that are not periodic: all DFT lines of the record in `band` (Hz).
 
     Leakage makes Y = G U + T with a transient T that is smooth in frequency: only estimators with a transient term
-    take such spectra. Lines that hold less than 1e-4 of the strongest reference power (input power where there is no
+    take such spectra (`leaks`). Where every run begins and ends at rest, as around a blow of a hammer, there is no T.
+    Where the response to an excitation as short as that is cut off there is, but it could not be told from G U: it
+    counts as none then, and a warning says so. Lines that hold less than 1e-4 of the strongest reference power (input power where there is no
     reference) are left out: in closed loop the response there would be that of the controller. So are lines whose power
     a taper of 1 % at each end takes away, as beyond the last frequency of a sweep: what is left there is how the record
     begins and ends, as smooth as T and not to be told from it. With `band` all lines in it are taken but those that
@@ -37,7 +40,7 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     **Raises:** `jaxfrf.InputError` if `data` is no experiment, or the band holds no excited line.
 
     **Source:** the transient is that of Pintelon, Schoukens, Vandersteen & Barbé, Mech. Syst. Signal Process. 24 (2010)
-    573-595; the choice of lines is this project's own.
+    573-595; the choice of lines, and what counts as at rest, is this project's own.
     """
     expect("data", data, Experiment)
     n = data.n_time
@@ -58,8 +61,11 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
                 "Widen the band.",
             )
     spectra = at_lines(whole, k)
+    rest = at_rest(data)
+    short = not rest and is_short(data, spectra.U if spectra.R is None else spectra.R)
+    warnings = (_what_it_can_give(data, spectra, rest or short), *([_cut_off(data)] if short else []))
     return dataclasses.replace(
-        spectra, periodic=False, noise=None, warnings=(*spectra.warnings, _what_it_can_give(data, spectra))
+        spectra, periodic=False, at_rest=rest or short, noise=None, warnings=(*spectra.warnings, *warnings)
     )
 
 
@@ -144,7 +150,16 @@ def _window(name, length: int) -> np.ndarray:
         raise input_error("window", found, "a window of scipy.signal.get_window", "E.g. hann.") from None
 
 
-def _what_it_can_give(data: Experiment, spectra: Spectra) -> str:
+def _cut_off(data: Experiment) -> str:
+    return (
+        f"{where(data, 'y')}: does not begin and end at rest; {percent(left_at_end(data))} of its rms value are left at "
+        "the end. Beside an excitation as short as this one, what that leaks cannot be told from the response: "
+        "the FRF ripples, and resonances come out too broad. Record some time before it, and until the response has died out, or multiply u "
+        "and y by a window that falls to nothing."
+    )
+
+
+def _what_it_can_give(data: Experiment, spectra: Spectra, rest: bool) -> str:
     """One sentence on where the excitation of an aperiodic record has its power."""
     name, X = ("u", spectra.U) if spectra.R is None else ("r", spectra.R)
     power = np.sum(np.abs(X) ** 2, axis=(0, 1))
@@ -152,7 +167,7 @@ def _what_it_can_give(data: Experiment, spectra: Spectra) -> str:
     limit = [number(f) for f in np.unique(spectra.frequency[np.argmax(share >= 0.99, axis=0)])]
     below = f"{limit[0]} Hz" if len(limit) == 1 else f"{limit[0]} to {limit[-1]} Hz (by channel)"
     return (
-        f"{where(data, name)}: not periodic, taken whole with a transient term; 99 % of the power between "
+        f"{where(data, name)}: not periodic, taken whole with{'out' if rest else ''} a transient term; 99 % of the power between "
         f"{number(spectra.frequency[0])} and {number(spectra.frequency[-1])} Hz lies below {below}. Above that, and "
         "between lines that carry little, look at the standard deviation before the FRF; no noise level can be told "
         "apart from distortion."

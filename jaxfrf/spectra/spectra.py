@@ -25,8 +25,8 @@ class Spectra(eqx.Module):
     - `lines`, `frequency`: DFT lines (freq,) and their frequencies, Hz.
     - `noise`: covariance of [Y; U] (mean over the periods) that the scatter between periods shows,
       (pos, exp, freq, sig, sig); `None` with fewer than two periods.
-    - `n_periods`: periods averaged. `periodic`: false where the record was taken whole, with leakage
-      (`record_spectra`); only methods with a transient term can use it then.
+    - `n_periods`: periods averaged. `periodic`: false where the record was taken whole (`record_spectra`).
+      `at_rest`: whether runs are taken to begin and end at rest then, so that no transient stands beside G U.
     - `segments`: of every experiment that stand for experiments here (`segment_spectra`); 0 otherwise.
     - `q`, `fs`, `period`, `y_quantity`, `u_unit`, `y_unit`, `sources`, `warnings`: as in `Experiment`.
     """
@@ -42,6 +42,7 @@ class Spectra(eqx.Module):
     period: int = eqx.field(static=True, default=0)
     n_periods: int = eqx.field(static=True, default=1)
     periodic: bool = eqx.field(static=True, default=True)
+    at_rest: bool = eqx.field(static=True, default=False)
     segments: int = eqx.field(static=True, default=0)
     y_quantity: str = eqx.field(static=True, default="velocity")
     u_unit: str = eqx.field(static=True, default="")
@@ -56,6 +57,11 @@ class Spectra(eqx.Module):
                 raise ValueError(f"{name} has shape {x.shape}, U {self.U.shape}; expected the same first three axes.")
         if self.U.shape[2] != len(self.lines):
             raise ValueError(f"U holds {self.U.shape[2]} lines, `lines` {len(self.lines)}; expected as many.")
+
+    @property
+    def leaks(self) -> bool:
+        """Whether a transient stands beside G U; only methods with a transient term can use it."""
+        return not self.periodic and not self.at_rest
 
     @property
     def n_pos(self) -> int:

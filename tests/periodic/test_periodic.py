@@ -54,6 +54,27 @@ def test_no_period(seed):
         assert find_period(x) is None
 
 
+@pytest.mark.parametrize("hold", [50, 100, 400])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_steps_at_random(hold, noise):
+    """Of so few values halves agree by chance at many lags: no period, and where they are repeated there is one."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        steps = np.repeat(rng.choice([-1.0, 1.0], 20_000 // hold), hold)[:, None]
+        assert find_period(steps + noise * rng.standard_normal(steps.shape)) is None
+        twice = np.tile(steps[:8200], (3, 1))
+        assert find_period(twice + noise * rng.standard_normal(twice.shape)).period == 8200
+
+
+def test_a_blow():
+    """Beside it there is nothing that could be compared."""
+    rng = np.random.default_rng(0)
+    for n, at in ((400, 200), (3000, 200), (3000, 2500)):
+        x = 0.01 * rng.standard_normal((n, 1))
+        x[at : at + 4] += 1.0
+        assert find_period(x) is None
+
+
 def spectra(design, snr, n_periods, channels=1, n_exp=1, seed=0):
     x = np.stack([record(design, n_periods * PERIOD, snr, channels, seed=seed + e) for e in range(n_exp)])
     X = np.fft.rfft(x.reshape(n_exp, n_periods, PERIOD, channels), axis=2)[:, :, 1 : PERIOD // 2] / PERIOD
