@@ -13,9 +13,10 @@ def spectra_of(
     data: Experiment, method: AbstractMethod, *, periods=None, band=None, robust: bool = False, silent: bool = False
 ) -> Spectra:
     """The spectra that `method` needs: of steady periods; of the whole record if it is not periodic and the method can
-    have a transient term, or if it begins and ends at rest; of segments for `jaxfrf.Welch`. `periods` (from, to) and `band` (low, high, Hz) choose a
-    part, `None` at an end: open. `robust`: weigh periods, `silent`: take lines without power, too (`jaxfrf.dft`). A
-    record that shows a period, but states none, is taken whole only if the method was given a transient term.
+    have a transient term, or if it begins and ends at rest; of segments for `jaxfrf.Welch`. `periods` (from, to) and
+    `band` (low, high, Hz) choose a part, `None` at an end: open. `robust`: weigh periods, `silent`: take lines without
+    power, too (`jaxfrf.dft`). A record that shows a period, but states none, is taken whole only if the method was
+    given a transient term.
 
     A record that was made in memory is screened first (`jaxfrf.screen`); one that was read from files has been.
 

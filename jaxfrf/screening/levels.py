@@ -43,6 +43,7 @@ _HELD = 4  # equal samples in a row
 _HELD_JUMP = 6.0  # usual steps, that a held channel jumps by when it is let go
 _HELD_RARE = 1e-3  # of the samples equal to the one before, of a signal that has no levels
 _HELD_STEPS = 4.0  # quanta that it jumps by: a coarse sensor at rest jumps by one
+_COUNTS = 1.5  # the same of a signal that never stands still otherwise: an encoder at rest is let go by one count
 _HELD_OFTEN = 8  # stretches: more of them are how the signal is (stiction, a slow sensor)
 _SLOW_UPDATE = 0.45  # share of samples equal to the one before, of a signal that is sampled faster than it is updated
 
@@ -78,7 +79,8 @@ def saturated(c: Channel) -> Iterator[Finding]:
     heaps = c.record.once(_heaps_of_references)
     if heaps is None:
         return
-    calm = not heaps or max(heaps) <= _HEAP_OF_REFERENCE
+    turns = c.signal == "y" and c.record.data.y_quantity == "position"  # where friction holds it for a while
+    calm = not turns and (not heaps or max(heaps) <= _HEAP_OF_REFERENCE)
     least = _HEAP_BESIDE if heaps else _HEAP
     ratio, share = _heap(c.bins[0])
     sharp = not (calm and ratio > least and share > _HEAP_SHARE and ratio > _HEAP_OF_LINES * _heap_of_lines(c))
@@ -252,7 +254,7 @@ def _updated_every(still: np.ndarray) -> int:
 def _held_stretch(c: Channel, still: np.ndarray) -> Iterator[Finding]:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     first, last = edges[::2], edges[1::2]  # x[first] ... x[last] are equal
-    long = last - first + 1 >= _HELD
+    long = (last - first + 1 >= _HELD) & (last >= c.first)
     if not long.any():
         return
     first, last = first[long], last[long]
@@ -266,7 +268,10 @@ def _held_stretch(c: Channel, still: np.ndarray) -> Iterator[Finding]:
         still
     )  # else a signal that never stands still
     jumps = (
-        ((np.maximum(into, out) > least) | (rare & (last - first + 1 >= 2 * _HELD)))
+        (
+            (np.maximum(into, out) > least)
+            | (rare & (last - first + 1 >= 2 * _HELD) & (np.maximum(into, out) > _COUNTS * moving.min()))
+        )
         & (c.x[first] != c.ends[0])
         & (c.x[first] != c.ends[1])
     )

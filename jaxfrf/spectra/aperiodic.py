@@ -26,11 +26,13 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     Leakage makes Y = G U + T with a transient T that is smooth in frequency: only estimators with a transient term
     take such spectra (`leaks`). Where every run begins and ends at rest, as around a blow of a hammer, there is no T.
     Where the response to an excitation as short as that is cut off there is, but it could not be told from G U: it
-    counts as none then, and a warning says so. Lines that hold less than 1e-4 of the strongest reference power (input power where there is no
-    reference) are left out: in closed loop the response there would be that of the controller. So are lines whose power
-    a taper of 1 % at each end takes away, as beyond the last frequency of a sweep: what is left there is how the record
-    begins and ends, as smooth as T and not to be told from it. With `band` all lines in it are taken but those that
-    hold rounding only (1e-24).
+    counts as none then, and a warning says so.
+
+    Lines that hold less than 1e-4 of the strongest reference power (input power where there is no reference) are left
+    out: in closed loop the response there would be that of the controller. So are lines whose power a taper of 1 % at
+    each end takes away, as beyond the last frequency of a sweep: what is left there is how the record begins and ends,
+    as smooth as T and not to be told from it. With `band` all lines in it are taken but those that hold rounding only
+    (1e-24).
 
     **Arguments:** `data`: of any kind; its period and transient periods are not used. `band`: lowest and highest
     frequency, Hz, both included; the whole range by default.
@@ -152,10 +154,10 @@ def _window(name, length: int) -> np.ndarray:
 
 def _cut_off(data: Experiment) -> str:
     return (
-        f"{where(data, 'y')}: does not begin and end at rest; {percent(left_at_end(data))} of its rms value are left at "
-        "the end. Beside an excitation as short as this one, what that leaks cannot be told from the response: "
-        "the FRF ripples, and resonances come out too broad. Record some time before it, and until the response has died out, or multiply u "
-        "and y by a window that falls to nothing."
+        f"{where(data, 'y')}: does not begin and end at rest; {percent(left_at_end(data))} of its rms value are left "
+        "at the end. Beside an excitation as short as this one, what that leaks cannot be told from the response: the "
+        "FRF ripples, and resonances come out too broad. Record some time before it, and until the response has died "
+        "out, or multiply u and y by a window that falls to nothing."
     )
 
 
@@ -167,8 +169,9 @@ def _what_it_can_give(data: Experiment, spectra: Spectra, rest: bool) -> str:
     limit = [number(f) for f in np.unique(spectra.frequency[np.argmax(share >= 0.99, axis=0)])]
     below = f"{limit[0]} Hz" if len(limit) == 1 else f"{limit[0]} to {limit[-1]} Hz (by channel)"
     return (
-        f"{where(data, name)}: not periodic, taken whole with{'out' if rest else ''} a transient term; 99 % of the power between "
-        f"{number(spectra.frequency[0])} and {number(spectra.frequency[-1])} Hz lies below {below}. Above that, and "
+        f"{where(data, name)}: not periodic, taken whole with{'out' if rest else ''} a transient term; 99 % of the "
+        f"power between {number(spectra.frequency[0])} and {number(spectra.frequency[-1])} Hz lies below {below}. "
+        "Above that, and "
         "between lines that carry little, look at the standard deviation before the FRF; no noise level can be told "
         "apart from distortion."
     )
