@@ -156,7 +156,7 @@ def _step(robot: Robot, record: Measured, columns: Sequence[Column]) -> Iterate 
     robot = dataclasses.replace(robot, controller=None)
     uncertain, last = numbers(robot), record.data.n_pos - 1
     record = record.at(np.unique(np.linspace(0, last, _POSITIONS).round()))
-    search = Search(robot, record, uncertain, lambda text: None, [*near_rest_columns(robot), *columns])
+    search = Search(robot, record, uncertain, lambda text: None, [*near_rest_columns(robot, record), *columns])
     try:
         return search.evaluate(np.zeros(len(uncertain)), (), more=False)
     except InputError:

@@ -63,10 +63,10 @@ def calibrate(
     Ripple stands beside the robot until its numbers are near. Then it is simulated, too, with the orders that were
     found, and looked for again: friction does not meet motors that turn evenly.
 
-    How friction turns over near standstill is left open (four more columns a motor: three widths, and the moment), so
-    that another law there goes neither into viscous friction nor into inertia. The speed over which it does,
-    `friction.smoothing`, is no sharper than the steps of the robot's simulation follow; a machine that sticks is fitted
-    beyond that to first order.
+    How friction turns over near standstill is left open (up to four more columns a motor: three widths, as far as they
+    are well below its speed, and the moment), so that another law there goes neither into viscous friction nor into
+    inertia. The speed over which it does, `friction.smoothing`, is no sharper than the steps of the robot's simulation
+    follow; a machine that sticks is fitted beyond that to first order.
 
     Intervals come from the scatter between positions (between runs, where there are less than three positions; between
     bands of lines, where there are less than four runs) and between bands of lines, so that errors of the model which
@@ -124,7 +124,7 @@ def calibrate(
     if shown.says():
         say(f"controller: {shown.says()}")
     kept = Rounds(parts, shown.robot, uncertain, fitted, heldout)
-    descent = Descent(shown.robot, fitted, uncertain, say, near_rest_columns(robot))
+    descent = Descent(shown.robot, fitted, uncertain, say, near_rest_columns(robot, fitted))
     descent.run(rounds, kept)
     return _result(robot, log, descent, kept, judged)
 

@@ -19,6 +19,7 @@ from ..robot import Robot
 from ..robot.drive import Friction
 from ..robot.regressor import PER_LINK, link_parameters
 from ..trajectory.evidence import Column
+from ..trajectory.measured import Measured
 from ..trajectory.scene import Scene, Signature
 from ..trajectory.signature import signature
 from .numbers import Number, effect_parameters, of_drives, with_numbers
@@ -26,6 +27,7 @@ from .numbers import Number, effect_parameters, of_drives, with_numbers
 _STEP = 1e-3  # of a coordinate's size, but at most this change of a logarithm
 _LATE = 1e-6  # s
 _NEAR_REST = (1.0, 3.5, 12.5)  # times the speed that smooths the friction: within it, friction may be another
+_SLOW = 0.3  # of a motor's rms speed: what is as wide as that is not near rest, and stands for viscous friction
 OF_LINKS = ("mass", "com", "inertia")
 _LAWS = {
     **dict.fromkeys(("stiffness", "damping", "stiffness_ratio", "stiffness_knee", "backlash"), "spring"),
@@ -123,9 +125,9 @@ class _Law:
         return {i: each[key] / self.went[i] for i, key in self.keys.items()}
 
 
-def near_rest_columns(robot: Robot) -> list[Column]:
-    """What friction may be near standstill beside the robot's own law, for each motor shapes of three widths over its
-    speed, and another moment at which it turns over.
+def near_rest_columns(robot: Robot, record: Measured) -> list[Column]:
+    """What friction may be near standstill beside the robot's own law, for each motor shapes of up to three widths over
+    its speed, and another moment at which it turns over.
 
     No machine's friction turns over as tanh(v/eps) does: presliding, stiction, the drop of Stribeck. Left out, the
     difference would go into viscous friction, of which it can be many per cent; and friction that follows its speed
@@ -136,8 +138,15 @@ def near_rest_columns(robot: Robot) -> list[Column]:
         return []
     smoothing, axes = float(friction.smoothing), np.flatnonzero(np.asarray(friction.coulomb)).tolist()
     shape = lambda axis, width: lambda scene: scene.by_motor(axis, _near_rest(scene.speed[..., axis], width))
-    shapes = [shape(axis, width) for axis in axes for width in np.array(_NEAR_REST) * smoothing]
+    widths, speed = np.array(_NEAR_REST) * smoothing, _rms_speed(record)
+    shapes = [shape(axis, width) for axis in axes for width in widths[widths < _SLOW * speed[axis]]]
     return shapes + [_later(axis, smoothing) for axis in axes]
+
+
+def _rms_speed(record: Measured) -> Float[np.ndarray, "axis"]:
+    """Of every motor, rad/s."""
+    speed = 2.0 * np.pi * record.frequency[:, None] * np.abs(record.Y)
+    return np.sqrt(2.0 * np.mean(np.sum(speed**2, axis=2), axis=(0, 1)))
 
 
 def _later(axis: int, smoothing: float) -> Column:

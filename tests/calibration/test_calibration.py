@@ -105,10 +105,11 @@ def test_effects_that_a_robot_has_are_calibrated():
 
 def test_friction_a_moment_later():
     """Its column against the same friction of a motion shifted by a sample to both sides."""
-    scene = Evidence(machine(), measured(played())).scenes[0]
+    record = measured(played())
+    scene = Evidence(machine(), record).scenes[0]
     smoothing = float(machine().drives.friction.smoothing)
     friction = lambda shift: scene.by_motor(1, np.tanh(np.roll(scene.speed[..., 1], shift, axis=1) / smoothing))
-    later, low = near_rest_columns(machine())[-1](scene), scene.still.frequency < 0.05 * scene.fs
+    later, low = near_rest_columns(machine(), record)[-1](scene), scene.still.frequency < 0.05 * scene.fs
     shifted = (friction(1) - friction(-1)) * scene.fs / 2
     np.testing.assert_allclose(later[:, low], shifted[:, low], atol=0.02 * np.abs(shifted).max())
 
@@ -594,3 +595,30 @@ def test_the_turn_of_no_friction_tells_nothing():
         misfit = _misfit(evidence, Weighed((part,), gram), np.array([0, 1]))
     left = r[0] - J[0, 0] * (J[0, 0] @ r[0]) / (J[0, 0] @ J[0, 0])
     assert misfit == pytest.approx(0.5 * np.sum(left**2) / 4, rel=1e-5)
+
+
+def turning_slowly(robot, smoothing):
+    """The robot whose friction needs that many rad/s to turn over."""
+    return eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, smoothing)
+
+
+def test_near_rest_is_well_below_the_speed_of_a_motor():
+    """Wider shapes are viscous friction by another name."""
+    record = measured(played())
+    counts = [len(near_rest_columns(turning_slowly(machine(), s), record)) for s in (0.2, 1.0, 50.0)]
+    assert counts == sorted(counts, reverse=True) and counts[0] == 8 and counts[-1] == 2
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_friction_that_turns_over_slowly():
+    """Shapes as wide as its motors are fast hide how it does, twenty times; elsewhere they kept a fit from its end."""
+    q = np.concatenate([Q, Q[:, ::-1] + 0.2])
+    data = jf.simulate(turning_slowly(machine(), 8.0), design(0), q, key=jr.key(3), run_in=3.0, noise=2e-5)
+    found = jf.calibrate(turning_slowly(model(), 8.0), data)
+    assert found.converged
+    low, high = found.interval("friction.smoothing")
+    assert abs(found.values["friction.smoothing"] - 8.0) < 0.005 and high - low < 0.01
+    truth = {n.name: n.given for n in numbers(machine().with_tolerances(WIDE))}
+    for name in ("shoulder.viscous_friction", "elbow.viscous_friction"):
+        assert found.values[name] == pytest.approx(truth[name], rel=0.01), name
