@@ -20,6 +20,7 @@ from ..trajectory.joined import joined, together
 from ..trajectory.measured import Measured, measured
 from ..trajectory.rigid_motion import check_rigid
 from ..trajectory.ripple import with_ripple
+from ..trajectory.wiring import miswired
 from .alignment import Aligned, aligned
 from .columns import near_rest_columns
 from .descent import Descent
@@ -30,6 +31,7 @@ from .result import Calibration, missed
 from .rounds import Rounds
 
 _NOTHING = 1e-12  # tolerances: what rounding moved
+_LOST = 0.5  # of a torque, missed before and after: no number of the robot explains that
 
 Say = Callable[[str], None]
 
@@ -166,6 +168,8 @@ def _result(given: Robot, log: Aligned, descent: Descent, kept: Rounds, judged: 
     waves = descent.found_waves
     found = with_numbers(with_ripple(robot, waves), uncertain, x)
     part = slice(0, count)
+    missed_before, missed_after = kept.done[0].missed, missed(Evidence(found, fitted), fitted)
+    lost = np.max(missed_before) > _LOST and np.max(missed_after) > _LOST
     return Calibration(
         given=given,
         robot=log.shown.restored(found),
@@ -179,11 +183,12 @@ def _result(given: Robot, log: Aligned, descent: Descent, kept: Rounds, judged: 
         waves=np.array([w for _, w in waves]).reshape(-1, 2),
         rounds=tuple(one.round for one in kept.done),
         converged=descent.settled,
-        missed_before=kept.done[0].missed,
-        missed_after=missed(Evidence(found, fitted), fitted),
+        missed_before=missed_before,
+        missed_after=missed_after,
         heldout=None if judged is None else _missed_pair(robot, found, judged),
         compared=log.compared(),
         sources=fitted.data.sources,
+        hints=miswired(robot, fitted.U, Evidence(robot, fitted).U) if lost else (),
     )
 
 

@@ -18,6 +18,7 @@ _RISES, _LITTLE = 1.25, 0.01  # times the torque missed before; of the torque: l
 DATA_SHARE = 0.9  # of the prior's variance that the data take away: less is not determined by the data
 _SURE = 0.3  # in x: a number of which nothing was known before is determined where its deviation is below
 _TOGETHER = 0.5  # correlation of numbers that are determined in combination only
+_FAR = 4.0  # of what was known of a number: one of fifteen thousand right ones
 _MUCH = 0.1  # of an axis's torque: a robot that misses more lacks something, or was not given what moved
 
 
@@ -50,7 +51,8 @@ class Calibration(eqx.Module):
       does not say that they explain the records: see `unexplained`.
     - `missed_before`, `missed_after`: torque that the simulated robot misses, relative, by axis. `heldout`: the same
       two on positions that were not fitted, or `None`. `compared`: what of the robot with the records, in words.
-    - `sources`: of the records.
+    - `sources`: of the records. `hints`: what could be wrong with the record, in sentences, where most of a torque is
+      missed.
     """
 
     given: Robot
@@ -70,6 +72,7 @@ class Calibration(eqx.Module):
     heldout: tuple[np.ndarray, np.ndarray] | None
     compared: str = eqx.field(static=True)
     sources: tuple = eqx.field(static=True)
+    hints: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def values(self) -> dict[str, float]:
@@ -151,12 +154,23 @@ class Calibration(eqx.Module):
                 f"the model does not explain the torque: {much} is missed, which no interval above holds. Are units, "
                 "payload, controller and positions right? If they are, an effect is missing."
             )
+            said += self.hints
         if more:
             said.append(
                 f"more of the torque is missed than by the robot as given: {more}. What the fit gained elsewhere cost "
                 "it there; look at the numbers of that axis before you use them."
             )
+        if far := self._far_off():
+            said.append(
+                f"off by more than {_FAR:g} tolerances: {far}. Was it carrying something, is a value or a tolerance "
+                "wrong, or is an effect missing? Others, and their intervals, may lean on it."
+            )
         return said
+
+    def _far_off(self) -> str:
+        far = [n for n, x in zip(self.numbers, self.x, strict=True) if n.prior and abs(x) > _FAR]
+        far = [n for n in far if n.kind != "smoothing"]
+        return ", ".join(f"{n.name} ({self.values[n.name]:.4g} {n.unit} for {n.given:.4g})" for n in far)
 
     def as_dict(self) -> dict[str, Any]:
         """What fit.json holds."""

@@ -14,12 +14,14 @@ from ...effects import AbstractEffect, library
 from ...effects._place import axis_of
 from ...robot import Robot
 from ...trajectory.measured import Measured
+from ...trajectory.wiring import miswired
 from ..result import EstimatedValue, Named, WrongNumber
 from ..settings import (
     FINAL_ROUNDS,
     HOPELESS,
     LEAST_SIZE,
     LEVEL,
+    LOST,
     OFF,
     OUT_OF_TOLERANCE,
     TOLERANCE,
@@ -84,6 +86,7 @@ def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
     if verdict == "unexplained":
         last, effects, steps = found.base, (), ()
         base = extended = written(found.base.written(), judged) or base
+        says += _hints(base, judged)
     elif counts:
         effects, extended = (*effects, *counts), _with_effects(extended, counts)
     if verdict not in ("named", "ambiguous"):
@@ -96,6 +99,14 @@ def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
         wrong = wrong_numbers(last, redefined(steps, given))
     says += _wrong_numbers(wrong)
     return Conclusion(verdict, says, effects, base, extended, last, steps, records, wrong)
+
+
+def _hints(base: Written, judged: Measured) -> str:
+    """What could be wrong with the record where most of a torque is missed."""
+    if np.max(relative_torque(judged, base.residual)) < LOST:
+        return ""
+    hints = miswired(base.evidence.robot, judged.U, base.evidence.U)
+    return "".join(f" {text[0].upper()}{text[1:]}" for text in hints)
 
 
 def _worst(last: Fitted, extended: Written, there: Written | None) -> float:
