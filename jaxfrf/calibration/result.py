@@ -1,5 +1,6 @@
 """A calibrated robot, and how every number of it is known."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -160,17 +161,12 @@ class Calibration(eqx.Module):
                 f"more of the torque is missed than by the robot as given: {more}. What the fit gained elsewhere cost "
                 "it there; look at the numbers of that axis before you use them."
             )
-        if far := self._far_off():
+        if far := _far_off(self.numbers, self.x):
             said.append(
                 f"off by more than {_FAR:g} tolerances: {far}. Was it carrying something, is a value or a tolerance "
                 "wrong, or is an effect missing? Others, and their intervals, may lean on it."
             )
         return said
-
-    def _far_off(self) -> str:
-        far = [n for n, x in zip(self.numbers, self.x, strict=True) if n.prior and abs(x) > _FAR]
-        far = [n for n in far if n.kind != "smoothing"]
-        return ", ".join(f"{n.name} ({self.values[n.name]:.4g} {n.unit} for {n.given:.4g})" for n in far)
 
     def as_dict(self) -> dict[str, Any]:
         """What fit.json holds."""
@@ -212,3 +208,9 @@ class Calibration(eqx.Module):
             "logarithmic": number.positive,
             "known_before": bool(number.prior),
         }
+
+
+def _far_off(numbers: Sequence[Number], x) -> str:
+    """Numbers far from what was known of them; how friction turns over has no true value."""
+    known = [(n, float(at)) for n, at in zip(numbers, x, strict=True) if n.prior and n.kind != "smoothing"]
+    return ", ".join(f"{n.name} ({n.value(at):.4g} {n.unit} for {n.given:.4g})" for n, at in known if abs(at) > _FAR)
