@@ -75,6 +75,11 @@ LOST = 0.5
 record is looked for. Chosen, not tuned: no effect of the hidden cases leaves more than .3."""
 
 UNEXPLAINED = 2.0  # mean square over the floor of one axis, which must not be left
+INTERVAL = 1.96  # standard deviations, that a number which is told to be off is away from what was given
+FAR_LEFT, MISSED = 50.0, 0.1
+"""Mean square over the floor of one axis, and part of a torque: where effects leave more of both, they stand for
+something else. Coulomb friction on the arm side, on records of another simulator, was called arm viscous friction,
+which left 90 to 390 and .2 to .3; of 234 hidden cases none that names an effect leaves so much."""
 TOLERANCE = 0.06  # of the torque, rms of an axis: half a decibel
 SHOWN = 12  # candidates in a ranking
 EVERYWHERE, SOMEWHERE = 2.0, 3.0  # times the floor, of cells of a map that are told: at all positions, or at one, where

@@ -17,11 +17,14 @@ from ...trajectory.measured import Measured
 from ...trajectory.wiring import miswired
 from ..result import EstimatedValue, Named, WrongNumber
 from ..settings import (
+    FAR_LEFT,
     FINAL_ROUNDS,
     HOPELESS,
+    INTERVAL,
     LEAST_SIZE,
     LEVEL,
     LOST,
+    MISSED,
     OFF,
     OUT_OF_TOLERANCE,
     TOLERANCE,
@@ -196,6 +199,9 @@ def _verdict(
         systematic=worst > UNEXPLAINED,
         met=sufficient,
     )
+    stand_in = bool(effects) and worst > FAR_LEFT and bool(np.max(met) > MISSED)
+    if stand_in:
+        verdict = "unexplained"
     if stands and verdict != "unexplained":
         on = "the held-out positions" if heldout else "the fitted positions, none being held out"
         words = _named_words(effects, counts, rivals, base, extended, on)
@@ -208,7 +214,7 @@ def _verdict(
         "unexplained": (
             f"In one axis the misfit is {worst:.3g} times the floor's, everywhere or at one position, whatever the "
             "robot's numbers are, and no effect of the library mends that: something is missing that it does not hold. "
-            "The maps show where."
+            f"The maps show where.{_nearest(effects) if stand_in else ''}"
         ),
         "sufficient": (
             f"Nothing is missing that these data show: the torque is met within {100 * met.max():.1f} % (rms, worst "
@@ -216,6 +222,11 @@ def _verdict(
         ),
         "inconclusive": "No effect stands out, but the gap is not bounded below the tolerance either.",
     }[verdict]
+
+
+def _nearest(effects: Sequence[Named]) -> str:
+    names = " and ".join(f"{e.name.replace('_', ' ')} on {e.joint}" for e in effects)
+    return f" The nearest that it holds is {names}: it stands for something else, or beside it."
 
 
 def stand_for_each_other(effects: Sequence[Named]) -> tuple[Named, ...]:
@@ -345,6 +356,7 @@ def wrong_numbers(last: Fitted, but: Collection[str] = ()) -> tuple[WrongNumber,
     skipped = {*but, *dict(last.unknown.stated)}  # the latter are effects' own, or set free with one
     sure = lambda n, i: n.prior > 0 and n.kind != "smoothing" and n.positive and data_share[i] > DATA_SHARE
     told = lambda n, i: sure(n, i) or p_values[i] < OUT_OF_TOLERANCE
+    apart = lambda n, x: abs(n.value(x) - n.given) > INTERVAL * last.deviation(n.name)  # as its interval says
     return tuple(
         WrongNumber(
             name=n.name,
@@ -356,7 +368,7 @@ def wrong_numbers(last: Fitted, but: Collection[str] = ()) -> tuple[WrongNumber,
             p_value=float(p_values[i]),
         )
         for i, (n, x) in enumerate(zip(last.numbers, map(float, last.x), strict=True))
-        if n.name not in skipped and (i in out_of_tolerance or (told(n, i) and abs(x) > OFF))
+        if n.name not in skipped and (i in out_of_tolerance or (told(n, i) and abs(x) > OFF)) and apart(n, x)
     )
 
 
