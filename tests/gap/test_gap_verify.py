@@ -15,7 +15,7 @@ from jaxfrf import effects as fx
 from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
 from jaxfrf.effects._harmonics import polar_deviation
-from jaxfrf.gap.simulated.conclude import close_rivals, counting, stand_for_each_other, worse_words
+from jaxfrf.gap.simulated.conclude import _verdict, close_rivals, counting, stand_for_each_other, worse_words
 from jaxfrf.gap.simulated.fitted import Fitted
 from jaxfrf.gap.simulated.hypothesis import hypothesis
 from jaxfrf.gap.simulated.judge import against_it, beyond, compared, over_floor, shows_nothing
@@ -489,3 +489,19 @@ def test_an_axis_that_got_worse_is_told():
         worse_words(("joint3", "joint4"), before, after)
         == " The torque of joint3 is missed by 1.9 % there, 1.7 % before."
     )
+
+
+@pytest.mark.parametrize(
+    ("left", "worst", "verdict"),
+    [(0.3, 30.0, "named"), (4.0, 30.0, "named"), (0.3, 90.0, "named"), (4.0, 90.0, "unexplained")],
+)
+def test_an_effect_that_leaves_much_stands_for_another(left, worst, verdict, monkeypatch):
+    """Much is both: many times the floor, and a good part of a torque."""
+    monkeypatch.setattr("jaxfrf.gap.simulated.conclude._named_words", lambda *given: "")
+    found = SimpleNamespace(name="arm_viscous_friction", joint="elbow")
+    last = SimpleNamespace(x=np.zeros(2), robot=leaving(1.0, 1.0).robot)
+    told, says = _verdict(
+        leaving(9.0, 40.0), True, [], [found], (), last, leaving(0.3, left), JUDGED, worst, heldout=True
+    )
+    assert told == verdict
+    assert ("nearest that it holds is arm viscous friction on elbow" in says) == (verdict == "unexplained")
