@@ -20,7 +20,7 @@ from ..trajectory.joined import joined, together
 from ..trajectory.measured import Measured, measured
 from ..trajectory.rigid_motion import check_rigid
 from ..trajectory.ripple import with_ripple
-from ..trajectory.wiring import miswired
+from ..trajectory.wiring import LOST, miswired
 from .alignment import Aligned, aligned
 from .columns import near_rest_columns
 from .descent import Descent
@@ -31,7 +31,6 @@ from .result import Calibration, missed
 from .rounds import Rounds
 
 _NOTHING = 1e-12  # tolerances: what rounding moved
-_LOST = 0.5  # of a torque, missed before and after: no number of the robot explains that
 
 Say = Callable[[str], None]
 
@@ -169,7 +168,7 @@ def _result(given: Robot, log: Aligned, descent: Descent, kept: Rounds, judged: 
     found = with_numbers(with_ripple(robot, waves), uncertain, x)
     part = slice(0, count)
     missed_before, missed_after = kept.done[0].missed, missed(Evidence(found, fitted), fitted)
-    lost = np.max(missed_before) > _LOST and np.max(missed_after) > _LOST
+    lost = np.max(missed_before) > LOST and np.max(missed_after) > LOST
     return Calibration(
         given=given,
         robot=log.shown.restored(found),

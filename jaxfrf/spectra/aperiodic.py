@@ -171,7 +171,6 @@ def _what_it_can_give(data: Experiment, spectra: Spectra, rest: bool) -> str:
     return (
         f"{where(data, name)}: not periodic, taken whole with{'out' if rest else ''} a transient term; 99 % of the "
         f"power between {number(spectra.frequency[0])} and {number(spectra.frequency[-1])} Hz lies below {below}. "
-        "Above that, and "
-        "between lines that carry little, look at the standard deviation before the FRF; no noise level can be told "
-        "apart from distortion."
+        "Above that, and between lines that carry little, look at the standard deviation before the FRF; no noise "
+        "level can be told apart from distortion."
     )

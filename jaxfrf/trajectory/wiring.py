@@ -6,6 +6,7 @@ from jaxtyping import Complex, Float
 from .._text import number
 from ..robot import Robot
 
+LOST = 0.5  # part of a torque, missed, from which on this is asked: chosen, not tuned
 _ALIKE = 0.8  # squared correlation of a measured torque with a simulated one: numbers that are a third off keep .9
 _FACTOR = 2.5  # more than any tolerance of a robot's numbers makes
 

@@ -37,7 +37,7 @@ MISTAKES = {
     "as it is": (lambda u: u, []),
     "sign": (opposite, ["elbow is like the opposite"]),
     "exchanged": (lambda u: u[..., ::-1], ["shoulder is like that of elbow", "elbow is like that of shoulder"]),
-    "gear": (of_the_joint, ["shoulder is {ratio} times"]),
+    "gear": (of_the_joint, ["times what it needs (its gear"]),
 }
 
 
@@ -48,7 +48,7 @@ def test_hints(data, mistake):
     said = miswired(model(), record.U, Evidence(model(), record).U)
     assert len(said) == len(expected)
     for text, part in zip(said, expected, strict=True):
-        assert part.split("{")[0] in text
+        assert part in text
 
 
 @pytest.mark.slow

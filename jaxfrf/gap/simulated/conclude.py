@@ -14,7 +14,7 @@ from ...effects import AbstractEffect, library
 from ...effects._place import axis_of
 from ...robot import Robot
 from ...trajectory.measured import Measured
-from ...trajectory.wiring import miswired
+from ...trajectory.wiring import LOST, miswired
 from ..result import EstimatedValue, Named, WrongNumber
 from ..settings import (
     FAR_LEFT,
@@ -23,7 +23,6 @@ from ..settings import (
     INTERVAL,
     LEAST_SIZE,
     LEVEL,
-    LOST,
     MISSED,
     OFF,
     OUT_OF_TOLERANCE,
