@@ -17,6 +17,7 @@ from ..experiment import QUANTITIES
 from .overlap import Overlap, overlaps
 from .poles import PoleFit, fit_poles
 from .response import FRF
+from .scatter import scatter
 from .stabilisation import LARGEST_DAMPING, Stabilisation, clusters, nearest, pole, stabilisation
 
 _HOPELESS = 10.0  # standard deviations, rms, that no mode at all leaves: they say less than how linear a machine is
@@ -64,12 +65,13 @@ class ModalModel(eqx.Module):
     **Fields:** `modes`: by frequency, those that are significant. `background`: what the modes outside the band and the
     rigid motion amount to: coefficients of s^(q-2), s^(q-1), s^q, (3, out, in), q the derivative that y is. `misfit`:
     root mean square of the residual over its standard deviation; far above 1 the standard deviations, which are widened
-    by it, are lower limits, and `doubt` says what may be the cause. `delay`: s, of all elements alike, and `delay_std`,
-    its standard deviation; 0 where none is significant or it was given. `stabilisation`: see there. `dropped`:
-    frequencies, Hz, of stable poles that turned out not significant. `lags`: pairs of poles that were fitted with the
-    modes and are none, as they are damped by more than .5: what a drive or a filter does; empty where the modes alone
-    are enough. `frequency`, `measured`: the FRF that was fitted, (freq,), Hz, and (freq, out, in). `y_quantity`,
-    `u_unit`, `y_unit`: as in `FRF`.
+    by it, are lower limits, and `doubt` says what may be the cause. An FRF without covariance is held against how it
+    scatters from line to line: 1.0 to 1.2 where the modes explain it, up to 1.8 where lines share data. `delay`: s, of
+    all elements alike, and `delay_std`, its standard deviation; 0 where none is significant or it was given.
+    `stabilisation`: see there. `dropped`: frequencies, Hz, of stable poles that turned out not significant. `lags`:
+    pairs of poles that were fitted with the modes and are none, as they are damped by more than .5: what a drive or a
+    filter does; empty where the modes alone are enough. `frequency`, `measured`: the FRF that was fitted, (freq,), Hz,
+    and (freq, out, in). `y_quantity`, `u_unit`, `y_unit`: as in `FRF`.
     """
 
     modes: tuple[Mode, ...]
@@ -134,7 +136,8 @@ def modal(
 
     Standard deviations are those of this fit, from the FRF's covariance (errors that all outputs share, as noise of
     an input, count as such), with the misfit, and with how alike the errors of lines are that share data
-    (`window`). Where much is left (`misfit` above 2: dynamics that are no modes, as several lags), every mode is
+    (`window`); without a covariance (a UFF file) from how G scatters from line to line, and how what is left hangs
+    together. Where much is left (`misfit` above 2: dynamics that are no modes, as several lags), every mode is
     fitted once more to the lines around it alone, with a background and a delay of its own, and how far its
     frequency and damping move widens their standard deviations: the 95 % interval reaches where they move to. Where
     no mode at all is found and much is left, a hundredth of |G| stands in the place of smaller standard deviations,
@@ -168,12 +171,12 @@ def modal(
         start = clusters(table) if near is None else nearest(table, near)
         fit = lambda lags: _significant(lines, start, near is not None, delay, lags)
         plain = fit(())
-        if lines.std is None or plain[0].misfit <= _MISSED:
+        if plain[0].misfit <= _MISSED:
             return table, *plain
         return table, *_with_lag(fit, lines.s, plain, near is not None)
 
     table, fitted, dropped = found(lines)
-    if not len(fitted.poles) and lines.std is not None and fitted.misfit > _HOPELESS:
+    if not len(fitted.poles) and fitted.misfit > _HOPELESS:
         table, fitted, dropped = found(lines._replace(std=np.maximum(lines.std, _LINEAR * np.abs(lines.G))))
     if near is not None:
         _check_there(fitted, near)
@@ -203,12 +206,13 @@ def modal(
 
 
 class _Lines(NamedTuple):
-    """An FRF at the lines that are fitted. `s`: rad/s. `std`: `None` where it is not known. `background`: see `modal`.
-    `overlap`: of windows."""
+    """An FRF at the lines that are fitted. `s`: rad/s. `measured`: whether `std` was, or comes from the scatter of G.
+    `background`: see `modal`. `overlap`: of windows."""
 
     s: Complex[np.ndarray, "freq"]
     G: Complex[np.ndarray, "freq out in"]
-    std: Float[np.ndarray, "freq out in"] | None
+    std: Float[np.ndarray, "freq out in"]
+    measured: bool
     background: Float[np.ndarray, "freq term"]
     overlap: Overlap | None
     errors: "_Errors | None"
@@ -219,14 +223,22 @@ class _Lines(NamedTuple):
 
     def fit(self, poles, delay: float | None) -> PoleFit:
         g = self.G.reshape(len(self.s), -1)
-        sigma = None if self.std is None else self.std.reshape(g.shape)
         alike = () if self.overlap is None else (self.overlap,)
-        return fit_poles(self.s, g, sigma, poles, self.background, alike=alike, delay=delay, errors=self.errors)
+        return fit_poles(
+            self.s,
+            g,
+            self.std.reshape(g.shape),
+            poles,
+            self.background,
+            alike=alike,
+            delay=delay,
+            errors=self.errors,
+            measured=self.measured,
+        )
 
     def at(self, some) -> "_Lines":
-        std, errors = (None if self.std is None else self.std[some]), self.errors and self.errors.at(some)
-        overlap = self.overlap and self.overlap.at(some)
-        return _Lines(self.s[some], self.G[some], std, self.background[some], overlap, errors)
+        errors, overlap = self.errors and self.errors.at(some), self.overlap and self.overlap.at(some)
+        return _Lines(self.s[some], self.G[some], self.std[some], self.measured, self.background[some], overlap, errors)
 
 
 def _chosen(frf: FRF, position: int, band) -> _Lines:
@@ -246,13 +258,12 @@ def _chosen(frf: FRF, position: int, band) -> _Lines:
     level = np.sqrt(np.mean(np.abs(G) ** 2, axis=0))
     s = 2j * np.pi * frequency
     background = _background(s, frf.y_quantity)
-    if not (np.isfinite(std).all() and (std > 0).all()):
-        return _Lines(s, G, None, background, overlap, None)
-    std = _steady(std, np.asarray(frf.dof, float)[position][wanted])
+    measured = bool(np.isfinite(std).all() and (std > 0).all())
+    std = _steady(std, np.asarray(frf.dof, float)[position][wanted]) if measured else scatter(frequency, G)
     # Below a thousandth of the element's level a standard deviation says more of the noise than of the model.
     floored = np.maximum(std, 1e-4 * np.maximum(np.abs(G), 1e-2 * level))
-    errors = _Errors(frf, position, np.flatnonzero(wanted), std.reshape(len(std), -1))
-    return _Lines(s, G, floored, background, overlap, errors)
+    errors = _Errors(frf, position, np.flatnonzero(wanted), std.reshape(len(std), -1)) if measured else None
+    return _Lines(s, G, floored, measured, background, overlap, errors)
 
 
 def _band(band) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from .overlap import Overlap
 _STEPS = 60
 _ENOUGH = 1e-10  # relative change of the cost
 _LEAST, _MOST = 1e-6, 0.9999  # damping ratio
+_LAGS = 4  # lines over which what is left may hang together
 _LOOSER = 2.0  # times a variance by windows that share data: they differ from line to line, and fractions in noise are
 # biased; `pytest -s -m slow tests/frf/test_modal.py -k share_windows` prints how far estimates stand off with it
 
@@ -66,6 +67,7 @@ def fit_poles(
     alike: Sequence[Overlap | Complex[np.ndarray, "freq freq"]] = (),
     delay: float | None = 0.0,
     errors: Errors | None = None,
+    measured: bool = True,
 ) -> PoleFit:
     """Gauss-Newton on frequency and damping of every pole, residues and background eliminated (variable projection).
 
@@ -73,7 +75,9 @@ def fit_poles(
     start. `background`: more basis functions with real coefficients. `alike`: correlations that the lines' errors may
     have, of windows that share data; the one that makes an estimate loosest counts. `delay`: s, of all elements alike;
     `None`: fitted, too. `errors`: of G; `None`: those of `std`, independent from element to element. With them the
-    poles' covariance is B M B, B that of independent errors and M the variance of the slope of the cost.
+    poles' covariance is B M B, B that of independent errors and M the variance of the slope of the cost. `measured`:
+    whether `std` was; one that comes from how G scatters goes up and down with the misfit, and with how what is left
+    hangs together from line to line.
 
     **Source:** Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432; White, Econometrica 50 (1982) 1-25 (B M B).
     """
@@ -104,7 +108,11 @@ def fit_poles(
             if lift > 1e4:
                 break
     meat = None if errors is None or not len(x) else errors(_complex(state.outside), sigma)
-    return _result(s, x, state, middle, alike, known=std is not None, delay=delay, meat=meat)
+    own = _together(state.left) if std is not None and not measured else 1.0
+    known = std is not None
+    return _result(
+        s, x, state, middle, alike, known=known, measured=known and measured, own=own, delay=delay, meat=meat
+    )
 
 
 class _State(NamedTuple):
@@ -117,6 +125,7 @@ class _State(NamedTuple):
     change: np.ndarray  # of the coefficients with the poles
     dof: float
     outside: np.ndarray  # columns of the poles beside those of the residues, (element, part, pole)
+    left: np.ndarray  # over its standard deviation, (element, part, 1)
 
 
 def _relative(G) -> np.ndarray:
@@ -171,6 +180,7 @@ def _project(s, G, sigma, x, background, middle: float) -> _State:
         change=-inverse @ inside,
         dof=max(dof, 1),
         outside=outside,
+        left=left,
     )
 
 
@@ -202,10 +212,10 @@ def _strength(coefficients, variance, n_poles: int) -> Float[np.ndarray, "pole"]
     return np.sqrt(np.mean(size / (its + 1e-300), axis=0))
 
 
-def _result(s, x, state: _State, middle: float, alike, known: bool, delay: float | None, meat) -> PoleFit:
+def _result(s, x, state: _State, middle: float, alike, *, known, measured, own: float, delay, meat) -> PoleFit:
     misfit = np.sqrt(state.cost / state.dof)
     # Relative deviations of 1 were assumed where none is known: the misfit is their size then.
-    widened = (max(misfit, 1.0) if known else misfit) ** 2
+    widened = own * (max(misfit, 1.0) if measured else misfit) ** 2
     n, each = len(x) // 2 * 2, _if_alike(alike, _complex(state.outside)).sum(axis=0)
     each = each / np.maximum(np.sum(state.outside**2, axis=(0, 1)), 1e-300)
     spread = independent_spread = np.sum(state.inverse**2, axis=-1)  # of the coefficients, for known poles
@@ -244,6 +254,13 @@ def _result(s, x, state: _State, middle: float, alike, known: bool, delay: float
         cost=float(state.cost),
         unit=float(widened * (covariance[-1, -1] / independent[-1, -1] if len(x) > n else mean)),
     )
+
+
+def _together(left) -> float:
+    """How much larger errors of lines that hang together make the variance of a sum over a few lines."""
+    e = _complex(left)[..., 0]
+    near = [np.sum(e[:, k:] * e[:, : e.shape[1] - k].conj()).real for k in range(1, min(_LAGS + 1, e.shape[1]))]
+    return max(1.0, 1.0 + 2.0 * float(np.sum(near)) / max(float(np.sum(np.abs(e) ** 2)), 1e-300))
 
 
 def _if_alike(alike, weights: Complex[np.ndarray, "element freq k"]) -> Float[np.ndarray, "element k"]:

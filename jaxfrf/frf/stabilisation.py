@@ -57,9 +57,10 @@ def _poles_by_order(frequency, G, std, most: int):
     """
     n_freq, n_out, n_in = G.shape
     first, span = frequency[0], frequency[-1] - frequency[0]
-    period = 1.0 / (2 * (span + 0.1 * span)) if first > 0 else 1.0 / (2 * frequency[-1])
-    # The band is moved to begin at zero: only its width asks for orders.
+    # The band is moved to begin at zero: only its width asks for orders. It goes once round the circle then, from
+    # zero on its upper half stands for all of it.
     shift = 2 * np.pi * max(first - 0.05 * span, 0.0)
+    period = 1.0 / (1.1 * span if shift > 0 else 2.2 * span if first > 0 else 2 * frequency[-1])
     z = np.exp(-1j * (2 * np.pi * frequency - shift) * period)
     powers = z[:, None] ** np.arange(most + 1)
     level = np.sqrt(np.mean(np.abs(G) ** 2, axis=0)) + 1e-300
@@ -97,7 +98,7 @@ def _roots(alpha) -> np.ndarray:
 def _in_band(z: np.ndarray, period: float, shift: float, frequency) -> np.ndarray:
     low, high = 2 * np.pi * frequency[0], 2 * np.pi * frequency[-1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        poles = -np.log(z.astype(complex)) / period + 1j * shift
+        poles = (-np.log(np.abs(z)) + 1j * (-np.angle(z) % (2 * np.pi))) / period + 1j * shift
         w = np.abs(poles)
         damping = -poles.real / w
     wanted = (poles.imag > 0) & (w >= low) & (w <= high) & (damping > 1e-5) & (damping < LARGEST_DAMPING)

@@ -11,6 +11,7 @@ import scipy.signal
 import jaxfrf as jf
 from jaxfrf.__main__ import main
 from jaxfrf.frf.overlap import of_fractions
+from jaxfrf.frf.scatter import scatter
 
 F = np.arange(4.0, 60.0, 0.2)
 FREQUENCY, DAMPING = np.array([12.0, 31.0, 33.0]), np.array([0.02, 0.01, 0.015])
@@ -152,6 +153,57 @@ def test_deviations_of_few_degrees_of_freedom():
     record = frf(G + sigma * plants.circular(rng, G.shape), F, told)
     found = jf.modal(dataclasses.replace(record, dof=np.full((1, len(F)), 3.0)), max_order=14)
     assert found.misfit == pytest.approx(1.0, abs=0.15) and len(found.modes) == 3
+
+
+def without_covariance(seed, together=0):
+    """Five modes at three places, as a UFF file has them: accelerance with 2.8 % of its median as noise, no covariance.
+    `together`: over how many neighbours on either side the noise is smoothed."""
+    f, noise = np.arange(50.0, 350.0, 0.25), np.random.default_rng(seed)
+    s, w, z = 2j * np.pi * f[:, None], 2 * np.pi * LIGHT[:, 0], LIGHT[:, 1]
+    parts = s**2 / (s**2 + 2 * z * w * s + w**2)
+    G = parts @ np.array([[1.0, 0.6, -0.8], [0.9, -0.7, 0.5], [-0.5, 0.9, 0.7], [0.8, 0.4, -0.9], [0.6, -0.8, 0.9]])
+    e = plants.circular(noise, (len(f) + 2 * together, 3))
+    smooth = sum(e[k : k + len(f)] for k in range(2 * together + 1)) / np.sqrt(2 * together + 1)
+    return jf.io.frf_from_arrays((G + 0.028 * np.median(np.abs(G)) * smooth)[..., None], f, y_quantity="acceleration")
+
+
+WHAT, STD = ("frequency", "damping"), ("frequency_std", "damping_std")
+LIGHT = np.array([[112.0, 0.004], [121.0, 0.005], [160.0, 0.006], [171.0, 0.004], [240.0, 0.005]])
+
+
+@pytest.mark.parametrize("together", [0, 1])
+def test_an_frf_without_covariance_is_weighed_by_its_scatter(together):
+    """Modes all found and no others, intervals that hold and are no wider than twice what errors are."""
+    errors = []
+    for seed in range(100, 103):
+        found = jf.modal(without_covariance(seed, together))
+        assert not found.doubt and len(found.modes) == 5, seed
+        told, std = (np.array([[getattr(m, name) for name in names] for m in found.modes]) for names in (WHAT, STD))
+        errors.append((told - LIGHT) / std)
+    assert np.mean(np.abs(errors) < 1.96) > 0.87 and 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.3
+
+
+def test_a_mode_that_is_missed_is_told_without_a_covariance():
+    missed = jf.modal(without_covariance(1), near=[112.0, 121.0, 160.0, 240.0])
+    assert missed.misfit > 3.0 and "a mode is missing" in missed.doubt
+
+
+def test_poles_do_not_hang_on_the_last_digit():
+    """Equations in powers of z over half a circle did: a change by rounding moved poles, and modes were lost."""
+    record = without_covariance(2)
+    nearly = dataclasses.replace(record, G=record.G * (1 + 1e-14 * np.arange(record.G.shape[1])[None, :, None, None]))
+    one, other = (jf.modal(x).stabilisation for x in (record, nearly))
+    np.testing.assert_allclose(one.frequency[one.order < 25], other.frequency[other.order < 25], rtol=1e-6)
+
+
+def test_scatter_of_a_response():
+    """Against the noise that was added, whose size changes sixfold over the band; a fraction takes a part of it."""
+    f = np.arange(4.0, 60.0, 0.05)
+    G = response(f)
+    size = 1e-6 * np.linspace(1.0, 6.0, len(f))[:, None, None] * np.ones((2, 2))
+    told = scatter(f, G + size * plants.circular(np.random.default_rng(0), G.shape)) / size
+    assert np.median(told) == pytest.approx(0.83, abs=0.05) and np.percentile(told, 5) > 0.5 and told.max() < 4
+    assert np.all(scatter(f, G) < 1e-3 * np.abs(G))
 
 
 def test_modes_that_were_asked_for_stay_there(noisy):
