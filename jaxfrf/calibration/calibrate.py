@@ -20,6 +20,7 @@ from ..trajectory.joined import joined, together
 from ..trajectory.measured import Measured, measured
 from ..trajectory.rigid_motion import check_rigid
 from ..trajectory.ripple import with_ripple
+from ..trajectory.standing import misplaced
 from ..trajectory.wiring import LOST, miswired
 from .alignment import Aligned, aligned
 from .columns import near_rest_columns
@@ -188,6 +189,7 @@ def _result(given: Robot, log: Aligned, descent: Descent, kept: Rounds, judged: 
         compared=log.compared(),
         sources=fitted.data.sources,
         hints=miswired(robot, fitted.U, Evidence(robot, fitted).U) if lost else (),
+        misplaced=misplaced(given, log.data),
     )
 
 

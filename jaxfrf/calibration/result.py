@@ -53,7 +53,7 @@ class Calibration(eqx.Module):
     - `missed_before`, `missed_after`: torque that the simulated robot misses, relative, by axis. `heldout`: the same
       two on positions that were not fitted, or `None`. `compared`: what of the robot with the records, in words.
     - `sources`: of the records. `hints`: what could be wrong with the record, in sentences, where most of a torque is
-      missed.
+      missed. `misplaced`: where its motors stand elsewhere than q says.
     """
 
     given: Robot
@@ -74,6 +74,7 @@ class Calibration(eqx.Module):
     compared: str = eqx.field(static=True)
     sources: tuple = eqx.field(static=True)
     hints: tuple[str, ...] = eqx.field(static=True, default=())
+    misplaced: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def values(self) -> dict[str, float]:
@@ -149,7 +150,7 @@ class Calibration(eqx.Module):
         more = ", ".join(
             f"{n} ({percent(b, 3)} -> {percent(a, 3)})" for n, b, a in named if a > max(_RISES * b, _LITTLE)
         )
-        said = []
+        said = list(self.misplaced)
         if much:
             said.append(
                 f"the model does not explain the torque: {much} is missed, which no interval above holds. Are units, "

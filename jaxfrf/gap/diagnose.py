@@ -17,6 +17,7 @@ from ..robot import Robot
 from ..trajectory.joined import joined
 from ..trajectory.measured import fewer, measured
 from ..trajectory.rigid_motion import check_rigid
+from ..trajectory.standing import misplaced
 from .channels import AbstractChannel, channel_of
 from .channels.conclude import concluded
 from .result import Diagnosis
@@ -110,7 +111,8 @@ def diagnose(
     found = select_effects(shown.robot, parts_of, tuple(own), say, progress or (lambda part: None), parts)
     result = assembled(found, parts_of, robot, log.compared())
     base, extended = (shown.restored(x) for x in (result.base, result.extended))
-    return dataclasses.replace(result, base=base, extended=extended, says=result.says + log.sentence())
+    says = result.says + log.sentence() + "".join(f" {text[0].upper()}{text[1:]}" for text in misplaced(robot, record))
+    return dataclasses.replace(result, base=base, extended=extended, says=says)
 
 
 def _by_channel(

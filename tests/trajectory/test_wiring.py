@@ -57,3 +57,11 @@ def test_identify_and_diagnose_say_it(data):
     assert any("is its sign wrong?" in text for text in jf.calibrate(model(), wrong).doubts())
     found = jf.diagnose(model(), wrong)
     assert found.verdict == "unexplained" and "is its sign wrong?" in found.says
+
+
+@pytest.mark.slow
+def test_identify_and_diagnose_say_that_motors_stand_elsewhere(data):
+    told = "The logged positions of the motors are not those of q: elbow stands"
+    moved = dataclasses.replace(data, q=data.q + np.array([0.0, 0.2]))
+    assert told.lower() in " ".join(jf.calibrate(model(), moved).doubts()).lower()
+    assert told in jf.diagnose(model(), moved).says
