@@ -69,6 +69,7 @@ class AbstractEffect(eqx.Module):
       are told apart by their joint.
     - `imitated_by`: kinds of the joint's own numbers that imitate it, so that a fit alone tells it (`starts`).
     - `is_error`: whether it is no term of its own, but an error of one number that every robot has.
+    - `untold`: question to ask where that number is wrong, and this, forgotten, would have made it so; or "".
     - `drive_number`: kind of the number of every drive that its first parameter is (`torque_constant`), or "".
     - `differentiable`: whether a fit can move its parameters.
 
@@ -88,6 +89,7 @@ class AbstractEffect(eqx.Module):
     same_law: ClassVar[tuple[str, ...]] = ()
     imitated_by: ClassVar[tuple[str, ...]] = ()
     is_error: ClassVar[bool] = False
+    untold: ClassVar[str] = ""
     drive_number: ClassVar[str] = ""
     differentiable: ClassVar[bool] = True
 

@@ -90,6 +90,10 @@ class Payload(AbstractStructure):
     signature: ClassVar = "coherent over axes and positions; static torque"
     confusable: ClassVar = {"payload": "mass against centre of mass: several positions"}
     is_error: ClassVar = True
+    untold: ClassVar = (
+        "Was it carrying a load that nobody told? State it (a `payload`, or identify's --payload) and ask again: as "
+        "the link's own it stays short, and others make up for it."
+    )
 
     mass: Number  # type: ignore[misc]  # equinox orders fields as they stand here
     place: Float[Array, "3"] | None = None

@@ -15,7 +15,14 @@ from jaxfrf import effects as fx
 from jaxfrf.calibration.least_squares import Posterior
 from jaxfrf.calibration.numbers import numbers
 from jaxfrf.effects._harmonics import polar_deviation
-from jaxfrf.gap.simulated.conclude import _verdict, close_rivals, counting, stand_for_each_other, worse_words
+from jaxfrf.gap.simulated.conclude import (
+    _verdict,
+    close_rivals,
+    counting,
+    stand_for_each_other,
+    untold,
+    worse_words,
+)
 from jaxfrf.gap.simulated.fitted import Fitted
 from jaxfrf.gap.simulated.hypothesis import hypothesis
 from jaxfrf.gap.simulated.judge import against_it, beyond, compared, over_floor, shows_nothing
@@ -505,3 +512,9 @@ def test_an_effect_that_leaves_much_stands_for_another(left, worst, verdict, mon
     )
     assert told == verdict
     assert ("nearest that it holds is arm viscous friction on elbow" in says) == (verdict == "unexplained")
+
+
+def test_a_wrong_mass_of_the_last_link_asks_for_a_load():
+    (question,) = untold({"elbow.mass", "elbow.stiffness"}, small_robot())
+    assert "a load that nobody told" in question
+    assert not untold({"shoulder.mass", "elbow.stiffness"}, small_robot())

@@ -99,7 +99,7 @@ def concluded(found: Selection, records: Records, given: Robot) -> Conclusion:
     wrong: tuple[WrongNumber, ...] = ()
     if verdict != "unexplained":  # else numbers imitate what is missing
         wrong = wrong_numbers(last, redefined(steps, given))
-    says += _wrong_numbers(wrong)
+    says += _wrong_numbers(wrong, given)
     return Conclusion(verdict, says, effects, base, extended, last, steps, records, wrong)
 
 
@@ -378,12 +378,20 @@ def _change(number: Number, x: float) -> str:
     return f"{100 * change:+.0f} %" if number.unit == "1" else f"{change:+.2g} {number.unit}"
 
 
-def _wrong_numbers(wrong: Sequence[WrongNumber]) -> str:
+def _wrong_numbers(wrong: Sequence[WrongNumber], given: Robot) -> str:
     if not wrong:
         return ""
     chance = lambda p: f"p = {p:.2g}" if p < LEVEL else "as one of so many may be"
     changes = [f"{number.name} by {number.change} ({chance(number.p_value)})" for number in wrong]
-    return f" Numbers of the robot that are off by more than is known of them: {', '.join(changes)}."
+    questions = "".join(f" {text}" for text in untold({number.name for number in wrong}, given))
+    return f" Numbers of the robot that are off by more than is known of them: {', '.join(changes)}.{questions}"
+
+
+def untold(wrong: Collection[str], robot: Robot) -> list[str]:
+    """What to ask where these numbers are wrong: what somebody may have forgotten to state."""
+    kinds = [kind for kind in library().values() if kind.untold]
+    own = lambda kind: {n.number for n in kind.typical(robot, "").own_numbers(robot)}
+    return [kind.untold for kind in kinds if own(kind) & set(wrong)]
 
 
 def next_experiment(verdict: str, effects: Sequence[Named]) -> str:
