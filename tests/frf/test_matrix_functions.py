@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from jaxfrf.frf.matrix_functions import LARGEST_NORM, exponential
+from jaxfrf.frf.matrix_functions import LARGEST_NORM, eigen_on_host, exponential
 
 
 def some(size, seed=0, n=6):
@@ -54,3 +54,15 @@ def test_derivatives():
     np.testing.assert_allclose(ours, along, atol=1e-8 * np.abs(along).max())
     slope = jax.grad(lambda x: jnp.sum(jnp.abs(exponential(A + x * B)[0]) ** 2))(0.0)
     assert slope == pytest.approx(2.0 * np.sum(np.real(scipy.linalg.expm(A).conj() * along)), rel=1e-7)
+
+
+def test_eigenvalues_by_the_processor():
+    """What a GPU asks for, in a program and over two batches: A V = V diag(lambda); NaN where there is none."""
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((2, 5, 4, 4)) + 1j * rng.standard_normal((2, 5, 4, 4))
+    A[1, 2, 0, 3] = np.nan
+    values, V = map(np.asarray, jax.jit(jax.vmap(jax.vmap(eigen_on_host)))(A))
+    lost = np.zeros((2, 5), bool)
+    lost[1, 2] = True
+    assert np.isnan(V[lost]).all() and np.isnan(values[lost]).all()
+    np.testing.assert_allclose(A[~lost] @ V[~lost], V[~lost] * values[~lost][:, None], atol=1e-12)
