@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from .._threads import shared
 from .._types import Array
 from .inverse import inverse, product
 
@@ -57,15 +58,20 @@ def eigen_on_host(A: Complex[Array, "n n"]) -> tuple[Complex[Array, " n"], Compl
 def _eigen_of_each(A):
     """NaN where an element is no number, as XLA has it; NumPy raises."""
     A = np.asarray(A)
-    finite = np.isfinite(A).all(axis=(-2, -1))
-    values, V = np.linalg.eig(np.where(finite[..., None, None], A, np.eye(A.shape[-1])))
-    return np.where(finite[..., None], values, np.nan), np.where(finite[..., None, None], V, np.nan)
+    finite = np.isfinite(A).all(axis=(-2, -1))[..., None]
+    known = np.where(finite[..., None], A, np.eye(A.shape[-1])).reshape(-1, *A.shape[-2:])
+    blocks = [known[k : k + _BLOCK] for k in range(0, len(known), _BLOCK)]
+    values, V = (np.concatenate(x) for x in zip(*shared(np.linalg.eig, blocks), strict=True))
+    return np.where(finite, values.reshape(A.shape[:-1]), np.nan), np.where(
+        finite[..., None], V.reshape(A.shape), np.nan
+    )
 
 
 def _composed(values, V, V_inverse):
     return (V * values[..., None, :]) @ V_inverse
 
 
+_BLOCK = 256  # matrices that one core takes: some 20 ms
 _TERMS = 12  # of the series: where the norm is 1/2 at most, the next are below 4e-14
 _LEAST = 1e-60  # square of an element over the largest: smaller ones tell no ratio
 _SQUARINGS = 10  # norms up to 512, once the mean eigenvalue is taken off: a logarithm's are some tens
