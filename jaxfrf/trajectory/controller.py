@@ -35,6 +35,7 @@ _LIMITED = 0.999  # of the torque limit: clipped commands follow no linear law
 _LEAST = 1e-5  # of the command: rounding of logs
 _TIMES = 3  # fits, each weighed by what the one before left
 _LINES = 9  # lines over which that is smoothed
+_FARTHEST = 10.0  # that a gain is changed by, ln: where another law holds, a fit without bounds runs off
 _LATEST = 4  # samples that a log is looked through for late signals
 _TIMES_UNKNOWN = 10.0  # samples: a time of which nothing is known
 _SURE = 3.0  # standard deviations of a time that is one
@@ -213,7 +214,7 @@ class _Law(eqx.Module):
         """Of an axis' torque command, what the law with these gains does not make, N m; where command and motion were
         logged so `late`, s."""
         gains = self.gains.copy()
-        gains[:, axis] *= np.exp(change)
+        gains[:, axis] *= np.exp(np.clip(change, -_FARTHEST, _FARTHEST))
         controller = _controller(self.controller, gains)
         s = 2j * np.pi * self.frequency[:, None]
         U, Y = (x * np.exp(s * t) for x, t in zip((self.U, self.Y), late, strict=True))
