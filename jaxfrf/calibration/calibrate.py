@@ -188,7 +188,7 @@ def _result(given: Robot, log: Aligned, descent: Descent, kept: Rounds, judged: 
         heldout=None if judged is None else _missed_pair(robot, found, judged),
         compared=log.compared(),
         sources=fitted.data.sources,
-        hints=miswired(robot, fitted.U, Evidence(robot, fitted).U) if lost else (),
+        hints=miswired(robot, fitted.U[:, :, 1:], Evidence(robot, fitted).U[:, :, 1:]) if lost else (),
         misplaced=misplaced(given, log.data),
     )
 

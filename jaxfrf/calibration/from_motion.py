@@ -14,6 +14,7 @@ from ..robot.equations import gear_coupling
 from ..robot.regressor import link_parameters, link_regressor
 from ..trajectory.evidence import Gram
 from ..trajectory.rigid_motion import MeasuredMotion, check_rigid, chosen_cutoff, measured_motions, thinned
+from ..trajectory.wiring import LOST, miswired
 from .columns import OF_LINKS, link_slopes
 from .heldout import heldout_numbers
 from .least_squares import Posterior, solve
@@ -226,6 +227,8 @@ def _gram(robot: Robot, numbers, x, records: Sequence[Rows], left, scale) -> Gra
 
 def _result(robot, numbers, x, posterior: Posterior, done, converged, fitted, judged, records) -> Calibration:
     zero = np.zeros(len(numbers))
+    before, after = (_missed(robot, numbers, at, fitted) for at in (zero, x))
+    lost = np.max(before) > LOST and np.max(after) > LOST
     return Calibration(
         given=robot,
         robot=with_numbers(robot, numbers, x),
@@ -239,12 +242,20 @@ def _result(robot, numbers, x, posterior: Posterior, done, converged, fitted, ju
         waves=np.zeros((0, 2)),
         rounds=tuple(done),
         converged=converged,
-        missed_before=_missed(robot, numbers, zero, fitted),
-        missed_after=_missed(robot, numbers, x, fitted),
+        missed_before=before,
+        missed_after=after,
         heldout=(_missed(robot, numbers, zero, judged), _missed(robot, numbers, x, judged)) if judged else None,
         compared="by the torque that the model needs for the measured motion: its transmissions are rigid",
         sources=tuple(source for record in records for source in record.sources),
+        hints=_hints(robot, numbers, fitted) if lost else (),
     )
+
+
+def _hints(robot: Robot, numbers, records: Sequence[Rows]) -> tuple[str, ...]:
+    """What torques as measured and as the robot as given needs them say of a record's wiring."""
+    as_given = np.concatenate([needed(robot, numbers, np.zeros(len(numbers)), r) for r in records])
+    pair = (np.concatenate([r.torque for r in records]), as_given)
+    return miswired(robot, *(x - x.mean(axis=0) for x in pair))
 
 
 def _missed(robot: Robot, numbers, x, records: Sequence[Rows]) -> Float[np.ndarray, "axis"]:

@@ -12,15 +12,13 @@ _FACTOR = 2.5  # more than any tolerance of a robot's numbers makes
 
 
 def miswired(
-    robot: Robot,
-    measured: Complex[np.ndarray, "pos exp line axis"],
-    simulated: Complex[np.ndarray, "pos exp line axis"],
+    robot: Robot, measured: Complex[np.ndarray, "*runs axis"], simulated: Complex[np.ndarray, "*runs axis"]
 ) -> tuple[str, ...]:
     """What torques of a robot suggest where they are missed by far, in sentences; none where nothing is that simple.
 
-    **Arguments:** `measured`, `simulated`: lines of the motors' torques, of the record and of the robot as it was given
-    in the same experiment; the mean (line 0) is not looked at."""
-    slope, likeness = _each_by_each(measured[:, :, 1:], simulated[:, :, 1:])
+    **Arguments:** `measured`, `simulated`: the motors' torques, of the record and of the robot as it was given in the
+    same experiment, their lines (but the mean) or samples (about the mean)."""
+    slope, likeness = _each_by_each(*(x.reshape(-1, robot.n_axes) for x in (measured, simulated)))
     said = []
     for axis, name in enumerate(robot.axis_names):
         own, other = slope[axis, axis], int(np.argmax(likeness[axis]))
@@ -40,8 +38,8 @@ def miswired(
 
 def _each_by_each(measured, simulated) -> tuple[Float[np.ndarray, "axis axis"], Float[np.ndarray, "axis axis"]]:
     """Real factor by which each simulated torque stands in each measured one, and their squared correlation."""
-    together = np.einsum("pela,pelb->ab", measured, simulated.conj()).real
-    power = lambda x: np.sum(np.abs(x) ** 2, axis=(0, 1, 2))
+    together = (measured.T @ simulated.conj()).real
+    power = lambda x: np.sum(np.abs(x) ** 2, axis=0)
     own, theirs = power(measured)[:, None], power(simulated)[None]
     nothing = np.finfo(float).tiny
     return together / np.maximum(theirs, nothing), together**2 / np.maximum(own * theirs, nothing)

@@ -1,5 +1,6 @@
 """Diagnosis by inverse dynamics, by deflection and by the FRF of a drive, where the truth is known in closed form."""
 
+import dataclasses
 import re
 
 import equinox as eqx
@@ -251,6 +252,14 @@ def test_wrong_numbers_are_no_missing_effect():
 
 
 @pytest.mark.slow
+def test_identify_asks_after_signs_and_channels():
+    data = record(3)
+    opposite, exchanged = (dataclasses.replace(data, u=u) for u in (data.u * np.array([1.0, -1.0]), data.u[..., ::-1]))
+    assert not jf.calibrate(arm(), data).hints
+    assert "elbow is like the opposite" in "".join(jf.calibrate(arm(), opposite).doubts())
+    assert "shoulder is like that of elbow" in "".join(jf.calibrate(arm(), exchanged).doubts())
+
+
 def test_what_the_library_lacks_is_not_named():
     """A torque that depends on both angles, as no effect does."""
     more = lambda q, v, a: 0.3 * (np.sin(9 * q[:, :1]) * np.cos(11 * q[:, 1:])) * [0, 1]

@@ -107,7 +107,7 @@ def _hints(base: Written, judged: Measured) -> str:
     """What could be wrong with the record where most of a torque is missed."""
     if np.max(relative_torque(judged, base.residual)) < LOST:
         return ""
-    hints = miswired(base.evidence.robot, judged.U, base.evidence.U)
+    hints = miswired(base.evidence.robot, judged.U[:, :, 1:], base.evidence.U[:, :, 1:])
     return "".join(f" {text[0].upper()}{text[1:]}" for text in hints)
 
 
