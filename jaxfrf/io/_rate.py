@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from .._errors import InputError
-from .._text import number
+from .._text import counted, number
 from ._container import Unreadable
 from ._select import column, time_like
 from ._variables import File, numbers, scalar, scaled
@@ -13,6 +13,9 @@ from ._variables import File, numbers, scalar, scaled
 _RATE = 1e-3  # relative difference of fs and the time vector that counts as a contradiction
 _UNIFORM = 0.05  # sample intervals that a time stamp may stand off the uniform grid
 _UNITS_OF_TIME = (1.0, 1e-3, 1e-6, 1e-9)  # s
+_SELDOM, _NEAR_WHOLE = 0.01, 0.3  # of all steps, that are gaps; intervals that a step may be off a whole number of them
+_ROUNDED = 1.5  # of a step of the stamps' clock that they may be off
+_LIKELY_WHOLE = 1e-5  # as the next, of a slope through stamps that scatter
 _WHOLE = 1e-6  # a rate this close to a whole number of Hz is that number (time stamps are rounded)
 
 
@@ -25,15 +28,11 @@ def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
         return fs, _contradictions(file, fs, n_time)
     if time is None or (not named and np.size(time) == 1):
         raise _no_rate(file, n_time)
-    rate, deviation = _rate(file, scaled(file, "t", column(numbers(file, "t", time))), n_time)
+    stamps = scaled(file, "t", column(numbers(file, "t", time)))
+    rate, deviation = _rate(file, stamps, n_time)
     if fs is None:
         if deviation > _UNIFORM:
-            raise file.error(
-                "t",
-                f"time stamps up to {number(deviation, 2)} sample intervals off a uniform grid",
-                "uniform sampling",
-                f"Resample the record, or, if only the stamps jitter, say the rate: --set fs={number(rate, 6)}.",
-            )
+            raise file.error("t", *_unevenness(stamps.ravel().astype(np.float64), deviation))
         return rate, []
     if fs > 0 and abs(rate / fs - 1) > _RATE:
         raise file.error(
@@ -100,6 +99,39 @@ def _grid(t: np.ndarray) -> tuple[float, float]:
     """Mean rate of increasing time stamps, and how far they stand off it, in sample intervals."""
     rate = (len(t) - 1) / (t[-1] - t[0])
     return float(rate), float(np.max(np.abs((t - t[0]) * rate - np.arange(len(t)))))
+
+
+def _unevenness(t: np.ndarray, deviation: float) -> tuple[str, str, str]:
+    """What is wrong with time stamps that stand off the uniform grid: found, expected, what to do."""
+    steps = np.diff(t)
+    usual = float(np.median(steps))
+    missing = np.round(steps / usual).astype(int) - 1 if usual > 0 else np.zeros(len(steps), int)
+    gaps = np.flatnonzero(missing > 0)
+    if usual > 0 and 0 < len(gaps) < _SELDOM * len(t) and np.all(np.abs(steps / usual - missing - 1) < _NEAR_WHOLE):
+        parts = np.concatenate([[0], gaps + 1, [len(t)]])
+        longest = int(np.argmax(np.diff(parts)))
+        kept = f"samples={parts[longest]}:{parts[longest + 1]}"
+        return (
+            f"{counted(int(missing[gaps].sum()), 'sample')} missing in {counted(len(gaps), 'place')}, the first behind "
+            f"sample {gaps[0]}",
+            "every sample",
+            f"Take the longest part without a gap: --set fs={number(1.0 / usual, 6)},{kept}; or fill the gaps.",
+        )
+    rate = 1.0 / float(np.polyfit(np.arange(len(t)), t, 1)[0])
+    rate = float(round(rate)) if abs(rate - round(rate)) <= _LIKELY_WHOLE * rate else rate
+    resolution = float(np.min(steps[steps > 0]))
+    off = np.abs(t - t[0] - np.arange(len(t)) / rate)
+    if np.any(steps == 0) and np.max(off) <= _ROUNDED * resolution:
+        return (
+            f"time stamps in steps of {number(resolution)} s, which is coarser than the samples",
+            "a time of each sample's own",
+            f"Say the rate instead: --set fs={number(rate, 6)} by their slope.",
+        )
+    return (
+        f"time stamps up to {number(deviation, 2)} sample intervals off a uniform grid",
+        "uniform sampling",
+        f"Resample the record, or, if only the stamps jitter, say the rate: --set fs={number(rate, 6)}.",
+    )
 
 
 def _rate_advice(ratio: float, rate: float) -> str:

@@ -442,7 +442,15 @@ def test_rate_from_a_time_vector(tmp_path):
         ({"fs": FS, "t": np.arange(200) * 2000.0}, r"against 0\.0005 Hz.*microseconds: --factor t=1e-06"),
         (
             {"t": np.delete(np.arange(201), 90) / FS},
-            r"t: found time stamps up to 0\.\d+ sample intervals off",
+            r"t: found 1 sample missing in 1 place, the first behind sample 89;.*--set fs=500,samples=90:200",
+        ),
+        (
+            {"t": np.arange(200) / FS + 0.2 / FS * np.sin(np.arange(200))},
+            r"t: found time stamps up to 0\.\d+ sample intervals off a uniform grid;.*jitter",
+        ),
+        (
+            {"t": np.floor(np.arange(200) / FS * 100 + 1e-9) / 100},
+            r"t: found time stamps in steps of 0\.01 s, which is coarser than the samples;.*--set fs=500",
         ),
         ({"t": np.arange(199) / FS}, r"t: found shape .*one time stamp for each of the 200 samples"),
         ({"t": np.zeros(200)}, r"t: found times from 0 to 0; expected finite, increasing"),
