@@ -26,7 +26,7 @@ from ..frf.from_record import spectra_of
 from ..frf.scaled import Variances
 from ..frf.welch import Welch
 from ..io.blocks import Block, DataSet, Told, file_warnings
-from ..io.responses import read_frf, write_frf, writing_frf
+from ..io.responses import factors_of, kept_otherwise, read_frf, write_frf, writing_frf
 from ..io.uff import write_uff
 from ..parts import Parts, files_text
 from ..screening import Finding, ScreenedPart, Severity, across_all
@@ -314,7 +314,11 @@ def _checked(outcome: Done, piece: range, parts: Parts) -> Told:
 
 def _assembled(path, data: DataSet, parts: Parts, told: Sequence[Told]) -> FRF:
     """The file from its parts; what is returned holds variances only."""
-    light = [_light(read_frf(parts.path(_name(pos)))) for pos in range(data.n_pos)]
+    light, kept = [], []
+    for pos in range(data.n_pos):
+        part = read_frf(parts.path(_name(pos)))
+        light.append(_light(part))
+        kept.append(factors_of(part))
     frf = concatenate_positions(light)
     warnings = [
         *file_warnings(data.files, told),
@@ -327,7 +331,7 @@ def _assembled(path, data: DataSet, parts: Parts, told: Sequence[Told]) -> FRF:
     if pathlib.Path(path).suffix.lower() in (".uff", ".unv"):
         write_uff(path, concatenate_positions([read_frf(parts.path(_name(pos))) for pos in range(data.n_pos)]))
         return frf
-    with writing_frf(path, like, data.n_pos) as put:
+    with writing_frf(path, like, data.n_pos, kept_otherwise(kept)) as put:
         for pos in range(data.n_pos):
             put(pos, read_frf(parts.path(_name(pos))))
     return frf

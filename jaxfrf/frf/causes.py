@@ -15,7 +15,7 @@ from .aperiodic import has_fractions, uses_reference, uses_windows
 from .average import AbstractAverage
 from .covariance import variances
 from .method import AbstractMethod, Estimate
-from .scaled import Scaled, Widened
+from .scaled import Widened, scaled
 
 _NEAR, _LEAST_NEAR = 8, 2  # bias is averaged over this part of the window, and so many lines on either side
 _OTHERS = 0.25  # weight of all elements together beside the element itself
@@ -91,7 +91,7 @@ def _with_noise(estimate: Estimate, spectra: Spectra) -> Estimate:
     noise = running_mean(noise_level(estimate.G, spectra), reach)
     level = residual_level(estimate, spectra)
     share = np.clip(np.divide(noise, level, out=np.ones_like(noise), where=level > 0), 0, 1)
-    return dataclasses.replace(estimate, cov_noise=Scaled(estimate.cov, by_output(np.sqrt(share), spectra.n_in)))
+    return dataclasses.replace(estimate, cov_noise=scaled(estimate.cov, by_output(np.sqrt(share), spectra.n_in)))
 
 
 def _with_noise_only(estimate: Estimate, spectra: Spectra) -> Estimate:

@@ -22,7 +22,7 @@ from .estimate import estimate
 from .from_record import spectra_of
 from .method import AbstractMethod
 from .response import FRF
-from .scaled import Scaled
+from .scaled import scaled
 from .select import Auto
 
 _NEIGHBOURS = 8  # unexcited lines of one kind that the level at an excited line is the mean of
@@ -262,7 +262,7 @@ def _with_total(frf: FRF, spectra: Spectra, total, way: str) -> FRF:
     reach = np.round(np.asarray(frf.window) / 2).astype(int)
     noise = running_mean(noise_level(frf.G, spectra), reach)
     ratio = np.sqrt(running_mean(total**2, reach) / np.maximum(noise, 1e-300))
-    cov = Scaled(frf.cov_noise, by_output(ratio, spectra.n_in))
+    cov = scaled(frf.cov_noise, by_output(ratio, spectra.n_in))
     only_noise = (np.asarray(frf.status) & int(Status.NOISE_ONLY)) != 0
     if not only_noise.all():
         return dataclasses.replace(frf, cov_total=cov)

@@ -26,7 +26,7 @@ class FRF(eqx.Module):
     - `cov`: covariance of vec(G) (columns stacked: element `j*n_out + i` is G[i, j]), (pos, freq, vec, vec),
       E[(g - Eg)(g - Eg)^H]; NaN where the method had no residual degree of freedom. Estimates of local methods
       at neighbouring lines share data: see `window`. It may be kept as factors (`jaxfrf.frf.KroneckerSum`), which
-      can be used like the array and are written out by `numpy.asarray(frf.cov)`; files hold it written out.
+      can be used like the array and are written out by `numpy.asarray(frf.cov)`; files hold them, too.
     - `dof`: residual degrees of freedom behind `cov`, (pos, freq); intervals use them (F quantiles).
     - `status`: bits of `jaxfrf.Status`, (pos, freq).
     - `cov_noise`: part of `cov` that measurement noise explains (scatter between periods); `None` with one period.

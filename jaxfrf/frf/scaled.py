@@ -58,3 +58,8 @@ class Variances(AbstractFactors):
 
     def diagonal(self):
         return self.v
+
+
+def scaled(cov, scale) -> Scaled:
+    """D C D; one D for several, one after the other."""
+    return Scaled(cov.of, cov.scale * scale) if isinstance(cov, Scaled) else Scaled(cov, scale)

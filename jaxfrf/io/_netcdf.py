@@ -111,7 +111,7 @@ def chunks(shape: tuple[int, ...], dtype: np.dtype) -> tuple[int, ...]:
     """One experiment, or one position, a chunk, as long as the library takes it; none of a scalar."""
     if not shape or not np.prod(shape):
         return ()
-    leading = max(len(shape) - 2, 0)
+    leading = max(len(shape) - 2, 0) if len(shape) < 5 else 1  # factors of a line are far too small for one
     found = [1] * leading + list(shape[leading:])
     row = max(dtype.itemsize * int(np.prod(found[leading + 1 :])), 1)
     found[leading] = max(min(found[leading], _CHUNK // row), 1)

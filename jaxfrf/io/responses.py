@@ -2,7 +2,9 @@
 
     G                          (position, frequency, output, input), complex
     frequency                  (frequency,), Hz
-    cov, cov_noise, cov_total  (position, frequency, vec, vec), complex; vec(G) stacks the columns of G
+    cov, cov_noise, cov_total  (position, frequency, vec, vec), complex; vec(G) stacks the columns of G; of more than
+                               two inputs and outputs the factors that they are made of: `_covariances.py`
+    std                        (position, frequency, output, input), beside factors, for other readers
     dof, status, window        (position, frequency)
     q                          (position, joint), rad
     method, options            text; `options` is the part of `method` in brackets
@@ -25,9 +27,10 @@ import json
 import os
 import pathlib
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Complex, Float
 
@@ -41,23 +44,27 @@ from ..experiment import QUANTITIES, Source
 from ..frf import FRF
 from ..units import response_unit
 from . import _netcdf, _zarr
-from ._container import Later, Unreadable, Variable, load
+from ._container import Later, Variable, load
+from ._covariances import COVARIANCES, arrays_of, axes_of, covariance_in
 from ._formats import UNIVERSAL
 from ._netcdf import write_dataset
 from ._optional import require
+from ._shaped import as_complex, numbers, shaped
 
 _AXES = {
     "G": ("position", "frequency", "output", "input"),
     "frequency": ("frequency",),
-    "cov": ("position", "frequency", "vec", "vec_conj"),
-    "cov_noise": ("position", "frequency", "vec", "vec_conj"),
-    "cov_total": ("position", "frequency", "vec", "vec_conj"),
+    **{part: axes for name in COVARIANCES for part, axes in axes_of(name).items()},
+    "std": ("position", "frequency", "output", "input"),
     "bias": ("position", "frequency", "output", "input"),
     "dof": ("position", "frequency"),
     "status": ("position", "frequency"),
     "window": ("position", "frequency"),
     "q": ("position", "joint"),
 }
+
+
+_FIELDS = {field.name for field in dataclasses.fields(FRF)} - set(COVARIANCES)
 
 
 def write_frf(path: str | os.PathLike, frf: FRF) -> None:
@@ -84,16 +91,18 @@ def write_frf(path: str | os.PathLike, frf: FRF) -> None:
 
 
 @contextlib.contextmanager
-def writing_frf(path: str | os.PathLike, like: FRF, n_pos: int) -> Iterator[Callable[[int, FRF], None]]:
+def writing_frf(
+    path: str | os.PathLike, like: FRF, n_pos: int, written_out: Collection[str] = ()
+) -> Iterator[Callable[[int, FRF], None]]:
     """`write_frf` of `n_pos` positions that come one after the other: `put(first, frf)` in the block.
 
     NetCDF and Zarr go to the disk as they come, other formats at the end. `like`: the FRF of some of them, with what is
-    said of all (method, sources, warnings).
+    said of all (method, sources, warnings). `written_out`: covariances that are kept otherwise at other positions.
 
     **Raises:** as `write_frf`.
     """
     path = pathlib.Path(path)
-    suffix, names = _suffix(path), _contents(like)
+    suffix, names = _suffix(path), _contents(like, written_out)
     arrays = {
         name: Later((n_pos, *x.shape[1:]), x.dtype) if axes[0] == "position" else x
         for name, axes in _AXES.items()
@@ -101,7 +110,7 @@ def writing_frf(path: str | os.PathLike, like: FRF, n_pos: int) -> Iterator[Call
     }
 
     def put(first: int, frf: FRF) -> None:
-        for name, x in _contents(frf).items():
+        for name, x in _contents(frf, [name for name in COVARIANCES if name in arrays]).items():
             if isinstance(arrays.get(name), Later):
                 store(name, first, x)
 
@@ -141,6 +150,18 @@ def read_frf(path: str | os.PathLike) -> FRF:
         return read_uff(path)
     _suffix(path)
     return _frf(load(path), str(path))
+
+
+def kept_otherwise(parts: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Covariances of which positions keep other factors. `parts`: of every position, what `factors_of` tells."""
+    return [name for name in COVARIANCES if any(part.get(name) != parts[0].get(name) for part in parts)]
+
+
+def factors_of(frf: FRF) -> dict[str, Any]:
+    """What the covariances are kept as, and in which shape."""
+    held = {name: getattr(frf, name) for name in COVARIANCES}
+    arrays = {name: arrays_of(name, cov) for name, cov in held.items() if cov is not None}
+    return {name: {part: x.shape[1:] for part, x in parts.items()} for name, parts in arrays.items()}
 
 
 def frf_from_arrays(
@@ -189,8 +210,15 @@ def source(path) -> Source:
 # --- between an FRF and the names of the file ---
 
 
-def _contents(frf: FRF) -> dict[str, Any]:
-    arrays = {name: np.asarray(getattr(frf, name)) for name in _AXES if getattr(frf, name) is not None}
+def _contents(frf: FRF, written_out: Collection[str] = ()) -> dict[str, Any]:
+    named = [x for x in _AXES if x in _FIELDS]
+    arrays = {name: np.asarray(getattr(frf, name)) for name in named if getattr(frf, name) is not None}
+    for name in COVARIANCES:
+        cov = getattr(frf, name)
+        if cov is not None:
+            arrays |= {name: np.asarray(cov)} if name in written_out else arrays_of(name, cov)
+    if "cov" not in arrays:
+        arrays["std"] = np.asarray(frf.std)
     options = re.search(r"\((.*)\)\s*$", frf.method, re.DOTALL)
     return arrays | {
         "method": frf.method,
@@ -208,25 +236,22 @@ def _contents(frf: FRF) -> dict[str, Any]:
 def _frf(names: Mapping, where: str) -> FRF:
     if "G" not in names or "frequency" not in names:
         raise _no_frf(names, where)
-    frequency = np.atleast_1d(_numbers(names["frequency"], f"{where}: frequency")).ravel()
+    frequency = np.atleast_1d(numbers(names["frequency"], f"{where}: frequency")).ravel()
     if np.iscomplexobj(frequency) or not np.isfinite(frequency).all():
         raise input_error(f"{where}: frequency", "complex, NaN or Inf values", "finite frequencies, Hz", "Repair it.")
     order = np.argsort(frequency, kind="stable")
     if np.any(np.diff(frequency[order]) == 0) or np.any(frequency < 0):
         found = "one below zero" if np.any(frequency < 0) else "one of them twice"
         raise input_error(f"{where}: frequency", found, "every frequency once, 0 Hz or more", "Leave it out.")
-    G = _response(_numbers(names["G"], f"{where}: G"), len(frequency), f"{where}: G")
+    G = _response(numbers(names["G"], f"{where}: G"), len(frequency), f"{where}: G")
     per_line, vec = G.shape[:2], G.shape[2] * G.shape[3]
-    lines = {
-        name: _complex(_shaped(names[name], (*per_line, vec, vec), f"{where}: {name}"))
-        for name in ("cov", "cov_noise", "cov_total")
-        if name in names
-    }
+    held = {name: covariance_in(name, names, G.shape, where) for name in COVARIANCES}
+    lines: dict[str, Any] = {name: cov for name, cov in held.items() if cov is not None}
+    bare = {"dof": np.zeros(per_line), "status": _bare_status(G, "cov" in lines), "window": np.ones(per_line)}
     lines.setdefault("cov", np.full((*per_line, vec, vec), np.nan, complex))
-    bare = {"dof": np.zeros(per_line), "status": _bare_status(G, "cov" in names), "window": np.ones(per_line)}
-    lines |= {name: _shaped(names.get(name, of), per_line, f"{where}: {name}") for name, of in bare.items()}
+    lines |= {name: shaped(names.get(name, of), per_line, f"{where}: {name}") for name, of in bare.items()}
     if "bias" in names:
-        lines["bias"] = np.real(_shaped(names["bias"], G.shape, f"{where}: bias"))
+        lines["bias"] = np.real(shaped(names["bias"], G.shape, f"{where}: bias"))
     y_quantity = _text(names, "y_quantity") or "velocity"
     if y_quantity not in QUANTITIES:
         raise input_error(f"{where}: y_quantity", repr(y_quantity), f"one of {', '.join(QUANTITIES)}", "Correct it.")
@@ -241,7 +266,7 @@ def _frf(names: Mapping, where: str) -> FRF:
         sources=tuple(Source(s["name"], s["sha256"]) for s in _json(names, "provenance", where)),
         warnings=tuple(_json(names, "warnings", where)),
         version=_text(names, "version"),
-        **{name: x[:, order] for name, x in lines.items()},
+        **{name: jax.tree.map(lambda x: x[:, order], whole) for name, whole in lines.items()},
     )
 
 
@@ -264,14 +289,6 @@ def _no_frf(names: Mapping, where: str):
     return input_error(where, f"no FRF: it holds {held}", "at least G and frequency", "Name another file.")
 
 
-def _numbers(value, where: str) -> np.ndarray:
-    x = np.asarray(value)
-    if x.dtype.kind not in "fciu":
-        found = value.kind if isinstance(value, Unreadable) else f"{x.dtype} data"
-        raise input_error(where, found, "numbers", "Save the array itself, not text or objects.")
-    return x
-
-
 def _response(G: np.ndarray, n_freq: int, where: str) -> np.ndarray:
     """(pos, freq, out, in), where the first axis, or trailing ones of length one, may have been dropped."""
     shape = G.shape
@@ -290,23 +307,11 @@ def _response(G: np.ndarray, n_freq: int, where: str) -> np.ndarray:
             "(position, frequency, output, input), or (frequency, output, input)",
             "Transpose it: MATLAB's idfrd and python-control keep (output, input, frequency).",
         )
-    return _complex(G.reshape(shape))
-
-
-def _complex(x: np.ndarray) -> np.ndarray:
-    return x.astype(np.result_type(x.dtype, np.complex64), copy=False)
-
-
-def _shaped(value, shape: tuple[int, ...], where: str) -> np.ndarray:
-    """`value` in `shape`; only axes of length one may have been lost or added."""
-    value = _numbers(value, where)
-    if [n for n in value.shape if n != 1] != [n for n in shape if n != 1]:
-        raise input_error(where, f"shape {value.shape}", f"shape {shape}, as G has it", "Check the order of axes.")
-    return value.reshape(shape)
+    return as_complex(G.reshape(shape))
 
 
 def _configurations(value, n_pos: int, where: str) -> np.ndarray:
-    q = np.atleast_2d(_numbers(value, where))
+    q = np.atleast_2d(numbers(value, where))
     if q.ndim != 2 or len(q) != n_pos:
         raise input_error(where, f"shape {q.shape}", f"(position, joint) with {n_pos} positions", "Transpose it.")
     return q
