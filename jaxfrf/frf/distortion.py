@@ -26,6 +26,8 @@ from .scaled import scaled
 from .select import Auto
 
 _NEIGHBOURS = 8  # unexcited lines of one kind that the level at an excited line is the mean of
+_AS_OUTPUT = (0.0, 0.5, 1.0, 1.5)  # powers of the output's that their level may go with
+_SURELY = 2.0  # of the log-likelihood by which one but the first must be better
 _FEWEST = 4  # of them, below which nothing is said
 _STANDS_OUT, _USUAL = 10.0, 17  # power of the input over its median over so many unexcited lines of a kind: excited?
 _COMES_NEAR, _BESIDE = 0.1, 5  # of the power of the weakest of so many excited lines around: noise is far below
@@ -69,7 +71,8 @@ def best_linear_approximation(data: Experiment, method: AbstractMethod | None = 
     there, G interpolated from the excited lines, so that what the controller of a closed loop plays at these lines is
     no distortion. Where a record lists no lines, those that may be excited are left out, and `frf.warnings` says so.
     Even lines show distortion of even order, odd ones of odd order; of odd excitations only the odd ones fall on
-    excited lines. Too high where G bends between two excited lines, as at a sharp resonance. *Robust*, from
+    excited lines. A level at an excited line is a mean over unexcited ones around, of what is left there or of its part
+    in the output's power to the .5, 1 or 1.5, whichever tells neighbours best. Too high where G bends between two excited lines, as at a sharp resonance. *Robust*, from
     two realisations of two periods: `jaxfrf.levels`; even and odd are not told apart. Noise is what changes from period
     to period, and needs two.
 
@@ -198,8 +201,12 @@ def _fast(frf: FRF, data: Experiment, spectra: Spectra) -> tuple[dict, int]:
     power = _unexplained(quiet, G)
     noise = np.zeros_like(power) if quiet.noise is None else noise_level(G, quiet)
     is_even = np.asarray(quiet.lines) % 2 == 0
+    level = np.mean(np.abs(np.asarray(spectra.Y)) ** 2, axis=1)
+    there = _between_lines(quiet.frequency, spectra.frequency, level)
     brought = {
-        name: _brought(spectra.frequency, np.asarray(quiet.frequency)[of], (power - noise)[:, of])
+        name: _brought(
+            spectra.frequency, np.asarray(quiet.frequency)[of], power[:, of], noise[:, of], level, there[:, of]
+        )
         for name, of in (("even", is_even), ("odd", ~is_even))
     }
     levels = {
@@ -234,13 +241,36 @@ def _of_doubted(count: int) -> str:
     )
 
 
-def _brought(frequency, known, power) -> np.ndarray:
-    """Root of the mean power of the nearest lines: (pos, freq, out); NaN where there are too few."""
+def _brought(frequency, known, power, noise, level, level_there) -> np.ndarray:
+    """Root of the mean power of the nearest lines, (pos, freq, out), each as a part of what the output is there; NaN
+    where there are too few. `level`: power of the output at the excited lines, `level_there`: at the unexcited ones.
+
+    What enters beside the input, as friction and springs do, has the resonances that the output has; what a sensor
+    adds, or another joint, has not, or has a part. That power of the output is taken by which lines tell their
+    neighbours best: a mean over lines near a resonance told twice too much beside it.
+    """
     if len(known) < _FEWEST:
         return np.full((power.shape[0], len(frequency), power.shape[2]), np.nan)
-    mean = running_mean(power, min(_NEIGHBOURS, len(known)) // 2)
+    reach = min(_NEIGHBOURS, len(known)) // 2
+    tiny = np.finfo(float).tiny
+    shapes = [(np.maximum(level, tiny) ** p, np.maximum(level_there, tiny) ** p) for p in _AS_OUTPUT]
+    costs = np.array([_mistold(power / of, reach) + np.sum(np.log(of), axis=(0, 1)) for _, of in shapes])
+    costs[0] -= _SURELY
+    best = np.argmin(costs, axis=0)
     nearest = np.clip(np.searchsorted(known, frequency), 0, len(known) - 1)
-    return np.sqrt(np.maximum(mean[:, nearest], 0))
+    each = [running_mean((power - noise) / of, reach)[:, nearest] * at for at, of in shapes]
+    return np.sqrt(np.maximum(np.choose(best, each), 0))
+
+
+def _mistold(power, reach: int) -> Float[np.ndarray, "out"]:
+    """How badly the mean of its neighbours tells the power of a line: minus the log-likelihood of an exponential
+    distribution about it, (out,)."""
+    n = power.shape[1]
+    at = np.arange(n)
+    count = (np.minimum(at + reach, n - 1) - np.maximum(at - reach, 0))[:, None]
+    others = (running_mean(power, reach) * (count + 1) - power) / count
+    others = np.maximum(others, np.finfo(float).tiny)
+    return np.sum(np.log(others) + power / others, axis=(0, 1))
 
 
 def _per_realisation(spectra: Spectra) -> np.ndarray:
@@ -362,10 +392,15 @@ def _unexplained(spectra: Spectra, G) -> np.ndarray:
 
 def _interpolated(frequency, frf: FRF) -> np.ndarray:
     """G at other frequencies, linearly in real and imaginary part; the end values outside."""
-    at, known = np.asarray(frequency), np.asarray(frf.frequency)
-    right = np.clip(np.searchsorted(known, at), 1, max(len(known) - 1, 1))
+    return _between_lines(frequency, frf.frequency, np.asarray(frf.G))
+
+
+def _between_lines(frequency, known, x) -> np.ndarray:
+    """x, (pos, freq, ...), at other frequencies than the known ones, linearly; the end values outside."""
+    at, known = np.asarray(frequency), np.asarray(known)
     if len(known) == 1:
-        return np.repeat(np.asarray(frf.G), len(at), axis=1)
-    weight = np.clip((at - known[right - 1]) / (known[right] - known[right - 1]), 0, 1)[:, None, None]
-    G = np.asarray(frf.G)
-    return (1 - weight) * G[:, right - 1] + weight * G[:, right]
+        return np.repeat(x, len(at), axis=1)
+    right = np.clip(np.searchsorted(known, at), 1, len(known) - 1)
+    weight = np.clip((at - known[right - 1]) / (known[right] - known[right - 1]), 0, 1)
+    weight = weight.reshape(-1, *[1] * (x.ndim - 2))
+    return (1 - weight) * x[:, right - 1] + weight * x[:, right]

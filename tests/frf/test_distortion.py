@@ -8,6 +8,7 @@ import plants
 import pytest
 
 import jaxfrf as jf
+from jaxfrf.frf.distortion import distortion_of
 from jaxfrf.pipeline import distortion_summary
 
 FS, PERIOD = 1000.0, 1000
@@ -146,3 +147,26 @@ def test_an_odd_experiment_does_not_count():
     assert np.median(robust.std) < 0.02
     with pytest.raises(jf.InputError, match="at least three"):
         jf.estimate(plants.spectra(U[:4], Y[:4]), jf.RobustMean())
+
+
+@pytest.mark.parametrize("enters", ["beside the input", "at the sensor"])
+def test_levels_beside_a_resonance(enters):
+    """Known levels of odd lines, with the plant's resonance at 50 Hz or flat, as a mean over 20 records: a mean over
+    neighbouring lines that does not know the resonance tells several times too much beside it."""
+    k = np.arange(PERIOD // 2 + 1)
+    G = 1.0 / (1.0 - (k / 50.0) ** 2 + 2j * 0.02 * k / 50.0)
+    level = 1e-3 * (np.abs(G) if enters == "beside the input" else np.full(len(k), 1.0))
+    odd, power = (k % 2 == 1) & (k < 200), np.zeros(len(LINES))
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        U, D = np.zeros((2, len(k)), complex)
+        U[LINES] = np.exp(2j * np.pi * rng.uniform(size=len(LINES)))
+        D[odd] = level[odd] * plants.circular(rng, (odd.sum(),))
+        u, y = (np.tile(PERIOD * np.fft.irfft(X, PERIOD), 2)[None, None, :, None] for X in (U / 2, (G * U + D) / 2))
+        y = y + 1e-6 * rng.standard_normal(y.shape)
+        frf = jf.estimate(jf.Experiment(u, y, FS, PERIOD, lines=LINES), jf.LRM(order=2, width=12))
+        true = dataclasses.replace(frf, G=G[LINES][None, :, None, None])
+        found = distortion_of(true, jf.Experiment(u, y, FS, PERIOD, lines=LINES))
+        power += found.odd[0, :, 0] ** 2 / (level[LINES] / 2) ** 2 / 20
+    ratio = np.sqrt(power)
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.1) and ratio.max() < 1.3
