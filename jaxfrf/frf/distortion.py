@@ -67,14 +67,14 @@ class Distortion(eqx.Module):
 def best_linear_approximation(data: Experiment, method: AbstractMethod | None = None) -> Distortion:
     """Estimate the best linear approximation of a periodic record, with noise, even and odd distortion beside it.
 
-    *Fast* (Pintelon & Schoukens 2012, sec. 4.3), where lines in the band are left unexcited: what Y - G U leaves
-    there, G interpolated from the excited lines, so that what the controller of a closed loop plays at these lines is
-    no distortion. Where a record lists no lines, those that may be excited are left out, and `frf.warnings` says so.
-    Even lines show distortion of even order, odd ones of odd order; of odd excitations only the odd ones fall on
-    excited lines. A level at an excited line is a mean over unexcited ones around, of what is left there or of its part
-    in the output's power to the .5, 1 or 1.5, whichever tells neighbours best. Too high where G bends between two excited lines, as at a sharp resonance. *Robust*, from
-    two realisations of two periods: `jaxfrf.levels`; even and odd are not told apart. Noise is what changes from period
-    to period, and needs two.
+    *Fast* (Pintelon & Schoukens 2012, sec. 4.3), where lines in the band are left unexcited: what Y - G U leaves there,
+    G interpolated from the excited lines, so that what the controller of a closed loop plays at these lines is no
+    distortion. Where a record lists no lines, those that may be excited are left out, and `frf.warnings` says so. Even
+    lines show distortion of even order, odd ones of odd order; of odd excitations only the odd ones fall on excited
+    lines. A level at an excited line is a mean over unexcited ones around, of what is left there or of its part in the
+    output's power to the .5, 1 or 1.5, whichever tells neighbours best. Too high where G bends between two excited
+    lines, as at a sharp resonance. *Robust*, from two realisations of two periods: `jaxfrf.levels`; even and odd are
+    not told apart. Noise is what changes from period to period, and needs two.
 
     **Arguments:** `data`: periodic, (pos, exp, time, channel). `method`: estimates G; default `jaxfrf.Auto()`.
 
