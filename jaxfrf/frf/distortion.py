@@ -27,6 +27,7 @@ from .select import Auto
 
 _NEIGHBOURS = 8  # unexcited lines of one kind that the level at an excited line is the mean of
 _AS_OUTPUT = (0.0, 0.5, 1.0, 1.5)  # powers of the output's that their level may go with
+_LEAST_SHARE = 1e-12  # of the output's largest power
 _SURELY = 2.0  # of the log-likelihood by which one but the first must be better
 _FEWEST = 4  # of them, below which nothing is said
 _STANDS_OUT, _USUAL = 10.0, 17  # power of the input over its median over so many unexcited lines of a kind: excited?
@@ -252,8 +253,9 @@ def _brought(frequency, known, power, noise, level, level_there) -> np.ndarray:
     if len(known) < _FEWEST:
         return np.full((power.shape[0], len(frequency), power.shape[2]), np.nan)
     reach = min(_NEIGHBOURS, len(known)) // 2
-    tiny = np.finfo(float).tiny
-    shapes = [(np.maximum(level, tiny) ** p, np.maximum(level_there, tiny) ** p) for p in _AS_OUTPUT]
+    most = np.max(level, axis=1, keepdims=True)
+    shares = [np.maximum(x / np.where(most > 0, most, 1.0), _LEAST_SHARE) for x in (level, level_there)]
+    shapes = [(shares[0] ** p, shares[1] ** p) for p in _AS_OUTPUT]
     costs = np.array([_mistold(power / of, reach) + np.sum(np.log(of), axis=(0, 1)) for _, of in shapes])
     costs[0] -= _SURELY
     best = np.argmin(costs, axis=0)
