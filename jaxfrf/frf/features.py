@@ -12,12 +12,15 @@ from .._threads import one_blas_thread
 from .overlap import Overlap, of_fractions, overlaps
 from .poles import PoleFit, fit_poles
 from .response import FRF
+from .scatter import scatter
 
 _TURN = np.pi / 4  # least phase across an extremum, between the lines where 3 dB of it are gone
 _AROUND = 3.0  # half widths (3 dB) of lines on each side that tell frequency and damping
+_ENOUGH = 8  # lines, to see how they scatter
 _FEWEST = 4  # lines on each side, at least
 _SIGNIFICANT = 3.0  # standard deviations of the extremum itself, beside its surroundings
 _BESIDE = 10  # lines on either side, over which roughness is taken
+_NUMBERS = 8  # that a pole and a straight line are
 _SURE = 0.5  # relative standard deviation of a damping beyond which it is not told
 
 
@@ -46,10 +49,11 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
     Frequency and damping are those of one pole (of G, or of 1/G for a dip) beside a smooth rest, fitted to the lines
     around the extremum; `jaxfrf.modal` fits all modes of all elements together. What two standard deviations could have
     made, and a pole that is not significant beside the smooth rest, is left out; where the standard deviation is
-    unknown, noise makes more of them. Where it is that of the noise alone (status `NOISE_ONLY`), how rough the
-    response is from line to line counts as well: distortion scatters it. At lines that a taper reaches beyond the band
-    from (`EDGE_WINDOW` of `Welch`) nothing is told. A pole or zero pair turns the phase by 90 degrees within its 3 dB
-    band; a valley between two slopes, as where no zero lies between two resonances, does not, and is left out too.
+    unknown, it is seen in how the lines around scatter. Where it is that of the noise alone (status `NOISE_ONLY`), how
+    rough the response is from line to line counts as well: distortion scatters it. At lines that a taper reaches beyond
+    the band from (`EDGE_WINDOW` of `Welch`) nothing is told. A pole or zero pair turns the phase by 90 degrees within
+    its 3 dB band; a valley between two slopes, as where no zero lies between two resonances, does not, and is left out
+    too.
 
     Biased where two resonances overlap, and by the window of a local method that is wider than the resonance.
 
@@ -70,6 +74,8 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
     std = np.asarray(frf.std)[position, :, out, into]
     window, columns = np.asarray(frf.window, float)[position], np.asarray(frf.G)[position, :, :, into]
     of_windows = overlaps(window[None])
+    frequency = np.asarray(frf.frequency, float)
+    std = np.where(np.isfinite(std) & (std > 0), std, _scatter(frequency, G))
     magnitude = np.maximum(np.abs(G), 1e-300)
     status = np.asarray(frf.status)[position]
     std = np.where(status & int(Status.NOISE_ONLY), np.maximum(std, _roughness(G)), std)
@@ -87,11 +93,19 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
             value, slope = (G, np.ones_like(G)) if sign > 0 else (1 / G, -1 / G**2)
             lines = np.arange(len(G))[_lines(sign * level, i)]
             alike = () if of_windows is None else _alike(of_windows[0].at(lines), window, columns, slope[lines])
-            fitted = _around(np.asarray(frf.frequency, float), value, std * np.abs(slope), alike, sign * level, i)
+            fitted = _around(frequency, value, std * np.abs(slope), alike, sign * level, i)
             if fitted is not None:
                 at, *intervals = map(float, fitted)
                 found.append(Feature(kind, at, float(level[i]), float(prominence), *intervals))
     return sorted(found, key=lambda x: -x.prominence_db)
+
+
+def _scatter(frequency, G) -> np.ndarray:
+    """Of every line with a number, by how the lines around it scatter; NaN elsewhere."""
+    found, finite = np.full(len(G), np.nan), np.isfinite(G)
+    if finite.sum() >= _ENOUGH:
+        found[finite] = np.maximum(scatter(frequency[finite], G[finite]), 1e-6 * np.abs(G[finite]))
+    return found
 
 
 def _roughness(G) -> np.ndarray:
@@ -172,15 +186,15 @@ def _around(frequency, G, std, alike, level, at: int) -> tuple[float, float, flo
     left, right = _edges(level, at)
     broad = max(float(frequency[right] - frequency[left]) - apart, apart)  # a peak alone is not known better
     by_line = (float(frequency[at]), broad / np.sqrt(12.0), float("nan"), float("nan"))
-    if len(f) < 2 * _FEWEST or not np.isfinite(G[lines]).all():
+    if len(f) < 2 * _FEWEST or not (np.isfinite(G[lines]).all() and np.isfinite(std[lines]).all()):
         return by_line
-    known = bool(np.isfinite(std[lines]).all() and (std[lines] > 0).all())
-    fitted = _one_pole(f, G[lines], std[lines] if known else None, alike, frequency[at])
+    fitted = _one_pole(f, G[lines], std[lines], alike, frequency[at])
     size, spread = fitted.residues
-    if known and np.abs(size[0, 0]) < _SIGNIFICANT * spread[0, 0]:
+    if np.abs(size[0, 0]) < _SIGNIFICANT * spread[0, 0]:
         return None
-    # What is left beyond the noise of lines that share data is one error of all of them.
-    systematic = np.sqrt(1.0 + max(1.0 - 1.0 / fitted.misfit**2, 0.0) * len(f)) if alike else 1.0
+    # What is left beyond the noise is one error of all lines: of data that they share, or of another mode's tail.
+    chance = 1.0 if alike else 1.0 + np.sqrt(1.0 / max(len(f) - _NUMBERS / 2, 1.0))
+    systematic = np.sqrt(1.0 + max(1.0 - chance / fitted.misfit**2, 0.0) * len(f))
     frequency_std, damping_std = (float(systematic * x[0]) for x in (fitted.frequency_std, fitted.damping_std))
     pole = float(np.abs(fitted.poles[0]) / 2 / np.pi)
     if abs(pole - frequency[at]) > max(2 * apart, broad / 2) or not frequency_std < broad:
@@ -199,5 +213,5 @@ def _one_pole(f, G, std, alike, centre: float) -> PoleFit:
     wide = f[magnitude > magnitude.max() / np.sqrt(2)]
     damping = max(np.ptp(wide), np.min(np.diff(f))) / (2 * centre)
     start = 2 * np.pi * centre * complex(-damping, np.sqrt(max(1 - damping**2, 0.0)))
-    floor = None if std is None else np.maximum(std, 1e-6 * magnitude)[:, None]
+    floor = np.maximum(std, 1e-6 * magnitude)[:, None]
     return fit_poles(s, G[:, None], floor, np.array([start]), smooth, alike=alike)

@@ -24,10 +24,10 @@ of them."""
 class PoleFit(NamedTuple):
     """`poles`: rad/s, by frequency. `frequency_std`: Hz. `coefficients`: (element, 2 poles + terms), real: real and
     imaginary part of every residue, then the background; `coefficient_std` likewise. `misfit`: root mean square of the
-    residual over its standard deviation; 1 by definition where that is not known. `delay`: s, with its standard
-    deviation, 0 where it was given. `began`: which of the given poles each began as. `strength`: residues over their
-    standard deviation at this delay, root mean square over the elements: a delay beside a lag is loose, and residues
-    turn with it. `cost`: squares of what is left over its standard deviation, of which `unit` is worth 1."""
+    residual over its standard deviation. `delay`: s, with its standard deviation, 0 where it was given. `began`: which
+    of the given poles each began as. `strength`: residues over their standard deviation at this delay, root mean square
+    over the elements: a delay beside a lag is loose, and residues turn with it. `cost`: squares of what is left over
+    its standard deviation, of which `unit` is worth 1."""
 
     poles: Complex[np.ndarray, "pole"]
     damping: Float[np.ndarray, "pole"]
@@ -60,7 +60,7 @@ def mode_basis(s, poles) -> Complex[np.ndarray, "freq 2*pole"]:
 def fit_poles(
     s: Complex[np.ndarray, "freq"],
     G: Complex[np.ndarray, "freq element"],
-    std: Float[np.ndarray, "freq element"] | None,
+    std: Float[np.ndarray, "freq element"],
     poles: Complex[np.ndarray, "pole"],
     background: Complex[np.ndarray, "freq term"],
     *,
@@ -71,17 +71,16 @@ def fit_poles(
 ) -> PoleFit:
     """Gauss-Newton on frequency and damping of every pole, residues and background eliminated (variable projection).
 
-    **Arguments:** `std`: of G; `None`: the same relative one everywhere, found from the residual. `poles`: where to
-    start. `background`: more basis functions with real coefficients. `alike`: correlations that the lines' errors may
-    have, of windows that share data; the one that makes an estimate loosest counts. `delay`: s, of all elements alike;
-    `None`: fitted, too. `errors`: of G; `None`: those of `std`, independent from element to element. With them the
-    poles' covariance is B M B, B that of independent errors and M the variance of the slope of the cost. `measured`:
-    whether `std` was; one that comes from how G scatters goes up and down with the misfit, and with how what is left
-    hangs together from line to line.
+    **Arguments:** `std`: of G. `poles`: where to start. `background`: more basis functions with real coefficients.
+    `alike`: correlations that the lines' errors may have, of windows that share data; the one that makes an estimate
+    loosest counts. `delay`: s, of all elements alike; `None`: fitted, too. `errors`: of G; `None`: those of `std`,
+    independent from element to element. With them the poles' covariance is B M B, B that of independent errors and M
+    the variance of the slope of the cost. `measured`: whether `std` was; one that comes from how G scatters goes up and
+    down with the misfit, and with how what is left hangs together from line to line.
 
     **Source:** Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432; White, Econometrica 50 (1982) 1-25 (B M B).
     """
-    sigma = _relative(G) if std is None else np.asarray(std, float)
+    sigma = np.asarray(std, float)
     middle = float(np.exp(np.mean(np.log(np.abs(s)))))
     x = _coordinates(np.asarray(poles, complex), middle)
     if delay is None:
@@ -108,11 +107,8 @@ def fit_poles(
             if lift > 1e4:
                 break
     meat = None if errors is None or not len(x) else errors(_complex(state.outside), sigma)
-    own = _together(state.left) if std is not None and not measured else 1.0
-    known = std is not None
-    return _result(
-        s, x, state, middle, alike, known=known, measured=known and measured, own=own, delay=delay, meat=meat
-    )
+    own = 1.0 if measured else _together(state.left)
+    return _result(s, x, state, middle, alike, measured=measured, own=own, delay=delay, meat=meat)
 
 
 class _State(NamedTuple):
@@ -126,10 +122,6 @@ class _State(NamedTuple):
     dof: float
     outside: np.ndarray  # columns of the poles beside those of the residues, (element, part, pole)
     left: np.ndarray  # over its standard deviation, (element, part, 1)
-
-
-def _relative(G) -> np.ndarray:
-    return np.maximum(np.abs(G), 1e-2 * np.sqrt(np.mean(np.abs(G) ** 2, axis=0)) + 1e-300)
 
 
 def _coordinates(poles, middle: float) -> np.ndarray:
@@ -212,9 +204,8 @@ def _strength(coefficients, variance, n_poles: int) -> Float[np.ndarray, "pole"]
     return np.sqrt(np.mean(size / (its + 1e-300), axis=0))
 
 
-def _result(s, x, state: _State, middle: float, alike, *, known, measured, own: float, delay, meat) -> PoleFit:
+def _result(s, x, state: _State, middle: float, alike, *, measured: bool, own: float, delay, meat) -> PoleFit:
     misfit = np.sqrt(state.cost / state.dof)
-    # Relative deviations of 1 were assumed where none is known: the misfit is their size then.
     widened = own * (max(misfit, 1.0) if measured else misfit) ** 2
     n, each = len(x) // 2 * 2, _if_alike(alike, _complex(state.outside)).sum(axis=0)
     each = each / np.maximum(np.sum(state.outside**2, axis=(0, 1)), 1e-300)
@@ -246,7 +237,7 @@ def _result(s, x, state: _State, middle: float, alike, *, known, measured, own: 
         damping_std=(damping * std[1 : 2 * len(poles) : 2])[order],
         coefficients=state.coefficients[:, columns.astype(int)],
         coefficient_std=np.sqrt((spread + through) * widened)[:, columns.astype(int)],
-        misfit=float(misfit) if known else 1.0,
+        misfit=float(misfit),
         delay=float(x[-1] / top) if delay is None else delay,
         delay_std=float(std[-1] / top) if delay is None else 0.0,
         began=order,
