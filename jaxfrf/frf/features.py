@@ -72,7 +72,8 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
         expect_index(name, chosen, count)
     G = np.asarray(frf.G)[position, :, out, into]
     std = np.asarray(frf.std)[position, :, out, into]
-    window, columns = np.asarray(frf.window, float)[position], np.asarray(frf.G)[position, :, :, into]
+    window = np.nan_to_num(np.asarray(frf.window, float)[position], nan=1.0)
+    columns = np.asarray(frf.G)[position, :, :, into]
     of_windows = overlaps(window[None])
     frequency = np.asarray(frf.frequency, float)
     std = np.where(np.isfinite(std) & (std > 0), std, _scatter(frequency, G))
