@@ -10,6 +10,7 @@ from .._arguments import expect
 from .._errors import input_error
 from ..experiment import Experiment
 from ..frf import FRF, LRM, AbstractMethod, JointInputOutput, estimate
+from ..robot import ZeroOrderHold
 from ..simulation import replay
 from ..spectra import dft, with_output_quantity
 from .corrections import Correction, next_point, settled, updated
@@ -156,6 +157,10 @@ class _Loop:
     def __init__(self, model, data, method, measured, weights, solver, fitted_model):
         self.data, self.method, self.solver = data, method, solver
         self.model: RobotModel = fitted_model
+        # A simulation samples positions; a record of a speed sensor's is compared by what both are beside linear.
+        held = fitted_model.hold is not None
+        played = ZeroOrderHold(data.fs, "position")
+        self.as_played: RobotModel = eqx.tree_at(lambda m: m.hold, fitted_model, played) if held else fitted_model
         self.coordinates = Coordinates(fitted_model.parameters)
         self.target: Target = target(measured, weights, model.points(data.q, data.n_pos))
         self.g = np.asarray(measured.G).swapaxes(-1, -2).reshape(self.target.log_G.shape)
@@ -166,10 +171,13 @@ class _Loop:
         played = replay(robot, self.data)
         simulated = measured_frf(played, self.method, self.model.quantity)
         points = robot_points(robot, played)
-        linear = response_at(self.model, values, self.target.frequency, points)
+        linear, as_played = (
+            np.asarray(vec(response_at(x, values, self.target.frequency, points))) for x in (self.model, self.as_played)
+        )
         G_simulated = np.asarray(vec(np.asarray(simulated.G)))
         with np.errstate(invalid="ignore", divide="ignore"):
-            shift, gap = np.log(G_simulated / np.asarray(vec(linear))), np.log(self.g / G_simulated)
+            shift = np.log(G_simulated / as_played)
+            gap = np.log(self.g / G_simulated * as_played / linear)
         tg = shifted(self.target, shift, points)
         found = fit_target(starting_at(self.model, values), tg, self.solver, 1)
         # The fit came from a single start on purpose; what it knows is counted both ways: distortion that repeats in

@@ -133,7 +133,10 @@ class RobotModel(AbstractModel):
 
     - `robot`: also says where the parameters start.
     - `quantity`: what y is: `position`, `velocity` or `acceleration`.
-    - `hold`: the zero-order hold of the torque; `None`: continuous time. The default follows the robot's sampling.
+    - `hold`: the zero-order hold of the torque, and what is sampled then; `None`: continuous time. By default at the
+      robot's sampling frequency, and speeds are those of a sensor, positions and accelerations those of an encoder:
+      half-way to the sampling frequency the two are decibels apart. Speeds that were made from an encoder's positions
+      ask for `ZeroOrderHold(fs, "position")`.
     - `slow_amplitude`: amplitude of the slow motion that keeps joints sliding, motor side, (axis,), rad/s: effective
       friction starts at f + 2 c/(pi A); without it at a guess.
     - `damping_spread`, `stiffness_spread`, `friction_spread`: standard deviation of ln of perturbed starts; by default
@@ -167,7 +170,7 @@ class RobotModel(AbstractModel):
     ):
         expect("robot", robot, Robot)
         self.robot, self.quantity = robot, quantity
-        sampled = ZeroOrderHold(robot.sampling_frequency, "position")
+        sampled = ZeroOrderHold(robot.sampling_frequency, "velocity" if quantity == "velocity" else "position")
         self.hold = sampled if isinstance(hold, str) else hold
         asked = {"stiffness": stiffness_spread, "damping": damping_spread, "coulomb_friction": friction_spread}
         spread = lambda name, value: _spread(robot, name, float(value), asked[name.rpartition(".")[2]])
