@@ -54,6 +54,29 @@ def test_motion_is_that_of_another_integrator(record):
     np.testing.assert_allclose(found[0], record.y[0, 0, -PERIOD:], atol=3e-3 * rms)
 
 
+@pytest.mark.parametrize("resonance", [15.0, 35.0, 45.0])
+def test_steps_follow_every_mode_that_samples_show(resonance):
+    """Two masses, their mode at up to .45 of the sampling frequency, against the held input's exact response (matrix
+    exponential): a step too long damps the mode, and a fit puts that into the damper."""
+    k = 0.5 * (2 * np.pi * resonance) ** 2
+    M, D = np.eye(2), np.diag([2.0, 3.0]) + 2.0 * np.array([[1, -1], [-1, 1]])
+    K = k * np.array([[1.0, -1.0], [-1.0, 1.0]]) + 20.0 * np.eye(2)
+    two = Machine(lambda v: (M, D, v["k"] / k * K), {"k": k}, inputs=[[1.0], [0.0]], outputs=[[1.0, 0.0]])
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-K, -D]])
+    B = np.array([[0.0], [0.0], [1.0], [0.0]])
+    C, zero = np.array([[0.0, 0.0, 1.0, 0.0]]), np.zeros((1, 1))
+    Ad, Bd, *_ = scipy.signal.cont2discrete((A, B, C, zero), 1 / FS)
+    lines = np.arange(1, 99, 2)
+    U = np.zeros(PERIOD // 2 + 1, complex)
+    U[lines] = np.exp(2j * np.pi * np.random.default_rng(0).uniform(size=len(lines)))
+    z = np.exp(2j * np.pi * np.arange(PERIOD // 2 + 1) / PERIOD)
+    Y = np.array([(C @ np.linalg.solve(x * np.eye(4) - Ad, Bd))[0, 0] for x in z]) * U
+    u, y = (np.fft.irfft(X, PERIOD)[:, None] for X in (U, Y))
+    data = jf.Experiment(u[None, None], y[None, None], FS, PERIOD, lines=lines, y_quantity="velocity")
+    found = np.asarray(simulate_machine(two, data))[0, -PERIOD:]
+    assert np.std(found - y) < 1e-3 * np.std(y)
+
+
 def test_linear_part_is_a_gray_box(record):
     f = np.array([1.0, 5.0, 20.0])
     s = 2j * np.pi * f
