@@ -31,6 +31,7 @@ _SAME = 0.02  # two ends nearer than this, in x, are the same minimum
 _CLOSE = 1.01  # times the best cost
 _AGREE = 3  # starts that should come that close
 _MUCH = 3.0  # times what the uncertainty explains: noise and a little bias are not enough
+_LOST, _ANOTHER = 50.0, 0.3  # of the same, and rms of ln G (2.6 dB, 17 degrees): nothing of it is believed
 
 ELSEWHERE = (
     "is the machine nonlinear? `jaxfrf distortion` tells it from noise; springs that harden, friction and play beside "
@@ -93,6 +94,19 @@ class Fit(eqx.Module):
         low, high = (self.coordinates.values(self.x + sign * reach) for sign in (-1, 1))
         return {n: (float(low[n]), float(high[n])) for n in self.coordinates.names}
 
+    def _is_lost(self) -> bool:
+        """Whether the response is another one than the measured: not a model that lacks a little beside small noise."""
+        if self.uncertainty.misfit < _LOST**2:
+            return False
+        errors = np.asarray(Cost(self.model, self.coordinates, self.target).errors(jnp.asarray(self.x))[0])
+        return bool(np.sqrt(np.mean(np.abs(errors[np.asarray(self.target.used)]) ** 2)) > _ANOTHER)
+
+    def _is_high(self, name: str) -> bool:
+        """Whether a parameter at a bound is at its upper one."""
+        low, high = (float(x) for x in self.model.parameters[name].limits)
+        value = float(self.values[name])
+        return high - value < value - low if low < 0 else value > np.sqrt(max(low, 1e-300) * high)
+
     @property
     def cost(self) -> float:
         return self.uncertainty.cost
@@ -117,6 +131,11 @@ class Fit(eqx.Module):
     def explain(self) -> list[str]:
         """The verdict in words, the most important first."""
         names, said = np.array(self.coordinates.names), []
+        if self._is_lost():
+            said.append(
+                f"no start came near: the best leaves {np.sqrt(self.uncertainty.misfit):.0f} times what the FRF's "
+                "uncertainty explains, and what follows is of a wrong place: begin elsewhere, or the model is another"
+            )
         for name in self.without_sensitivity:
             said.append(f"{name} has no effect on the response: it was left at its start")
         held = self.coordinates.at_bound(self.x)
@@ -124,7 +143,9 @@ class Fit(eqx.Module):
             said.append(f"{name} is not identifiable from these data (standard deviation above 50 %)")
         said += self.uncertainty.directions(without=held)
         for name in held:
-            said.append(f"{name} is at its bound: the data ask for no {name.rpartition('.')[2]}, or the model is wrong")
+            short = name.rpartition(".")[2]
+            wish = f"more {short} than it may have" if self._is_high(name) else f"no {short}"
+            said.append(f"{name} is at its bound: the data ask for {wish}, or the model is wrong")
         n, close = len(self.starts), self.close_starts
         if n > 1 and close >= min(_AGREE, n):
             said.append(f"{close} of {n} starts ended within 1 % of the best cost: one minimum")

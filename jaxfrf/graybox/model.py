@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
@@ -59,8 +60,9 @@ class GrayBox(AbstractModel):
     **Arguments:**
 
     - `model`: called with `omega` (freq,) in rad/s, `values` a dictionary of parameter values, and, where it takes a
-      third argument, the arm configuration q (joint,) of the operating point. It returns G, (freq, out, in), complex,
-      written in `jax.numpy`; (freq,) is accepted for one input and one output. It must be differentiable.
+      third argument (that must be given, or is called q), the arm configuration q (joint,) of the operating point. It
+      returns G, (freq, out, in), complex, written in `jax.numpy`; (freq,) is accepted for one input and one output. It
+      must be differentiable.
     - `parameters`: name -> `Parameter` (or a number: a positive parameter that starts there).
 
     **Raises:** `jaxfrf.InputError` for a start that is no positive number, and (in a fit) where the result has another
@@ -76,7 +78,7 @@ class GrayBox(AbstractModel):
     def __init__(self, model: Callable, parameters: Mapping[str, Parameter | float]):
         self.model = model
         self.parameters = {n: p if isinstance(p, Parameter) else Parameter(float(p)) for n, p in parameters.items()}
-        self.configured = _arguments(model) >= 3
+        self.configured = _takes_configuration(model)
 
     def response(self, frequency, values, point):
         omega = 2.0 * jnp.pi * jnp.asarray(frequency)
@@ -93,11 +95,11 @@ class GrayBox(AbstractModel):
         return G.astype(complex)
 
 
-def _arguments(model: Callable) -> int:
-    import inspect
-
+def _takes_configuration(model: Callable) -> bool:
+    """Whether there is a third argument that must be given, or one that is called q."""
     kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    return sum(p.kind in kinds and p.default is p.empty for p in inspect.signature(model).parameters.values())
+    known = [p for p in inspect.signature(model).parameters.values() if p.kind in kinds]
+    return len(known) >= 3 and (known[2].default is known[2].empty or known[2].name == "q")
 
 
 def _spread(robot: Robot, name: str, value: float, asked: float | None) -> float:

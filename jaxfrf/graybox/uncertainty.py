@@ -11,7 +11,9 @@ from .model import AbstractModel
 from .parameter import Coordinates
 from .target import Target
 
-_BLIND = 1e-10  # information of a parameter relative to the largest: it has no effect on the response
+_BLIND = 1e-10  # information of a direction relative to the largest: the data do not determine it
+_ROUNDING = 1e-22  # of a parameter: it has no effect at all; a start ten times off leaves some 1e-10 of it
+_NOTHING, _TOLD = 1e-13, 1e-11  # eigenvalues, of ones on the diagonal: what stands for none, and above rounding
 _LOOSE = 0.5  # standard deviation in ln beyond which a parameter or a direction is called not identifiable
 _CORRELATED = 0.9
 _PART = 0.1  # of a direction of length one: a parameter belongs to it
@@ -112,7 +114,7 @@ def uncertainty(model: AbstractModel, coordinates: Coordinates, target: Target, 
     expected = max(noise - float(np.trace(inverse @ M)), 0.0)
     misfit = max(1.0, cost / expected) if expected > 0 else 1.0
     return Uncertainty(
-        cov=inverse @ M @ inverse * misfit,
+        cov=_sandwich(H, M) * misfit,
         misfit=misfit,
         crlb=_inverse(bound) if np.any(bound) else np.zeros_like(H),
         information=H,
@@ -167,15 +169,28 @@ def _position(target: Target, slope, pos: int):
 def without_sensitivity(coordinates: Coordinates, hessian) -> tuple[str, ...]:
     """Names of parameters that do not change the response at all, found before a fit."""
     own = np.diagonal(np.asarray(hessian))
-    return tuple(n for n, value in zip(coordinates.names, own, strict=True) if not value > _BLIND * own.max())
+    return tuple(n for n, value in zip(coordinates.names, own, strict=True) if not value > _ROUNDING * own.max())
 
 
 def _inverse(matrix):
     """Inverse of a symmetric matrix by its scaled eigenvalues; directions without information get a large variance."""
+    values, vectors, scale = _scaled_eigen(matrix)
+    return (vectors / np.maximum(values, _NOTHING)) @ vectors.T / scale[:, None] / scale[None, :]
+
+
+def _sandwich(H, M):
+    """H^-1 M H^-1; a large variance where H has no information, which M says nothing of but rounding."""
+    values, vectors, scale = _scaled_eigen(H)
+    told = values > _TOLD
+    inner = vectors.T @ (M / scale[:, None] / scale[None, :]) @ vectors
+    inner = np.where(told[:, None] & told, inner / np.outer(np.where(told, values, 1), np.where(told, values, 1)), 0.0)
+    inner[~told, ~told] = 1 / _NOTHING
+    return vectors @ inner @ vectors.T / scale[:, None] / scale[None, :]
+
+
+def _scaled_eigen(matrix):
     scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
-    values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale[None, :])
-    values = np.maximum(values, 1e-13)
-    return (vectors / values) @ vectors.T / scale[:, None] / scale[None, :]
+    return *np.linalg.eigh(matrix / scale[:, None] / scale[None, :]), scale
 
 
 def _correlation(cov):
