@@ -71,6 +71,7 @@ def _contents(found, source: str) -> dict:
             for m in found.modes
         ],
         "lags": [{"frequency_hz": m.frequency, "damping": m.damping} for m in found.lags],
+        "outside_hz": [m.frequency for m in found.outside],
         "dropped_hz": found.dropped,
     }
 
@@ -85,6 +86,9 @@ def _lines(found) -> list[str]:
         for m in found.modes
     ]
     lines += [f"  a lag at {number(m.frequency, 2)} Hz, damped too much to be a mode" for m in found.lags]
+    if found.outside:
+        at = ", ".join(f"{number(m.frequency, 3)} Hz" for m in found.outside)
+        lines.append(f"  beside the band something at {at}: widen it to see what")
     if found.delay_std:
         lines.append(f"  a delay of {plus_minus(1e3 * found.delay, 1960 * found.delay_std)} ms")
     if found.doubt:

@@ -23,6 +23,7 @@ from .stabilisation import LARGEST_DAMPING, Stabilisation, clusters, nearest, po
 _HOPELESS = 10.0  # standard deviations, rms, that no mode at all leaves: they say less than how linear a machine is
 _LINEAR = 0.01  # of |G|, then: with the noise alone the few quietest lines of a real machine decide
 _DELAYS, _QUARTER = 17, np.pi / 2  # delays that are tried, up to those that turn the highest line by a quarter turn
+_USUAL, _HIGHER = 30, 60  # orders, the latter where much is left: modes in a small part of a wide band
 _LIKELY = 3.84  # by how much the cost rises at the ends of a 95 % interval: chi-square of one number
 _SIGNIFICANT = 4.0  # standard deviations of its residues, root mean square over the elements
 _MISSED = 2.0  # misfit from which a mode is fitted to the lines around it, too, to see what the others do to it
@@ -87,6 +88,7 @@ class ModalModel(eqx.Module):
     y_quantity: str = eqx.field(static=True)
     u_unit: str = eqx.field(static=True, default="")
     y_unit: str = eqx.field(static=True, default="")
+    outside: tuple[Mode, ...] = ()
 
     @property
     def doubt(self) -> str:
@@ -104,7 +106,7 @@ class ModalModel(eqx.Module):
         """G of the modes, the lags, the background and the delay, (freq, out, in)."""
         s = 2j * np.pi * np.asarray(frequency, float)
         G = np.einsum("ft,toi->foi", _background(s, self.y_quantity), self.background)
-        for mode in (*self.modes, *self.lags):
+        for mode in (*self.modes, *self.lags, *self.outside):
             R, pole = mode.residue, mode.pole
             G = G + R / (s - pole)[:, None, None] + R.conj() / (s - np.conj(pole))[:, None, None]
         return G * np.exp(-s * self.delay)[:, None, None]
@@ -149,7 +151,7 @@ def modal(
     **Arguments:**
 
     - `frf`: `position` chooses the operating point, `band` (low, high; Hz) a part.
-    - `max_order`: of the denominator; by default 30, or less where there are few lines.
+    - `max_order`: of the denominator; by default 30, and 60 where that leaves much, or less where there are few lines.
     - `near`: frequencies, Hz, of the modes to take, where the automatic choice is not wanted.
     - `delay`: s, where it is known; by default found.
 
@@ -166,14 +168,21 @@ def modal(
     lines = _chosen(frf, position, band)
     order = _order(max_order, len(lines.s), frf.n_in)
 
-    def found(lines: _Lines):
+    higher = order if near is not None or max_order is not None else _order(None, len(lines.s), frf.n_in, _HIGHER)
+
+    def at(order: int, lines: _Lines):
         table = stabilisation(lines.frequency, lines.G, lines.std, order)
         start = clusters(table) if near is None else nearest(table, near)
         fit = lambda lags: _significant(lines, start, near is not None, delay, lags)
-        plain = fit(())
+        return table, fit, fit(())
+
+    def found(lines: _Lines):
+        table, fit, plain = at(order, lines)
         if plain[0].misfit <= _MISSED:
             return table, *plain
-        return table, *_with_lag(fit, lines.s, plain, near is not None)
+        tried = [(table, fit, plain), *([at(higher, lines)] if higher > order else [])]
+        table, fit, plain = min(tried, key=lambda x: x[2][0].misfit)
+        return table, *(plain if plain[0].misfit <= _MISSED else _with_lag(fit, lines.s, plain, near is not None))
 
     table, fitted, dropped = found(lines)
     if not len(fitted.poles) and fitted.misfit > _HOPELESS:
@@ -187,9 +196,11 @@ def modal(
         fitted = _widened(fitted, lines)
     n_out, n_in = lines.G.shape[1:]
     every = _modes(fitted, n_out, n_in)
+    modes = [x for x in every if x.damping <= LARGEST_DAMPING]
+    inside = lambda mode: lines.frequency[0] <= mode.frequency <= lines.frequency[-1]
     scale = fitted.misfit if np.isfinite(fitted.misfit) else 1.0
     return ModalModel(
-        modes=tuple(x for x in every if x.damping <= LARGEST_DAMPING),
+        modes=tuple(x for x in modes if inside(x)),
         background=fitted.coefficients[:, 2 * len(fitted.poles) :].T.reshape(-1, n_out, n_in),
         misfit=float(scale),
         delay=fitted.delay,
@@ -197,6 +208,7 @@ def modal(
         stabilisation=table,
         dropped=np.sort(np.abs(dropped)) / (2 * np.pi),
         lags=tuple(x for x in every if x.damping > LARGEST_DAMPING),
+        outside=tuple(x for x in modes if not inside(x)),
         frequency=lines.frequency,
         measured=lines.G,
         y_quantity=frf.y_quantity,
@@ -306,10 +318,10 @@ class _Errors:
         return total
 
 
-def _order(asked: int | None, n_lines: int, n_in: int) -> int:
+def _order(asked: int | None, n_lines: int, n_in: int, usual: int = _USUAL) -> int:
     most = max((n_lines - 4) // (1 + n_in) - 1, 2)
     if asked is None:
-        return min(30, most)
+        return min(usual, most)
     if not 2 <= asked <= most:
         raise input_error("max_order", f"{asked}", f"2 to {most} with {n_lines} lines", "Choose another.")
     return int(asked)

@@ -188,6 +188,35 @@ def test_a_mode_that_is_missed_is_told_without_a_covariance():
     assert missed.misfit > 3.0 and "a mode is missing" in missed.doubt
 
 
+def many(frequencies, damping, f, seed, noise=0.01):
+    """Receptance of modes at three places, without covariance."""
+    rng, s = np.random.default_rng(seed), 2j * np.pi * f[:, None]
+    w, shapes = 2 * np.pi * np.asarray(frequencies), rng.uniform(0.5, 1.0, (len(frequencies), 3))
+    G = (w**1.5 / (s**2 + 2 * damping * w * s + w**2)) @ shapes
+    return jf.io.frf_from_arrays((G * (1 + noise * plants.circular(rng, G.shape)))[..., None], f, y_quantity="position")
+
+
+@pytest.mark.slow
+def test_modes_in_a_small_part_of_a_wide_band():
+    """Ten modes below a third of the band: the usual orders find half of them, and the misfit asks for more."""
+    frequencies = 21.0 * 1.2 ** np.arange(10)
+    for seed in range(2):
+        found = jf.modal(many(frequencies, 0.012, np.arange(2.0, 300.0, 0.25), seed))
+        assert len(found.modes) == 10 and not found.doubt
+        np.testing.assert_allclose([m.frequency for m in found.modes], frequencies, rtol=3e-3)
+
+
+def test_a_mode_beside_the_band_is_none_of_it():
+    """It shapes the band's end, and is in the response; its own lines are not there to tell it."""
+    f = np.arange(5.0, 60.0, 0.1)
+    record = many([12.0, 31.0, 66.0], 0.01, f, 4)
+    found = jf.modal(record)
+    assert [round(m.frequency) for m in found.modes] == [12, 31]
+    (beside,) = found.outside
+    assert beside.frequency > 60.0
+    np.testing.assert_allclose(found.response(f)[-1], record.G[0, -1], rtol=0.05)
+
+
 def test_poles_do_not_hang_on_the_last_digit():
     """Equations in powers of z over half a circle did: a change by rounding moved poles, and modes were lost."""
     record = without_covariance(2)
