@@ -39,6 +39,7 @@ def run(given) -> dict:
     from ..graybox import RobotModel, plan_positions
     from ..io import read_design
     from ..io.positions import write_positions
+    from ..simulation.positions import units_of
 
     check_x64("jaxfrf positions")
     check_seed(given.seed)
@@ -47,13 +48,13 @@ def run(given) -> dict:
         check_picture(given.plot)
     robot, design = own_effects.robot_of(given), read_design(given.design)
     model = RobotModel(robot, slow_amplitude=None if design.slow is None else design.slow.amplitude)
-    candidates, drawn = _candidates(given, robot.n_axes)
+    candidates, drawn = _candidates(given, robot)
     plan = plan_positions(model, design.frequency, candidates, given.positions, noise=given.relative_noise)
     about = (
         f"{robot.name}: {given.positions} of {len(candidates)} positions ({drawn}), D-optimal for springs and dampers "
         f"at {100 * given.relative_noise:g} % noise"
     )
-    write_positions(given.output, plan.points, robot.axis_names, [about])
+    write_positions(given.output, plan.points, robot.axis_names, [about], units_of(robot))
     written = [given.output]
     if given.plot:
         from .. import plot
@@ -85,14 +86,14 @@ def run(given) -> dict:
     }
 
 
-def _candidates(given, axes: int):
+def _candidates(given, robot):
     """Arm angles to choose from, (pos, axis), and where they come from."""
     import jax.random as jr
 
-    from ..simulation import random_positions, read_positions
+    from ..simulation import positions_of, read_positions
 
     if not given.candidates.isdecimal():
-        return read_positions(given.candidates, axes), f"from {given.candidates}"
+        return read_positions(given.candidates, robot.n_axes), f"from {given.candidates}"
     if not 1 <= int(given.candidates) <= 100_000:
         raise input_error("--candidates", given.candidates, "1 to 100000, or a file", "Some hundreds are enough.")
-    return random_positions(int(given.candidates), jr.key(given.seed), axes), f"seed {given.seed}"
+    return positions_of(robot, int(given.candidates), jr.key(given.seed)), f"seed {given.seed}"

@@ -58,7 +58,7 @@ def run(given) -> dict:
     robot, design = own_effects.robot_of(given), read_design(given.design)
     check_seed(given.seed)
     places, noise = jr.split(jr.key(given.seed))
-    positions = _positions(given, robot.n_axes, places)
+    positions = _positions(given, robot, places)
     with kept_parts(given, own_effects.about(given)) as parts, Progress("simulate", given.json) as progress:
         made = simulate_to(
             given.output,
@@ -98,14 +98,14 @@ def run(given) -> dict:
     }
 
 
-def _positions(given, axes: int, key):
-    from ..simulation import random_positions, read_positions
+def _positions(given, robot, key):
+    from ..simulation import positions_of, read_positions
 
     if given.configurations:
-        return read_positions(given.configurations, axes)
+        return read_positions(given.configurations, robot.n_axes)
     count = 1 if given.positions is None else given.positions
     if count < 1:
         raise InputError(f"--positions: found {count}; expected 1 or more. Say how many.")
     if count > _MOST:
         raise InputError(f"--positions: found {count}; expected at most {_MOST}. Simulate them in several files.")
-    return random_positions(count, key, axes)
+    return positions_of(robot, count, key)

@@ -216,6 +216,7 @@ class _Tree:
                 shift, turn = self._origin(joint)
                 behind = rotation @ turn, place + rotation @ shift
                 if joint.get("type") in _MOVING:
+                    self._check_free(joint)
                     ahead.append((joint, *behind))
                 elif joint.get("type") == "fixed":
                     waiting.append((self.link(joint, "child"), *behind))
@@ -227,6 +228,16 @@ class _Tree:
                         "Joints of several freedoms are not supported: fix this one, or write it as several.",
                     )
         return bodies, ahead
+
+    def _check_free(self, joint: ET.Element) -> None:
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            raise input_error(
+                f"{self.source}: joint {joint.get('name')!r}",
+                f"one that follows joint {mimic.get('joint')!r} (<mimic>)",
+                "joints that move on their own",
+                'Fix it (type="fixed"), as fingers of a gripper may be; a linkage is no serial chain.',
+            )
 
     def _inertial(self, link: ET.Element, rotation, place):
         inertial = link.find("inertial")

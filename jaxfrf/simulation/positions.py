@@ -9,8 +9,10 @@ from jaxtyping import Float, PRNGKeyArray
 
 from .._arguments import as_key, expect_whole
 from .._errors import input_error
+from ..robot import Robot
 
 _LOW = np.array([-150.0, -60.0, 20.0, -150.0, 25.0, -150.0])  # degrees
+_TRAVEL = 0.5  # m
 _HIGH = np.array([150.0, 60.0, 150.0, 150.0, 100.0, 150.0])
 
 
@@ -39,6 +41,32 @@ def random_positions(n: int, key: PRNGKeyArray, axes: int = 6) -> Float[np.ndarr
     if elbow:
         q[:, 4] *= np.where(draw[:, axes] < 0.5, -1.0, 1.0)
     return np.deg2rad(q)
+
+
+def positions_of(robot: Robot, n: int, key: PRNGKeyArray) -> Float[np.ndarray, "pos axis"]:
+    """`random_positions` of this robot; what slides is drawn from half a metre on either side of its zero.
+
+    **Arguments:** `n`: how many. `key`: of the draw.
+
+    **Returns:** (n, axis), rad or m.
+
+    **Raises:** `jaxfrf.InputError` if `n` is no whole number of 1 or more.
+
+    **Source:** this project's own.
+    """
+    q = random_positions(n, key, robot.n_axes)
+    slides = robot.chain.sliding[list(robot.driven_joints)] > 0
+    if not slides.any():
+        return q
+    drawn = [
+        np.asarray(jr.uniform(jr.fold_in(jr.fold_in(as_key("key", key), i), 1), (robot.n_axes,))) for i in range(n)
+    ]
+    return np.where(slides, _TRAVEL * (2.0 * np.array(drawn) - 1.0), q)
+
+
+def units_of(robot: Robot) -> list[str]:
+    """`rad` or `m`, of every axis."""
+    return ["m" if robot.chain.sliding[joint] else "rad" for joint in robot.driven_joints]
 
 
 def read_positions(path: str | os.PathLike, axes: int) -> Float[np.ndarray, "pos axis"]:

@@ -242,6 +242,11 @@ class TestURDF:
             ('type="revolute"', 'type="planar"', "joint 'shoulder': found type 'planar'"),
             ('<parent link="upper"/>', '<parent link="base"/>', "link 'base': found 2 joints that move"),
             (
+                '<axis xyz="0 0.6 0.8"/>',
+                '<axis xyz="0 0.6 0.8"/><mimic joint="shoulder"/>',
+                "joint 'elbow': found one that follows joint 'shoulder'",
+            ),
+            (
                 '<parent link="upper"/>',
                 '<parent link="uper"/>',
                 "joint 'elbow': found the parent link 'uper'",

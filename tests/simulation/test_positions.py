@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import itertools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import jaxfrf as jf
 from jaxfrf.graybox.positions import d_optimal, expected_accuracy, plan_positions, position_information
 from jaxfrf.io.positions import write_positions
 from jaxfrf.plot.plan import plan as draw_plan
-from jaxfrf.simulation.positions import read_positions
+from jaxfrf.simulation.positions import positions_of, read_positions, units_of
 
 FREQUENCY = np.geomspace(1.0, 12.0, 20)
 NAMES = ("a.stiffness", "a.damping", "b.stiffness", "b.damping", "f")
@@ -200,3 +201,18 @@ def test_files_of_positions(tmp_path):
         write_positions(tmp_path / "none" / "a.csv", POINTS)
     assert [p.name for p in tmp_path.iterdir()] == ["positions.csv"]
     np.testing.assert_array_equal(read_positions(path, 2), POINTS)
+
+
+def test_what_slides_is_drawn_and_written_in_metres(tmp_path):
+    joint = {"type": "driven", "axis": [0.0, 0.0, 1.0], "offset": [0.0, 0.0, 0.0], "mass": 1.0, "com": [0.0, 0.0, 0.0]}
+    joint |= {"inertia": [0.1] * 3 + [0.0] * 3, "gear_ratio": 50.0, "motor_inertia": 1e-3, "stiffness": 1e4}
+    joint |= {"damping": 1.0, "viscous_friction": 1e-3, "coulomb_friction": 0.1}
+    joints = [joint | {"name": "turn"}, joint | {"name": "slide", "slides": True}]
+    robot = jf.robot.robot_from_table({"name": "two", "gravity": [0.0, 0.0, -9.81], "joint": joints})
+    q = positions_of(robot, 40, jax.random.key(0))
+    assert units_of(robot) == ["rad", "m"]
+    assert np.abs(q[:, 0]).max() > 1.0 and 0.3 < np.abs(q[:, 1]).max() <= 0.5
+    np.testing.assert_array_equal(q[:5], positions_of(robot, 5, jax.random.key(0)))
+    write_positions(tmp_path / "q.csv", q, robot.axis_names, units=units_of(robot))
+    assert "# turn (rad), slide (m)" in (tmp_path / "q.csv").read_text()
+    np.testing.assert_array_equal(read_positions(tmp_path / "q.csv", 2), q)
