@@ -17,7 +17,7 @@ from ..simulation.checks import check_data, check_fit
 from ..trajectory.evidence import Evidence
 from ..trajectory.following import why_followed
 from ..trajectory.joined import joined, together
-from ..trajectory.measured import Measured, measured
+from ..trajectory.measured import Measured, measured, turned
 from ..trajectory.rigid_motion import check_rigid
 from ..trajectory.ripple import with_ripple
 from ..trajectory.standing import misplaced
@@ -190,6 +190,7 @@ def _result(given: Robot, log: Aligned, descent: Descent, kept: Rounds, judged: 
         sources=fitted.data.sources,
         hints=miswired(robot, fitted.U[:, :, 1:], Evidence(robot, fitted).U[:, :, 1:]) if lost else (),
         misplaced=misplaced(given, log.data),
+        turned=tuple(turned(fitted).tolist()),
     )
 
 

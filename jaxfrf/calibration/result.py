@@ -19,6 +19,7 @@ _RISES, _LITTLE = 1.25, 0.01  # times the torque missed before; of the torque: l
 DATA_SHARE = 0.9  # of the prior's variance that the data take away: less is not determined by the data
 _SURE = 0.3  # in x: a number of which nothing was known before is determined where its deviation is below
 _TOGETHER = 0.5  # correlation of numbers that are determined in combination only
+_PART_OF_TURN = 0.5  # that a motor must go over for ripple to be told by its orders
 _FAR = 4.0  # of what was known of a number: one of fifteen thousand right ones
 _MUCH = 0.1  # of an axis's torque: a robot that misses more lacks something, or was not given what moved
 
@@ -52,8 +53,9 @@ class Calibration(eqx.Module):
       does not say that they explain the records: see `unexplained`.
     - `missed_before`, `missed_after`: torque that the simulated robot misses, relative, by axis. `heldout`: the same
       two on positions that were not fitted, or `None`. `compared`: what of the robot with the records, in words.
-    - `sources`: of the records. `hints`: what could be wrong with the record, in sentences, where most of a torque is
-      missed. `misplaced`: where its motors stand elsewhere than q says.
+    - `sources`: of the records. `hints`: what could be wrong with the record, in sentences, where most of a torque
+      is missed. `misplaced`: where its motors stand elsewhere than q says. `turned`: part of a turn that each motor
+      went over.
     """
 
     given: Robot
@@ -75,6 +77,7 @@ class Calibration(eqx.Module):
     sources: tuple = eqx.field(static=True)
     hints: tuple[str, ...] = eqx.field(static=True, default=())
     misplaced: tuple[str, ...] = eqx.field(static=True, default=())
+    turned: tuple[float, ...] = eqx.field(static=True, default=())
 
     @property
     def values(self) -> dict[str, float]:
@@ -162,11 +165,25 @@ class Calibration(eqx.Module):
                 f"more of the torque is missed than by the robot as given: {more}. What the fit gained elsewhere cost "
                 "it there; look at the numbers of that axis before you use them."
             )
+        said += self._of_part_of_a_turn()
         if far := _far_off(self.numbers, self.x):
             said.append(
                 f"off by more than {_FAR:g} tolerances: {far}. Was it carrying something, is a value or a tolerance "
                 "wrong, or is an effect missing? Others, and their intervals, may lean on it."
             )
+        return said
+
+    def _of_part_of_a_turn(self) -> list[str]:
+        """Ripple of motors that hardly turned."""
+        said = []
+        for axis, (name, part) in enumerate(zip(self.given.axis_names, self.turned, strict=False)):
+            orders = ", ".join(sorted({f"{o.order:g}" for o in self.orders if o.axis == axis}, key=float))
+            if orders and part < _PART_OF_TURN:
+                said.append(
+                    f"ripple of {name} (orders {orders}) is of {part:.1g} of a turn, over which orders stand for each "
+                    "other and for friction: together they hold for this motion, one by one for none. Turn the motor "
+                    "further, or leave them out."
+                )
         return said
 
     def as_dict(self) -> dict[str, Any]:

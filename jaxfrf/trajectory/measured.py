@@ -89,6 +89,13 @@ def measured(data: Experiment, payloads: Sequence[Payload | None] = ()) -> Measu
     return Measured(data, U, Y, _noise(data, order, frequency), frequency, tuple(payloads))
 
 
+def turned(record: Measured) -> Float[np.ndarray, "axis"]:
+    """How much of a turn each motor goes over, at all positions together; at most 1. Where they overlap, too much."""
+    samples = 4 * len(record.frequency)
+    course = np.fft.irfft(record.Y, n=samples, axis=2) * samples
+    return np.minimum(np.ptp(course, axis=2).max(axis=1).sum(axis=0) / (2 * np.pi), 1.0)
+
+
 def fewer(data: Experiment, most: int) -> Experiment:
     """Some experiments of every position, spread over those that there are.
 

@@ -1,10 +1,15 @@
 """Arm configurations that the logged positions of the motors contradict are told; encoders that begin at zero not."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from uncertain_arm import model
 
 import jaxfrf as jf
+from jaxfrf.calibration.result import Calibration
+from jaxfrf.trajectory.measured import measured, turned
+from jaxfrf.trajectory.ripple import Order
 from jaxfrf.trajectory.standing import misplaced
 
 Q = np.array([[0.3, -0.6], [-0.4, 0.8], [0.9, 0.2]])
@@ -44,3 +49,18 @@ def one(pos, exp, by):
 def test_where_motors_stand(data, expected):
     said = misplaced(model(), data)
     assert expected in "".join(said) and bool(said) == bool(expected)
+
+
+def test_part_of_a_turn():
+    """Three positions, each over twice the amplitude at the motor; whole turns count as one."""
+    gear = np.asarray(model().drives.gear_ratio)
+    found = turned(measured(record(amplitude=0.002)))
+    np.testing.assert_allclose(found, np.minimum(3 * 2 * 0.002 * gear / (2 * np.pi), 1.0), rtol=0.05)
+    np.testing.assert_array_equal(turned(measured(record(amplitude=1.0))), 1.0)
+
+
+def test_ripple_of_a_part_of_a_turn_is_doubted():
+    orders = [Order("torque", 1, 1.0), Order("torque", 1, 2.0), Order("torque", 0, 3.0)]
+    told = SimpleNamespace(given=model(), orders=orders, turned=(0.9, 0.2))
+    (doubt,) = Calibration._of_part_of_a_turn(told)
+    assert doubt.startswith("ripple of elbow (orders 1, 2) is of 0.2 of a turn")
