@@ -542,12 +542,16 @@ def test_the_page_shows_every_number(commanded):
     assert "not explained" not in page
 
 
+def doubted(**fields):
+    """A calibration of which only what `doubts` looks at is known."""
+    bare = {"unexplained": (), "hints": (), "numbers": (), "x": (), "misplaced": (), "orders": (), "turned": ()}
+    names = SimpleNamespace(axis_names=("shoulder", "elbow"))
+    return SimpleNamespace(given=names, _of_part_of_a_turn=lambda: [], **(bare | fields))
+
+
 @pytest.mark.parametrize("missed", [0.41, np.nan])
 def test_intervals_beside_torque_that_is_missed_are_doubted(missed):
-    names = SimpleNamespace(axis_names=("shoulder", "elbow"))
-    found = SimpleNamespace(
-        given=names, missed_before=[0.018, 0.5], missed_after=[0.02, missed], hints=(), numbers=(), x=()
-    )
+    found = doubted(missed_before=[0.018, 0.5], missed_after=[0.02, missed])
     assert Calibration.unexplained.fget(found) == ("elbow",)
     found.unexplained = ("elbow",)
     (text,) = Calibration.doubts(found)
@@ -555,16 +559,7 @@ def test_intervals_beside_torque_that_is_missed_are_doubted(missed):
 
 
 def test_a_fit_that_misses_more_than_it_began_with_says_so():
-    names = SimpleNamespace(axis_names=("shoulder", "elbow"))
-    found = SimpleNamespace(
-        given=names,
-        missed_before=[0.028, 0.02],
-        missed_after=[0.053, 0.021],
-        unexplained=(),
-        hints=(),
-        numbers=(),
-        x=(),
-    )
+    found = doubted(missed_before=[0.028, 0.02], missed_after=[0.053, 0.021])
     (text,) = Calibration.doubts(found)
     assert "than by the robot as given: shoulder (2.8 % -> 5.3 %)" in text and "elbow" not in text
 
@@ -572,11 +567,8 @@ def test_a_fit_that_misses_more_than_it_began_with_says_so():
 def test_numbers_that_are_far_off_are_doubted():
     """As those of a last link are that carries what nobody told."""
     every = numbers(model())
-    names = SimpleNamespace(axis_names=("shoulder", "elbow"))
     at = np.zeros(len(every))
-    found = SimpleNamespace(
-        given=names, missed_before=[0.5, 0.5], missed_after=[0.01, 0.01], unexplained=(), hints=(), numbers=every, x=at
-    )
+    found = doubted(missed_before=[0.5, 0.5], missed_after=[0.01, 0.01], numbers=every, x=at)
     assert Calibration.doubts(found) == []
     place = [n.name for n in every].index("elbow.mass")
     at[place] = 4.1
