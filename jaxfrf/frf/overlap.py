@@ -91,21 +91,29 @@ def of_fractions(
 ) -> Complex[np.ndarray, "chosen chosen"]:
     """The same of some lines' fits of a fraction, N and D of second order: beside a pole its errors have the shape of
     the response itself. `G`: of all outputs from the input that the fits are about, known well enough."""
+    F = fraction_weights(window, G, lines).toarray()
+    return F @ F.conj().T
+
+
+def fraction_weights(
+    window: Float[np.ndarray, "line"], G: Complex[np.ndarray, "line out"], lines: Int[np.ndarray, "chosen"]
+) -> scipy.sparse.csr_array:
+    """F of `of_fractions`, (chosen, line): the weights of one fit in a row, of length one; rho = F F^H."""
     n = len(window)
     width = np.clip(np.rint(window).astype(int)[lines], 1, n)
     first = np.clip(lines - width // 2, 0, n - width)
-    low, high = int(first.min()), int((first + width).max())
-    near = np.arange(low, high)
-    inside = (near >= first[:, None]) & (near < (first + width)[:, None])
+    ahead = np.arange(width.max())
+    near, inside = np.minimum(first[:, None] + ahead, n - 1), ahead < width[:, None]
     x = np.where(inside, (near - lines[:, None]) / width[:, None], 0.0)[..., None]
     one = inside[..., None].astype(float)
-    B = np.concatenate([one, x, x**2, x * G[low:high], x**2 * G[low:high]], axis=-1)  # (chosen, line, unknown)
+    B = np.concatenate([one, x, x**2, x * G[near], x**2 * G[near]], axis=-1)  # (chosen, line, unknown)
     B = B / np.maximum(np.linalg.norm(B, axis=1, keepdims=True), 1e-300)
     adjoint = B.conj().swapaxes(1, 2)
     centre = np.linalg.solve(adjoint @ B + _RIDGE * np.eye(B.shape[-1]), np.eye(B.shape[-1])[:, :1])
     F = (centre.conj().swapaxes(1, 2) @ adjoint)[:, 0]
     F = F / np.maximum(np.linalg.norm(F, axis=1, keepdims=True), 1e-300)
-    return F @ F.conj().T
+    rows = np.broadcast_to(np.arange(len(lines))[:, None], near.shape)
+    return scipy.sparse.csr_array((F[inside], (rows[inside], near[inside])), shape=(len(lines), n))
 
 
 def _overlap(widths: Int[np.ndarray, "line"]) -> Overlap:

@@ -1,6 +1,7 @@
 """An FRF made ready for fitting: its logarithm, and what each element of it counts."""
 
 import dataclasses
+import re
 
 import equinox as eqx
 import jax
@@ -81,7 +82,9 @@ class Target(eqx.Module):
     the weights, the scatter of neighbouring lines. `overlap`: correlation between the estimates of two lines, one for
     each position, or `None` for independent lines. `points`: operating points, leading axis pos. `used`: (pos, freq,
     vec). `scatter`: how much more the cost and the variance of its gradient are than weights from the true covariance
-    would make them, because the weights come from a covariance of few degrees of freedom, (pos, freq, 2).
+    would make them, because the weights come from a covariance of few degrees of freedom, (pos, freq, 2). `fractions`:
+    outputs of G, where windows were fitted by fractions, whose errors at neighbouring lines are alike as the response
+    is; 0 otherwise.
     """
 
     frequency: Float[Array, "freq"]
@@ -95,6 +98,7 @@ class Target(eqx.Module):
     points: PyTree
     used: Bool[Array, "pos freq vec"]
     scatter: Float[Array, "pos freq two"]
+    fractions: int = eqx.field(static=True, default=0)
 
     @property
     def n_pos(self) -> int:
@@ -159,6 +163,7 @@ def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
         points=points,
         used=used,
         scatter=_scatter(frf, weights, variance, used, floor),
+        fractions=frf.n_out if re.search(r"\bLRM\b|\bAuto\b", frf.method) else 0,
     )
 
 

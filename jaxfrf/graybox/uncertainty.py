@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import Array
+from ..frf.overlap import fraction_weights
 from .cost import Cost
 from .model import AbstractModel
 from .parameter import Coordinates
@@ -106,15 +107,15 @@ def uncertainty(model: AbstractModel, coordinates: Coordinates, target: Target, 
     errors, slopes = (np.asarray(part) for part in Cost(model, coordinates, target).errors(jnp.asarray(x)))
     full = products(target, errors, slopes)
     H, cost = full[:-1, :-1], float(full[-1, -1])
-    M, bound, noise = np.zeros_like(H), np.zeros_like(H), 0.0
+    M, shaped, bound, noise = np.zeros_like(H), np.zeros_like(H), np.zeros_like(H), 0.0
     for pos in range(target.n_pos):
-        score, information, power = _position(target, slopes[pos], pos)
-        M, bound, noise = M + score, bound + information, noise + power
+        score, alike, information, power = _position(target, slopes[pos], pos)
+        M, shaped, bound, noise = M + score, shaped + alike, bound + information, noise + power
     inverse = _inverse(H)
     expected = max(noise - float(np.trace(inverse @ M)), 0.0)
     misfit = max(1.0, cost / expected) if expected > 0 else 1.0
     return Uncertainty(
-        cov=_sandwich(H, M) * misfit,
+        cov=_wider(_sandwich(H, M), _sandwich(H, shaped)) * misfit,
         misfit=misfit,
         crlb=_inverse(bound) if np.any(bound) else np.zeros_like(H),
         information=H,
@@ -134,7 +135,8 @@ def products(target: Target, errors, slopes) -> np.ndarray:
 
 
 def _position(target: Target, slope, pos: int):
-    """Covariance of the gradient, information and expected cost of one position."""
+    """Covariance of the gradient, as parabolas and as fractions make neighbouring lines alike, information and expected
+    cost of one position."""
     used = np.asarray(target.used[pos])
     weight = np.asarray(target.magnitude[pos])
     cov, J = np.asarray(target.cov[pos]), np.where(used[..., None], slope, 0)
@@ -148,6 +150,7 @@ def _position(target: Target, slope, pos: int):
         whitener = np.asarray(target.whitener[pos])
         seen_J, seen_factor = whitener @ J, whitener @ factor
     Q = np.swapaxes(seen_J.conj(), -1, -2) @ (np.square(weight)[..., None] * seen_factor)
+    alike = _alike(target, Q, pos)
     T = np.concatenate([Q.real, Q.imag], axis=-1) / np.sqrt(2)  # (freq, parameter, 2 vec)
     flat = T.reshape(len(T), -1)
     rho = None if target.overlap is None else target.overlap[pos]
@@ -163,7 +166,32 @@ def _position(target: Target, slope, pos: int):
     information = 2 * np.real(solved.conj().T @ solved)
     power = np.square(weight)[..., None] * np.abs(seen_factor) ** 2
     power = float(np.sum(np.asarray(target.scatter[pos])[:, 0] * power.sum(axis=(-1, -2))))
-    return M, information, power
+    return M, M if alike is None else alike, information, power
+
+
+def _alike(target: Target, Q, pos: int) -> np.ndarray | None:
+    """Covariance of the gradient where errors of lines that share windows have the shape of the response, as those of
+    fractions have; `None` where there are none. `Q`: score of unit errors of every element, (freq, parameter, vec)."""
+    rho, n_out = (None if target.overlap is None else target.overlap[pos]), target.fractions
+    if rho is None or not n_out or len(rho.lines) != len(rho.width):
+        return None
+    log_G = np.asarray(target.log_G[pos])
+    G, total = np.exp(log_G), np.zeros((Q.shape[1],) * 2)
+    # What is left of an error once its phase is that of the response.
+    Q = Q * np.exp(-1j * log_G.imag)[:, None, :] * np.sqrt(np.asarray(target.scatter[pos])[:, 1:])[..., None]
+    for first in range(0, G.shape[1], n_out):
+        of = slice(first, first + n_out)
+        F = fraction_weights(rho.width.astype(float), G[:, of], rho.lines)
+        score = (F.T @ Q[:, :, of].reshape(len(Q), -1)).reshape(-1, *Q[:, :, of].shape[1:])
+        total += 0.5 * np.real(np.einsum("lpk,lqk->pq", score, score.conj(), optimize=True))
+    return total
+
+
+def _wider(cov, other):
+    """The first of two covariances, as wide in every parameter as the wider one."""
+    own, theirs = (np.maximum(np.diagonal(x), 0.0) for x in (cov, other))
+    by = np.sqrt(np.maximum(theirs / np.maximum(own, 1e-300), 1.0))
+    return cov * by[:, None] * by
 
 
 def without_sensitivity(coordinates: Coordinates, hessian) -> tuple[str, ...]:
