@@ -41,7 +41,8 @@ def run(given) -> dict:
         f"{len(made.lines)} lines from {number(frequency[0], 4)} to {number(frequency[-1], 4)} Hz",
         *(
             f"  input {i + 1}: rms {number(about.rms[:, i].max())}, peak speed {number(about.velocity[:, i].max())} "
-            f"rad/s, crest factor {number(about.crest[:, i].max())}"
+            f"rad/s, crest factor {number(about.crest[:, i].max())}, up to {number(about.position[:, i].max())} rad "
+            f"from rest and {number(about.acceleration[:, i].max())} rad/s^2"
             for i in range(made.n_in)
         ),
         f"wrote {', '.join(str(path) for path in (*written, picture))}",
@@ -56,5 +57,8 @@ def run(given) -> dict:
             "lines": len(made.lines),
             "band_hz": [float(frequency[0]), float(frequency[-1])],
             "crest_factor": about.crest.max(axis=0).tolist(),
+            "peak_speed": about.velocity.max(axis=0).tolist(),
+            "peak_travel": about.position.max(axis=0).tolist(),
+            "peak_acceleration": about.acceleration.max(axis=0).tolist(),
         },
     }

@@ -97,9 +97,9 @@ class ModalModel(eqx.Module):
             return ""
         return (
             f"the modes leave {number(self.misfit, 2)} times the FRF's standard deviation (or a hundredth of it), and "
-            "their intervals may be too small: a mode is missing (--near, --order), drives have several lags or "
-            "filters in the band (--band around one mode), channels are delayed by different times, which shows "
-            "towards high lines (--band), or the machine is not linear"
+            "their intervals may be too small: a mode is missing (--near, --order), modes beyond the band shape it "
+            "(--band), drives have several lags or filters in the band (--band around one mode), channels are delayed "
+            "by different times, which shows towards high lines (--band), or the machine is not linear"
         )
 
     def response(self, frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "freq out in"]:
