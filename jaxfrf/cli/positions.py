@@ -39,7 +39,6 @@ def run(given) -> dict:
     from ..graybox import RobotModel, plan_positions
     from ..io import read_design
     from ..io.positions import write_positions
-    from ..simulation.positions import units_of
 
     check_x64("jaxfrf positions")
     check_seed(given.seed)
@@ -54,7 +53,7 @@ def run(given) -> dict:
         f"{robot.name}: {given.positions} of {len(candidates)} positions ({drawn}), D-optimal for springs and dampers "
         f"at {100 * given.relative_noise:g} % noise"
     )
-    write_positions(given.output, plan.points, robot.axis_names, [about], units_of(robot))
+    write_positions(given.output, plan.points, robot.axis_names, [about], robot.axis_units)
     written = [given.output]
     if given.plot:
         from .. import plot

@@ -139,6 +139,11 @@ class Robot(eqx.Module):
         return tuple(self.joint_names[i] for i in self.driven_joints)
 
     @property
+    def axis_units(self) -> tuple[str, ...]:
+        """What the arm's side of every axis is counted in: rad, or m of one that slides."""
+        return tuple("m" if self.chain.sliding[i] else "rad" for i in self.driven_joints)
+
+    @property
     def spring_names(self) -> tuple[str, ...]:
         """Names of the joints that the springs belong to, in the order of `springs`."""
         flexible = tuple(self.driven_joints[axis] for axis in self.flexible_axes)

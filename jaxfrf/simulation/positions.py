@@ -55,18 +55,13 @@ def positions_of(robot: Robot, n: int, key: PRNGKeyArray) -> Float[np.ndarray, "
     **Source:** this project's own.
     """
     q = random_positions(n, key, robot.n_axes)
-    slides = robot.chain.sliding[list(robot.driven_joints)] > 0
+    slides = np.array(robot.axis_units) == "m"
     if not slides.any():
         return q
     drawn = [
         np.asarray(jr.uniform(jr.fold_in(jr.fold_in(as_key("key", key), i), 1), (robot.n_axes,))) for i in range(n)
     ]
     return np.where(slides, _TRAVEL * (2.0 * np.array(drawn) - 1.0), q)
-
-
-def units_of(robot: Robot) -> list[str]:
-    """`rad` or `m`, of every axis."""
-    return ["m" if robot.chain.sliding[joint] else "rad" for joint in robot.driven_joints]
 
 
 def read_positions(path: str | os.PathLike, axes: int) -> Float[np.ndarray, "pos axis"]:

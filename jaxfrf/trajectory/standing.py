@@ -9,7 +9,6 @@ from jaxtyping import Float
 from .._text import number
 from ..experiment import Experiment
 from ..robot import Robot
-from ..simulation.positions import units_of
 from .measured import mean_period
 
 _NEAR = 0.02  # rad or m, of the arm, beside how far it moves: a slip of 1 degree is none, and bends no number by much
@@ -26,7 +25,7 @@ def misplaced(robot: Robot, data: Experiment) -> tuple[str, ...]:
     arm, moves = _arm(robot, data)
     q, room = np.asarray(data.q), _NEAR + moves
     axes = range(robot.n_axes)
-    units = units_of(robot)
+    units = robot.axis_units
     each = [_of_axis(arm[..., a], q[:, a], room[:, a], units[a]) for a in axes]
     said = "; ".join(f"{name} {text}" for name, text in zip(robot.axis_names, each, strict=True) if text)
     if not said:

@@ -59,7 +59,6 @@ def test_a_file_is_as_small_as_the_factors(tmp_path):
     frf = dataclasses.replace(frf, **every, cov=kinds(shape)["widened"])
     jf.io.write_frf(tmp_path / "frf.nc", frf)
     assert (tmp_path / "frf.nc").stat().st_size < 100e6 / 7
-    assert np.prod(shape) * 36 * 16 > 48e6
 
 
 def test_others_read_it(tmp_path):

@@ -13,7 +13,7 @@ import jaxfrf as jf
 from jaxfrf.graybox.positions import d_optimal, expected_accuracy, plan_positions, position_information
 from jaxfrf.io.positions import write_positions
 from jaxfrf.plot.plan import plan as draw_plan
-from jaxfrf.simulation.positions import positions_of, read_positions, units_of
+from jaxfrf.simulation.positions import positions_of, read_positions
 
 FREQUENCY = np.geomspace(1.0, 12.0, 20)
 NAMES = ("a.stiffness", "a.damping", "b.stiffness", "b.damping", "f")
@@ -210,9 +210,9 @@ def test_what_slides_is_drawn_and_written_in_metres(tmp_path):
     joints = [joint | {"name": "turn"}, joint | {"name": "slide", "slides": True}]
     robot = jf.robot.robot_from_table({"name": "two", "gravity": [0.0, 0.0, -9.81], "joint": joints})
     q = positions_of(robot, 40, jax.random.key(0))
-    assert units_of(robot) == ["rad", "m"]
+    assert robot.axis_units == ("rad", "m")
     assert np.abs(q[:, 0]).max() > 1.0 and 0.3 < np.abs(q[:, 1]).max() <= 0.5
     np.testing.assert_array_equal(q[:5], positions_of(robot, 5, jax.random.key(0)))
-    write_positions(tmp_path / "q.csv", q, robot.axis_names, units=units_of(robot))
+    write_positions(tmp_path / "q.csv", q, robot.axis_names, units=robot.axis_units)
     assert "# turn (rad), slide (m)" in (tmp_path / "q.csv").read_text()
     np.testing.assert_array_equal(read_positions(tmp_path / "q.csv", 2), q)
