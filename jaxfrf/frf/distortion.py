@@ -248,7 +248,7 @@ def _brought(frequency, known, power, noise, level, level_there) -> np.ndarray:
 
     What enters beside the input, as friction and springs do, has the resonances that the output has; what a sensor
     adds, or another joint, has not, or has a part. That power of the output is taken by which lines tell their
-    neighbours best: a mean over lines near a resonance told twice too much beside it.
+    neighbours best: a mean over lines near a resonance tells several times too much beside it.
     """
     if len(known) < _FEWEST:
         return np.full((power.shape[0], len(frequency), power.shape[2]), np.nan)

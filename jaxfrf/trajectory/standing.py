@@ -39,9 +39,10 @@ def misplaced(robot: Robot, data: Experiment) -> tuple[str, ...]:
 def _arm(robot: Robot, data: Experiment) -> tuple[Float[np.ndarray, "pos exp axis"], Float[np.ndarray, "pos axis"]]:
     """Mean positions of the motors on the arm side, and how far they move at most."""
     gear = np.asarray(robot.drives.gear_ratio)
+    zero = 0.0 if robot.drives.zero is None else np.asarray(robot.drives.zero)
     means, moves = [], []
     for pos in range(data.n_pos):
-        period = mean_period(data, pos, data.y) / gear
+        period = (mean_period(data, pos, data.y) - zero) / gear
         means.append(period.mean(axis=1))
         moves.append(np.ptp(period, axis=1).max(axis=0))
     return np.array(means), np.array(moves)

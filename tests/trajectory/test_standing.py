@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import equinox as eqx
 import numpy as np
 import pytest
 from uncertain_arm import model
@@ -49,6 +50,13 @@ def one(pos, exp, by):
 def test_where_motors_stand(data, expected):
     said = misplaced(model(), data)
     assert expected in "".join(said) and bool(said) == bool(expected)
+
+
+def test_zeros_that_the_robot_states_are_taken_off():
+    zero = np.array([0.0, 20.0])
+    robot = eqx.tree_at(lambda r: r.drives.zero, model(), zero, is_leaf=lambda x: x is None)
+    stands = Q + zero / np.asarray(model().drives.gear_ratio)
+    assert misplaced(model(), record(stands)) and not misplaced(robot, record(stands))
 
 
 def test_part_of_a_turn():
