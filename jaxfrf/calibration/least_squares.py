@@ -19,6 +19,7 @@ from .numbers import Number
 
 _RIDGE = 1e-9  # of a column's square: products are made in single precision
 _OWN = 1e-6  # of the largest eigenvalue of scaled products: less is no direction that the data know
+_FAINT = 1e-4  # what x^2 costs where nothing is known at all: a hundred tolerances, or logarithms
 _ROUNDS = 5  # of the design effect, which depends on the step and the step on it
 
 
@@ -30,7 +31,8 @@ class Posterior:
     as one. `normal`: the normal matrix A/effect + P. `by_cluster`: estimates of the change without each cluster,
     (cluster, column). `prior`: P's diagonal. `left`: squares that are left behind the step, over the effect. `scores`:
     of every position and band of lines, (pos, band, column), where they are known: an error of the model that is the
-    same at all positions shows between bands only. `beyond`: covariance beside all this, `with_column_errors`.
+    same at all positions shows between bands only. `blind`: covariance of combinations that neither the data know nor
+    anybody before: the step leaves them where they are. `beyond`: covariance beside all this, `with_column_errors`.
     """
 
     change: Float[np.ndarray, "column"]
@@ -40,13 +42,14 @@ class Posterior:
     prior: Float[np.ndarray, "column"]
     left: float = np.inf
     scores: Float[np.ndarray, "pos band column"] | None = None
+    blind: Float[np.ndarray, "column column"] | float = 0.0
     beyond: Float[np.ndarray, "column column"] | float = 0.0
 
     @property
     def covariance(self) -> Float[np.ndarray, "column column"]:
         """Of the estimates: of what the data say, from the scatter of the clusters, and of what was known before, so
         far as the estimates lean on it."""
-        return self._from_data + np.diag(self._from_bands) + self._from_prior + self.beyond
+        return self._from_data + np.diag(self._from_bands) + self._from_prior + self.blind + self.beyond
 
     @property
     def _from_data(self):
@@ -80,7 +83,7 @@ class Posterior:
         z = scipy.stats.norm.ppf(0.5 + level / 2)
         bands = 0.0 if self.scores is None else scipy.stats.t.ppf(0.5 + level / 2, self.scores.shape[1] - 1) ** 2
         told = t**2 * np.diag(self._from_data) + bands * self._from_bands
-        return np.sqrt(told + z**2 * np.diag(self._from_prior + self.beyond))
+        return np.sqrt(told + z**2 * np.diag(self._from_prior + self.blind + self.beyond))
 
     @property
     def data_share(self) -> Float[np.ndarray, "column"]:
@@ -119,7 +122,7 @@ def solve(gram: Gram, numbers: Sequence[Number], x: Float[np.ndarray, "number"])
     if len(A) > 1:
         without = [change_by(_information(whole - a), right - c, effect) for a, c in zip(A, b, strict=True)]
     left = float(gram.rr.sum() - 2.0 * right @ change + change @ whole @ change) / effect
-    return Posterior(change, effect, normal, np.array(without), prior, left)
+    return Posterior(change, effect, normal, np.array(without), prior, left, blind=_blind(A.sum(axis=0), normal, prior))
 
 
 def with_bands(posterior: Posterior, weighed: Weighed, bands: int) -> Posterior:
@@ -183,6 +186,17 @@ def _known_directions(whole) -> Float[np.ndarray, "column direction"]:
     values, vectors = np.linalg.eigh(whole / np.outer(size, size))
     known = values > _OWN * values[-1]
     return vectors[:, known] / size[:, None] / np.sqrt(values[known])
+
+
+def _blind(A, normal, prior) -> Float[np.ndarray, "column column"]:
+    """Covariance of combinations that the data do not know, beyond what the estimates lean on the prior: products that
+    rounding made, and those that stand for none (`_information`), are no knowledge."""
+    size = np.sqrt(np.maximum(np.diag(A), 1e-12))
+    values, vectors = np.linalg.eigh(A / np.outer(size, size))
+    unknown = np.linalg.qr(vectors[:, values <= _OWN * values[-1]] / size[:, None])[0]
+    faint, known = _FAINT * np.eye(unknown.shape[1]), unknown.T @ (prior[:, None] * unknown)
+    leaning = np.linalg.inv(unknown.T @ normal @ unknown + faint)
+    return unknown @ (np.linalg.inv(known + faint) - leaning @ known @ leaning) @ unknown.T
 
 
 def _design_effect(A, b, directions, change) -> float:

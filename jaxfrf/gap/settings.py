@@ -20,6 +20,8 @@ MOST = 4  # effects
 
 # What is used of a record
 EXPERIMENTS = 2  # of a position that is fitted: what limits a fit is the model, not the noise
+RUNS = 16  # positions times experiments that the robot which is written is fitted to, at most: where few positions tell
+# its numbers their experiments do; more than these take 3 GB for six axes
 JUDGING = 6  # experiments of a position that decides or is held out: each is a block of its own
 FEW = 4  # opened positions, from which on some of them choose nothing and decide
 SELECT = 3  # one of so many

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 import scipy.fft
 import scipy.ndimage
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 
 from .._errors import input_error
 from .._text import number
@@ -46,6 +46,12 @@ class Measured(eqx.Module):
         data = dataclasses.replace(d, u=some(d.u), y=some(d.y), r=r, q=q)
         payloads = tuple(self.payloads[p] for p in positions) if self.payloads else ()
         return Measured(data, self.U[positions], self.Y[positions], self.noise, self.frequency, payloads)
+
+    def fewer(self, most: int) -> "Measured":
+        """Some experiments of every position, as `fewer` chooses them; the noise as all show it."""
+        some = _spread(self.data.n_exp, most)
+        data, U, Y = fewer(self.data, most), self.U[:, some], self.Y[:, some]
+        return Measured(data, U, Y, self.noise, self.frequency, self.payloads)
 
     def by_payload(self) -> list[tuple[Payload | None, np.ndarray]]:
         """Every payload, and the positions at which it is carried."""
@@ -105,9 +111,13 @@ def fewer(data: Experiment, most: int) -> Experiment:
     """
     if data.n_exp <= most:
         return data
-    some = np.linspace(0, data.n_exp - 1, most).round().astype(int)
+    some = _spread(data.n_exp, most)
     pick = lambda x: np.asarray(x)[:, some]
     return dataclasses.replace(data, u=pick(data.u), y=pick(data.y), r=None if data.r is None else pick(data.r))
+
+
+def _spread(count: int, most: int) -> Int[np.ndarray, "some"]:
+    return np.linspace(0, count - 1, min(count, most)).round().astype(int)
 
 
 def mean_period(data: Experiment, pos: int, signal=None) -> Float[np.ndarray, "exp time channel"]:

@@ -36,6 +36,22 @@ def test_what_cancels_is_told_by_what_was_known_where_columns_have_errors():
     assert np.mean(held) >= 0.9
 
 
+def test_what_neither_the_data_nor_anybody_knows_is_told_as_that():
+    """Two columns that are one but for rounding, and one that is nothing: their sum is known, each of them is not; one
+    of which something was known before is known as well as that."""
+    rng = np.random.default_rng(7)
+    x = 1e3 * rng.standard_normal((RUNS, ROWS))
+    X = np.stack([x, x * (1 + 1e-5 * rng.standard_normal(x.shape)), 0 * x, 0 * x], axis=1)
+    y = 2 * x + rng.standard_normal(x.shape)
+    gram = Gram(X @ X.swapaxes(1, 2), np.einsum("rjn,rn->rj", X, y), np.sum(y**2, axis=1), np.arange(RUNS), ROWS)
+    posterior = solve(gram, [types.SimpleNamespace(prior=p) for p in (0.0, 0.0, 0.0, 1.0)], np.zeros(4))
+    assert np.all(posterior.half_width()[:3] > 100)
+    np.testing.assert_allclose(posterior.half_width()[3], 1.96, rtol=1e-3)
+    both = np.array([1.0, 1.0, 0.0, 0.0])
+    assert both @ posterior.covariance @ both < 1e-4
+    np.testing.assert_allclose(both @ posterior.change, 2.0, atol=1e-3)
+
+
 def test_columns_that_do_not_cancel_are_told_as_before():
     rng = np.random.default_rng(6)
     X, y = rng.standard_normal((RUNS, 2, ROWS)), rng.standard_normal((RUNS, ROWS))

@@ -128,7 +128,7 @@ def _at_all_positions(last: Fitted, records: Records) -> tuple[Records, Fitted, 
     tell them all. `None` where they do not."""
     nowhere = records.heldout[:0]
     records = Records(records.whole, records.every, np.union1d(records.opened, records.heldout), nowhere, nowhere)
-    fit = further(last, records.whole, lambda text: None, FINAL_ROUNDS).found
+    fit = further(last, records.final, lambda text: None, FINAL_ROUNDS).found
     there = written(fit.written(), records.every)
     worst = np.inf if there is None else _worst(fit, there, None)
     return (records, fit, there, worst) if there is not None and worst <= UNEXPLAINED else None

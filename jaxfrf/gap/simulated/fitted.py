@@ -253,8 +253,9 @@ class RobotFit:
         (`anew`). `more`: whether more ripple is looked for there.
 
         **Raises:** `jaxfrf.InputError` where it cannot be simulated there."""
-        same_motion = np.array_equal(
-            np.asarray(record.data.q), [scene.still.q for scene in start.iterate.evidence.scenes]
+        scenes = start.iterate.evidence.scenes
+        same_motion = np.array_equal(np.asarray(record.data.q), [s.still.q for s in scenes]) and all(
+            len(s.u) == record.data.n_exp for s in scenes
         )
         fit = cls(robot, unknown, record, say, start.iterate.differences if same_motion else {})
         known = {n.name: (n, float(x)) for n, x in zip(start.numbers, start.x, strict=True) if n.name not in anew}

@@ -72,11 +72,12 @@ class Step(eqx.Module):
 
 
 def on_all(now: Fitted, records: Records, say: Say) -> Fitted:
-    """The same, fitted to the positions that decided, too."""
-    if len(records.opened) == len(records.fit):
+    """The same, fitted to the positions that decided, too, and to more experiments."""
+    record = records.final
+    if record.data.u.shape[:2] == records.fitted.data.u.shape[:2]:
         return now
     say("fits it to all positions that are not held out")
-    return _wherever_least(further(now, records.whole.at(records.opened), say, FINAL_ROUNDS))
+    return _wherever_least(further(now, record, say, FINAL_ROUNDS))
 
 
 def _wherever_least(fit: RobotFit) -> Fitted:

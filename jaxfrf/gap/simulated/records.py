@@ -7,7 +7,7 @@ from ..._errors import input_error
 from ...experiment import Experiment
 from ...trajectory.joined import places
 from ...trajectory.measured import Measured
-from ..settings import FEW, SELECT
+from ..settings import FEW, RUNS, SELECT
 
 
 class Records(eqx.Module):
@@ -28,6 +28,12 @@ class Records(eqx.Module):
     @property
     def opened(self) -> np.ndarray:
         return np.union1d(self.fit, self.select)
+
+    @property
+    def final(self) -> Measured:
+        """The positions that are not held out, with as many experiments as the last fit takes."""
+        most = RUNS // len(self.opened)
+        return (self.every.fewer(most) if most > self.whole.data.n_exp else self.whole).at(self.opened)
 
     @property
     def deciding(self) -> Measured:
