@@ -72,12 +72,15 @@ class Step(eqx.Module):
 
 
 def on_all(now: Fitted, records: Records, say: Say) -> Fitted:
-    """The same, fitted to the positions that decided, too, and to more experiments."""
+    """The same, fitted to the positions that decided, too, and from there to more experiments."""
+    if len(records.opened) > len(records.fit):
+        say("fits it to all positions that are not held out")
+        now = _wherever_least(further(now, records.whole.at(records.opened), say, FINAL_ROUNDS))
     record = records.final
-    if record.data.u.shape[:2] == records.fitted.data.u.shape[:2]:
-        return now
-    say("fits it to all positions that are not held out")
-    return _wherever_least(further(now, record, say, FINAL_ROUNDS))
+    if record.data.n_exp > records.whole.data.n_exp:
+        say("fits it to more experiments")
+        now = further(now, record, say, FINAL_ROUNDS).found
+    return now
 
 
 def _wherever_least(fit: RobotFit) -> Fitted:
