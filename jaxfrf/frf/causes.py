@@ -23,6 +23,7 @@ _LEAST = 0.5  # of the smaller variance, that two estimates at least differ by
 _DOUBT = 2.0  # standard errors of the mean over lines: an excess of less is mostly chance
 _UNSEEN = 0.13  # of the variance of the difference: bias of fractions, by noise in their regressors, that no test sees
 _NOISE_LINES = 4  # on either side, over which the residuals of pointwise estimates are averaged
+_SINGULAR = 1e10  # condition of U Z^H, channels scaled, from which on a line has no pointwise estimate
 
 
 def with_causes(estimate: Estimate, spectra: Spectra, method: AbstractMethod) -> Estimate:
@@ -142,11 +143,13 @@ def _pointwise(spectra: Spectra, Z):
     freq, out), where experiments are left over to tell it."""
     U, Y, Z = (np.moveaxis(np.asarray(X), 1, -1) for X in (spectra.U, spectra.Y, Z))
     H = Z.conj().swapaxes(-1, -2)
-    product = U @ H
+    size_u, size_z = (np.linalg.norm(X, axis=-1) for X in (U, Z))
+    size_u, size_z = (np.where(size > 0, size, 1.0) for size in (size_u, size_z))
+    product = U @ H / (size_u[..., :, None] * size_z[..., None, :])  # units of channels do not matter
     with np.errstate(all="ignore"):
-        singular = ~np.isfinite(product).all(axis=(-2, -1)) | ~(np.linalg.cond(product) < 1e10)
+        singular = ~np.isfinite(product).all(axis=(-2, -1)) | ~(np.linalg.cond(product) < _SINGULAR)
     product = np.where(singular[..., None, None], np.eye(product.shape[-1]), product)
-    influence = H @ np.linalg.inv(product)  # (exp, in)
+    influence = H / size_z[..., None, :] @ np.linalg.inv(product) / size_u[..., None, :]  # (exp, in)
     G = np.where(singular[..., None, None], np.nan, Y @ influence)
     weight = np.sum(np.abs(influence) ** 2, axis=-2)
     left = spectra.n_exp - spectra.n_in

@@ -165,11 +165,13 @@ def check_independent(name: str, X) -> None:
 
 
 def _best_rank(X) -> int:
-    """The largest rank at any line of (freq, channel, exp): looking at the lines only until one has full rank."""
+    """The largest rank at any line of (freq, channel, exp), channels scaled: looking at the lines only until one has
+    full rank."""
     n, best, first = X.shape[1], 0, 0
     while best < n and first < len(X):
         last = first + _AT_ONCE if first else 1
-        singular = np.linalg.svd(X[first:last], compute_uv=False)
+        size = np.linalg.norm(X[first:last], axis=-1, keepdims=True)
+        singular = np.linalg.svd(X[first:last] / np.where(size > 0, size, 1.0), compute_uv=False)
         best = max(best, int((singular > DEPENDENT * singular[..., :1]).sum(axis=-1).max()))
         first = last
     return best

@@ -103,6 +103,19 @@ def test_units_of_outputs_and_inputs(method, seed, T, S):
     np.testing.assert_allclose(after.dof, before.dof, rtol=1e-5)
 
 
+@pytest.mark.parametrize(("method", "ratio"), [(LOCAL[1], 1e-6), (CLASSICAL[0], 1e-12)], ids=repr)
+def test_one_input_of_another_size(method, ratio):
+    """Element by element, and the bias with them: no line is taken for singular, no experiment for a copy."""
+    d, size = data(0), np.array([1.0, ratio])
+    one, other = estimate(d.U, d.Y, None, method), estimate(d.U * size, d.Y, None, method)
+    np.testing.assert_allclose(other.G * size, one.G, rtol=1e-6)
+    np.testing.assert_allclose(other.std * size, one.std, rtol=1e-6)
+    assert (one.bias is None) == (other.bias is None)
+    if one.bias is not None:
+        assert one.bias.any()
+        np.testing.assert_allclose(other.bias * size, one.bias, rtol=1e-4)
+
+
 @each(CLASSICAL, LOCAL, BY_CHANNEL, COMMON, ELEMENTWISE)
 @few
 @given(seed=seeds, T=orders, S=orders)
