@@ -12,12 +12,11 @@ from .._errors import InputError, input_error
 from .._text import number, percent
 from ..effects import AbstractEffect, Swing, library
 from ..experiment import Experiment
-from .fit import FLOOR, MachineFit, fit_machine, measured_lines, share_left
+from .fit import ENOUGH, FLOOR, MachineFit, fitted, measured_lines, of_hold, share_left
 from .forces import CubicSpring
 from .model import Machine
 from .simulate import driving, simulate_machine
 
-_ENOUGH = 1.3  # misfit of a machine that misses nothing
 _LEAST_GAIN = 0.15  # part of the held-out gap that an effect has to close
 _ALIKE = 1.3  # times what the best effect leaves on the held-out part: with less, another explains as well
 _SURE = 3.0  # standard deviations of its largest number from 0
@@ -41,6 +40,7 @@ class MachineDiagnosis(eqx.Module):
     - `heldout`: what is left on the held-out experiment or lines over what was measured there, at first and with every
       effect.
     - `tried`: (place, effect, what it leaves on the held-out part) of every candidate, in the order of trial.
+    - `doubt`: in words, where u does not look like what `hold` says between its samples; else empty.
     """
 
     verdict: str = eqx.field(static=True)
@@ -50,12 +50,15 @@ class MachineDiagnosis(eqx.Module):
     fit: MachineFit
     heldout: tuple[float, ...] = eqx.field(static=True)
     tried: tuple[tuple[str, str, float], ...] = eqx.field(static=True)
+    doubt: str = eqx.field(static=True, default="")
 
     def __str__(self) -> str:
         gap = " -> ".join(percent(x, 3) for x in self.heldout)
         named = "; ".join(f"{e.name} at {e.joint}" for e in self.effects) or "no effect"
         more = f"; or, in the place of the last: {', '.join(f'{e.name} at {e.joint}' for e in self.rivals)}"
-        return f"{self.verdict}: {named} (left on the held-out part: {gap}){more if self.rivals else ''}"
+        return f"{self.verdict}: {named} (left on the held-out part: {gap}){more if self.rivals else ''}" + (
+            f"; {self.doubt}" if self.doubt else ""
+        )
 
 
 def diagnose_machine(
@@ -67,6 +70,7 @@ def diagnose_machine(
     settle: int | None = None,
     floor: float = FLOOR,
     most: int = 2,
+    hold: bool = True,
     say: Say = lambda _: None,
 ) -> MachineDiagnosis:
     """Find which effects a machine of your own is missing.
@@ -77,14 +81,15 @@ def diagnose_machine(
     standard deviations. Where another leaves as little, or both less than `floor`, the verdict is `ambiguous`.
 
     Says less than it seems where the machine's own matrices are wrong (a missing mass is nobody's friction), and with
-    one experiment, whose held-out lines share its amplitude with the others: other amplitudes tell springs apart.
+    one experiment, whose held-out lines share its amplitude with the others: other amplitudes tell springs apart. Where
+    u is not what `hold` says no effect explains the record, and `doubt` tells.
 
     **Arguments:**
 
     - `machine`: as it is known, with places. `data`: a periodic record of it.
     - `candidates`: by default Coulomb, Stribeck and one-sided friction at every place, and cubic spring, play and
       hardening where the machine has a spring; friction then turns within 2 % of the slowest place's rms speed or more.
-    - `band` (Hz), `settle` (periods), `floor`: as of `fit_machine`. `most`: effects that are added at most.
+    - `band` (Hz), `settle` (periods), `floor`, `hold`: as of `fit_machine`. `most`: effects that are added at most.
     - `say`: called with a line on every fit.
 
     **Returns:** a `MachineDiagnosis`: verdict, effects with their numbers, what is left on the held-out part.
@@ -100,22 +105,23 @@ def diagnose_machine(
             "machine", "no places", "some, where effects can act", 'Name them: places={"spring": [1, -1]}.'
         )
     if candidates is None:
-        machine = _smoothed(machine, data)
+        machine = _smoothed(machine, data, hold)
     used = _fitted_lines(measured_lines(machine, data, band, floor)[1])
-    fitted = functools.partial(fit_machine, data=data, band=band, settle=settle, floor=floor, used=used)
-    before = fit = fitted(machine)
+    either = functools.partial(fitted, data=data, band=band, settle=settle, floor=floor, used=used)
+    fitting = functools.partial(either, hold=hold)
+    before = fit = fitting(machine)
     heldout = [_gap(fit, used)]
     say(f"as it is: misfit {number(fit.misfit)}, {percent(heldout[0], 3)} left on the held-out part")
     effects: list[AbstractEffect] = []
     rivals: list[AbstractEffect] = []
     tried: list[tuple[str, str, float]] = []
-    while fit.misfit > _ENOUGH and len(effects) < most:
-        own = _typical(fit.machine, data) if candidates is None else candidates
+    while fit.misfit > ENOUGH and len(effects) < most:
+        own = _typical(fit.machine, data, hold) if candidates is None else candidates
         known = {(e.joint, e.name) for e in fit.machine.effects}
         found: list[tuple[float, MachineFit]] = []
         for effect in own:
             if (effect.joint, effect.name) not in known:
-                one = _with(fit, effect, fitted)
+                one = _with(fit, effect, fitting)
                 left = _gap(one, used) if one is not None else np.inf
                 tried.append((str(effect.joint), effect.name, left))
                 say(f"{effect.name} at {effect.joint}: {percent(left, 3)} left")
@@ -130,10 +136,11 @@ def diagnose_machine(
         fit = found[0][1]
         effects.append(fit.machine.effects[-1])
     verdict = "unexplained" if not effects else "ambiguous" if rivals else "named"
-    if before.misfit <= _ENOUGH:
+    if before.misfit <= ENOUGH:
         verdict = "sufficient"
     added = fit.machine.effects[len(machine.effects) :]
-    return MachineDiagnosis(verdict, added, tuple(rivals), before, fit, tuple(heldout), tuple(tried))
+    doubt = of_hold(fit, either)
+    return MachineDiagnosis(verdict, added, tuple(rivals), before, fit, tuple(heldout), tuple(tried), doubt)
 
 
 def _fitted_lines(measured: Complex[np.ndarray, "exp line out"]) -> Bool[np.ndarray, "exp line"]:
@@ -150,11 +157,11 @@ def _gap(fit: MachineFit, used) -> float:
     return left if np.isfinite(left) else np.inf
 
 
-def _with(fit: MachineFit, effect: AbstractEffect, fitted: Callable[[Machine], MachineFit]) -> MachineFit | None:
+def _with(fit: MachineFit, effect: AbstractEffect, fitting: Callable[[Machine], MachineFit]) -> MachineFit | None:
     machine = fit.machine.with_effects(effect)
     shapes = [f"{effect.joint}.{effect.name}.{f}" for f in effect.units if f in (*effect.shapes, *_SHAPES)]
     try:
-        return fitted(machine.held(*shapes))
+        return fitting(machine.held(*shapes))
     except InputError as error:  # no candidate
         if "diverges" not in str(error):
             raise
@@ -169,12 +176,12 @@ def _stands(effect: AbstractEffect, fit: MachineFit) -> bool:
     return allowed and any(abs(fit.values[n]) > _SURE * fit.std[n] for n in free.values())
 
 
-def _typical(machine: Machine, data: Experiment) -> list[AbstractEffect]:
+def _typical(machine: Machine, data: Experiment, hold: bool) -> list[AbstractEffect]:
     """Effects at every place of a size that the machine's motion there lets see."""
     found: list[AbstractEffect] = []
     kinds: tuple[type[AbstractEffect], ...] = (*library().values(), CubicSpring)
     for place, p in machine.places.items():
-        x, v = (_rms(_seen(machine, p, kind), data) for kind in ("position", "velocity"))
+        x, v = (_rms(_seen(machine, p, kind), data, hold) for kind in ("position", "velocity"))
         force = _LEAST_FORCE * float(np.sqrt(np.mean(driving(data) ** 2))) * float(np.abs(machine.inputs).max())
         slow = max(machine.smoothing, _SLOW * v)
         K = np.asarray(machine.matrices({n: p.start for n, p in machine.parameters.items()})[2], float)
@@ -184,9 +191,9 @@ def _typical(machine: Machine, data: Experiment) -> list[AbstractEffect]:
     return found
 
 
-def _smoothed(machine: Machine, data: Experiment) -> Machine:
+def _smoothed(machine: Machine, data: Experiment, hold: bool) -> Machine:
     """With friction that turns no faster than its fastest place lets see: a step that follows it costs a hundred."""
-    slow = _SLOW * min(_rms(_seen(machine, p, "velocity"), data) for p in machine.places.values())
+    slow = _SLOW * min(_rms(_seen(machine, p, "velocity"), data, hold) for p in machine.places.values())
     if slow <= machine.smoothing:
         return machine
     return machine.with_smoothing(slow)
@@ -209,6 +216,6 @@ def _seen(machine: Machine, p: Float[np.ndarray, "dof"], quantity: str) -> Machi
     )
 
 
-def _rms(machine: Machine, data: Experiment) -> float:
-    y = np.asarray(simulate_machine(machine, data))
+def _rms(machine: Machine, data: Experiment, hold: bool) -> float:
+    y = np.asarray(simulate_machine(machine, data, hold=hold))
     return max(float(np.sqrt(np.mean((y - y.mean(axis=1, keepdims=True)) ** 2))), 1e-12)

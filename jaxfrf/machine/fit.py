@@ -1,7 +1,8 @@
 """A machine fitted through the experiment: its motion under the measured input against the measured output."""
 
+import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -15,16 +16,20 @@ from jaxtyping import Bool, Complex, Float
 
 from .._arguments import expect
 from .._errors import input_error
+from .._text import percent
 from .._threads import one_blas_thread
 from .._types import require_x64
 from ..effects import AbstractEffect
 from ..experiment import QUANTITIES, Experiment
 from .model import Machine
-from .simulate import driving, fine_steps, motion, settling
+from .simulate import between, driving, motion, needed_steps, settling
 
 FLOOR = 1e-3  # of the output's rms at a line: below it no model is right
 _REACH = np.log(1e4)  # that a positive parameter may move from its start
-_RETRIES = 2  # of a fit whose machine turns out to ring for longer than was waited
+ENOUGH = 1.3  # misfit of a machine that misses nothing
+_RETRIES = 2  # of a fit whose machine turns out to ring for longer than was waited, or to ask for shorter steps
+_FEW, _MANY = 10, 60  # simulations with their slopes: to see whether another hold explains a record; to fit it
+_CLEARLY = 0.5  # of what is left with one hold, that another leaves, and is told then
 _SCATTER = 24  # complex degrees of freedom behind a variance of noise: 4 % of what such weights tell is lost
 _BEYOND = 1.5  # times the highest excited line: distortion shows there, too
 
@@ -36,7 +41,8 @@ class MachineFit(eqx.Module):
     misfit. `residual`: root of the power of measured less simulated output over that of the measured one, at the lines
     of the fit. `misfit`: root mean square of the residual over its standard deviation. `lines`: those of the fit.
     `left`, `measured`: what is left of the measured output's Fourier coefficients at these lines, and the coefficients,
-    (exp, line, out). `settle`: periods that were waited. `converged`.
+    (exp, line, out). `settle`: periods that were waited. `converged`. `hold`: whether u was taken as held between its
+    samples. `doubt`: in words, where the record looks as if that were not so; else empty.
     """
 
     machine: Machine
@@ -49,6 +55,8 @@ class MachineFit(eqx.Module):
     measured: Complex[np.ndarray, "exp line out"]
     settle: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
+    hold: bool = eqx.field(static=True, default=True)
+    doubt: str = eqx.field(static=True, default="")
 
 
 @one_blas_thread
@@ -61,6 +69,7 @@ def fit_machine(
     steps: int | None = None,
     floor: float = FLOOR,
     used: Bool[np.ndarray, "exp line"] | None = None,
+    hold: bool = True,
 ) -> MachineFit:
     """Fit masses, springs, dampers and effects of a machine to a record, by simulating it under the measured input.
 
@@ -68,7 +77,10 @@ def fit_machine(
     lines of `band`, excited or not: what a nonlinear spring or friction adds there is part of the answer. Least squares
     by a trust-region method with the Jacobian by forward differentiation through the simulation.
 
-    Biased by noise of the measured input (it drives the model), and where the machine drifts by what is not measured.
+    Biased by noise of the measured input (it drives the model), where the machine drifts by what is not measured, and
+    where the input is not what `hold` says: masses and springs then take half a sample on, some per cent where modes
+    are above a twentieth of the sampling frequency. Where more than noise is left the other one is tried, and `doubt`
+    of the result tells if it leaves less than half.
 
     **Arguments:**
 
@@ -81,6 +93,8 @@ def fit_machine(
       `simulate_machine`.
     - `floor`: standard deviation of the model itself, over the rms of the output.
     - `used`: which experiments and lines (of `MachineFit.lines`) count; by default all.
+    - `hold`: whether u is held between its samples (a commanded one), or smooth (`False`: a measured one); see
+      `simulate_machine`.
 
     **Returns:** a `MachineFit`: the machine at the result, its free parameters with their standard deviations, in their
     units, and what is left at every line.
@@ -92,6 +106,38 @@ def fit_machine(
     between periods (Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. 2012); that the
     distortion's lines count as well is this project's own.
     """
+    fitting = functools.partial(fitted, data=data, band=band, settle=settle, steps=steps, floor=floor, used=used)
+    found = fitting(machine, hold=hold)
+    return dataclasses.replace(found, doubt=of_hold(found, fitting))
+
+
+def of_hold(found: MachineFit, fitting: Callable[..., MachineFit]) -> str:
+    """What to doubt of the `hold` of a fit that `fitting` made."""
+    if found.misfit <= ENOUGH:
+        return ""
+    other = fitting(found.machine, hold=not found.hold, most=_FEW)
+    if not other.misfit < _CLEARLY * found.misfit:
+        return ""
+    taken, rather = ("held", "smooth") if found.hold else ("smooth", "held")
+    return (
+        f"u looks {rather} between its samples, and was taken as {taken}: with hold={other.hold} "
+        f"{percent(other.residual, 2)} are left, not {percent(found.residual, 2)}"
+    )
+
+
+def fitted(
+    machine: Machine,
+    data: Experiment,
+    *,
+    band: tuple[float, float] | None = None,
+    settle: int | None = None,
+    steps: int | None = None,
+    floor: float = FLOOR,
+    used: Bool[np.ndarray, "exp line"] | None = None,
+    hold: bool = True,
+    most: int = _MANY,
+) -> MachineFit:
+    """`fit_machine` without its doubt, in `most` simulations with their slopes."""
     require_x64("fit_machine")
     expect("machine", machine, Machine)
     expect("data", data, Experiment)
@@ -108,15 +154,22 @@ def fit_machine(
     used = np.ones(measured.shape[:2], bool) if used is None else np.asarray(used, bool)
     if used.shape != measured.shape[:2] or not used.any():
         raise input_error("used", f"{used.shape}, {used.sum()} of them", f"{measured.shape[:2]}, some", "Correct it.")
-    period, given = data.period / data.fs, settle
-    settle = settling(machine, _starts(machine), period, floor / 3) if given is None else given
-    found = _fitted(machine, data, lines, measured, sigma, used, settle, steps)
+
+    def asked(machine: Machine) -> tuple[int, int]:
+        """Periods to wait, steps in a sample."""
+        start = _starts(machine)
+        wait = settling(machine, start, data.period / data.fs, floor / 3) if settle is None else settle
+        return wait, needed_steps(machine, start, data, wait, hold) if steps is None else steps
+
+    count = asked(machine)
+    found = _fitted(machine, data, lines, measured, sigma, used, *count, hold, most)
     for _ in range(_RETRIES):
-        needed = settling(found.machine, _starts(found.machine), period, floor / 3)
-        if given is not None or needed <= settle:
+        wait, fine = asked(found.machine)
+        more = max(wait, count[0]), max(fine, count[1])
+        if more == count:
             break
-        settle = needed
-        found = _fitted(found.machine, data, lines, measured, sigma, used, settle, steps)
+        count = more
+        found = _fitted(found.machine, data, lines, measured, sigma, used, *count, hold, most)
     return found
 
 
@@ -130,7 +183,7 @@ class _Problem:
     Positive parameters move in their logarithm, others in their scale from where they start.
     """
 
-    def __init__(self, machine: Machine, data: Experiment, lines, measured, counted, settle: int, steps):
+    def __init__(self, machine: Machine, data: Experiment, lines, measured, counted, settle: int, steps: int, hold):
         self.machine, self.data = machine, data
         self.lines, self.measured, self.counted = lines, measured, counted
         self.names = [n for n, p in machine.parameters.items() if p.free and p.same_as is None]
@@ -138,8 +191,8 @@ class _Problem:
         self.positive = np.array([machine.parameters[n].positive for n in self.names])
         self.scale = np.array([machine.parameters[n].scale for n in self.names])
         self.x0 = np.array([np.log(self.start[n]) if machine.parameters[n].positive else 0.0 for n in self.names])
-        self.steps = fine_steps(machine, self.start, data.fs) if steps is None else steps
-        self.u = jnp.asarray(np.tile(driving(data), (1, settle + 1, 1)))
+        self.steps, self.periods = steps, settle + 1
+        self.u = jnp.asarray(between(data, steps, hold))
         self.left, self.errors = jax.jit(self._left), jax.jit(self._errors)
         self.jacobian = jax.jit(jax.jacfwd(self._errors))
 
@@ -156,17 +209,17 @@ class _Problem:
         return {n: float(s * d) for n, s, d in zip(self.names, std, own, strict=True)}
 
     def _left(self, x):
-        y = motion(self.machine, self.values(x), self.u, self.data.fs, self.steps)[:, -self.data.period :]
-        return jnp.fft.rfft(y, axis=1)[:, self.lines] / self.data.period - self.measured
+        y = motion(self.machine, self.values(x), self.u, self.data.fs, self.steps, self.periods)
+        return jnp.fft.rfft(y[:, -self.data.period :], axis=1)[:, self.lines] / self.data.period - self.measured
 
     def _errors(self, x):
         e = (self._left(x) * self.counted).ravel()
         return jnp.concatenate([e.real, e.imag]) * jnp.sqrt(2.0)
 
 
-def _fitted(machine: Machine, data: Experiment, lines, measured, sigma, used, settle: int, steps) -> MachineFit:
-    problem = _Problem(machine, data, lines, measured, used[..., None] / sigma, settle, steps)
-    solved = _solved(problem)
+def _fitted(machine, data, lines, measured, sigma, used, settle: int, steps: int, hold: bool, most: int) -> MachineFit:
+    problem = _Problem(machine, data, lines, measured, used[..., None] / sigma, settle, steps, hold)
+    solved = _solved(problem, most)
     dof = max(2 * used.sum() * measured.shape[2] - len(problem.names), 1)
     # Twice the sum of both parts is one complex residual: mean square 1 each where the model is right.
     misfit = np.sqrt(np.sum(solved.fun**2) / dof)
@@ -184,11 +237,12 @@ def _fitted(machine: Machine, data: Experiment, lines, measured, sigma, used, se
         measured=measured,
         settle=settle,
         converged=bool(solved.status > 0),
+        hold=hold,
     )
 
 
-def _solved(problem: _Problem):
-    """Least squares from the start, positive parameters within `_REACH` of it."""
+def _solved(problem: _Problem, most: int):
+    """Least squares from the start, positive parameters within `_REACH` of it, in `most` simulations."""
     x0, positive = problem.x0, problem.positive
     if not np.isfinite(np.asarray(problem.errors(x0))).all():
         raise input_error("machine", "a simulation that diverges at its start", "a finite motion", "Correct the start.")
@@ -198,7 +252,7 @@ def _solved(problem: _Problem):
         jac=lambda x: np.nan_to_num(np.asarray(problem.jacobian(x))),
         bounds=(np.where(positive, x0 - _REACH, -np.inf), np.where(positive, x0 + _REACH, np.inf)),
         x_scale="jac",
-        max_nfev=60,
+        max_nfev=most,
         xtol=1e-8,
         ftol=1e-10,
     )
@@ -269,6 +323,7 @@ def rank_effects(
     band: tuple[float, float] | None = None,
     settle: int | None = None,
     floor: float = FLOOR,
+    hold: bool = True,
 ) -> tuple[MachineFit, list[RankedEffect]]:
     """The fit without any, and every candidate by how much of the residual it takes, the best first.
 
@@ -278,7 +333,8 @@ def rank_effects(
     Biased to what has more numbers: no line is held out, as `diagnose_machine` does.
 
     **Arguments:** `machine`: as it is known. `data`: a periodic record of it. `candidates`: effects at places of the
-    machine, with the numbers that their fits start from. `band` (Hz), `settle` (periods), `floor`: as of `fit_machine`.
+    machine, with the numbers that their fits start from. `band` (Hz), `settle` (periods), `floor`, `hold`: as of
+    `fit_machine`.
 
     **Returns:** the fit without a candidate, and `RankedEffect`s, the largest gain first.
 
@@ -287,11 +343,11 @@ def rank_effects(
     **Source:** F test between nested least-squares fits, (chi_0^2/chi_1^2 - 1) dof/more of the mean squares; this
     project's own order.
     """
-    fitted = functools.partial(fit_machine, data=data, band=band, settle=settle, floor=floor)
-    plain = fitted(machine)
+    plain = fit_machine(machine, data, band=band, settle=settle, floor=floor, hold=hold)
     ranked = []
     for effect in candidates:
-        found = fitted(plain.machine.with_effects(effect))
+        changed = plain.machine.with_effects(effect)
+        found = fitted(changed, data, band=band, settle=settle, floor=floor, hold=hold)
         more, dof = len(found.values) - len(plain.values), max(2 * len(found.lines) * data.n_exp - len(found.values), 1)
         before, after = plain.misfit**2, found.misfit**2
         statistic = max(before / max(after, 1e-300) - 1.0, 0.0) * dof / max(more, 1)
