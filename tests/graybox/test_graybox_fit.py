@@ -353,7 +353,7 @@ class TestCostFunction:
 
     def test_value_and_gradient(self, both):
         cost, expected = both
-        np.testing.assert_allclose(cost(X), expected(X), rtol=1e-10)
+        np.testing.assert_allclose([cost(X), jax.jit(cost)(X)], expected(X), rtol=1e-10)
         slope = differences(expected, X)
         np.testing.assert_allclose(jax.grad(cost)(X), slope, rtol=1e-6, atol=1e-6 * np.abs(slope).max())
 
@@ -377,7 +377,7 @@ class TestCostFunction:
     def test_robot(self):
         """A robot's own derivative, taken backwards."""
         cost, x, expected = self.robot()
-        np.testing.assert_allclose(cost(x), expected(x), rtol=1e-9)
+        np.testing.assert_allclose([cost(x), jax.jit(cost)(x)], expected(x), rtol=1e-9)
         slope = differences(expected, x)
         np.testing.assert_allclose(jax.grad(cost)(x), slope, rtol=1e-5, atol=1e-5 * np.abs(slope).max())
 
