@@ -25,6 +25,7 @@ from .from_record import spectra_of
 from .method import AbstractMethod, Estimate
 from .response import FRF
 from .select import Auto
+from .weighed import weighed
 
 _BLOCK_BYTES = 8e8  # operating points are estimated in groups that need about this much memory
 _ACCELERATED = 20  # times as much, on a GPU: to start a group takes longer than the arithmetic of a few points
@@ -51,7 +52,9 @@ def estimate(
     - `progress`: called with (operating points done, of how many) after every group of them.
 
     **Returns:** a `jaxfrf.FRF`, with covariance, degrees of freedom and a status at every frequency. A frequency that
-    cannot be estimated is marked there and never stops the others.
+    cannot be estimated is marked there and never stops the others. Experiments whose noise differs by half or more are
+    weighed by it, and `warnings` say so; with one period that needs more experiments than inputs, and intervals are
+    too small where it cannot be told.
 
     **Raises:** `jaxfrf.InputError` if `data` is something else, or the method cannot be used on it (too few
     experiments, no reference, no period, a window that is too narrow, ...); `ValueError` if JAX is set to 32 bit.
@@ -68,6 +71,8 @@ def estimate(
     method = adapted(method, spectra)
     method.check(spectra)
     _check_rank(spectra, method)
+    as_measured = spectra
+    spectra, unequal = weighed(spectra, method)
     groups = _groups(spectra)
     stored = None
     for group, part in zip(groups, _estimates(spectra, method, groups), strict=True):
@@ -76,7 +81,7 @@ def estimate(
             progress(int(group[-1]) + 1, spectra.n_pos)
     assert stored is not None  # there is no record without a position
     whole = with_causes(stored, spectra, method)
-    status = whole.status | _excitation_status(spectra, method)
+    status = whole.status | _excitation_status(as_measured, method)
     status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
     serious = [text for text in describe(status & int(SERIOUS))]
     found = FRF(
@@ -95,7 +100,7 @@ def estimate(
         u_unit=spectra.u_unit,
         y_unit=spectra.y_unit,
         sources=spectra.sources,
-        warnings=(*spectra.warnings, *method.remarks(spectra), *_of_rank(spectra, status), *serious),
+        warnings=(*spectra.warnings, *method.remarks(spectra), *unequal, *_of_rank(spectra, status), *serious),
         version=__version__,
     )
     if isinstance(data, Experiment) and spectra.periodic:  # segments have lines of their own

@@ -5,6 +5,7 @@ freedom, the residual variance two for every complex residual. Realisations stan
 call does them all.
 """
 
+import dataclasses
 import types
 
 import numpy as np
@@ -78,6 +79,34 @@ def test_h1_of_noise_that_differs_between_lines():
     G = plants.modal_response(rng, 2, 2, 2 * np.pi * LINES * 0.25)
     noise = np.geomspace(1e-3, 1, len(LINES))[:, None]
     assert_covers(jf.estimate(open_loop(G, 6, noise), jf.H1()), G, lines=(0, CENTRE, -1))
+
+
+@pytest.mark.parametrize("grows", [True, False])
+def test_experiments_of_unequal_amplitude(grows):
+    """Noise that grows with it, and noise that does not: the lines are the realisations."""
+    rng, lines = np.random.default_rng(7), 3 * np.arange(50, 650)
+    U = plants.orthogonal_multisine(rng, 3, len(lines), 2)
+    G = plants.modal_response(rng, 2, 2, 2 * np.pi * lines * 0.25)
+    amplitude = np.array([0.1, 10.0, 1.0, 0.1, 10.0, 1.0])[:, None, None]
+    V = 0.1 * plants.circular(rng, (6, len(lines), 2)) * (amplitude if grows else 1.0)
+    found = jf.estimate(
+        plants.spectra(amplitude * U, plants.open_loop_spectra(G, amplitude * U) + V, lines=lines), jf.H1()
+    )
+    by_line = types.SimpleNamespace(G=found.G[0][:, None], cov=plants.from_residuals(found.cov)[0][:, None], dof=4.0)
+    assert_covers(by_line, G[:, None])
+    assert any("unequal noise" in text for text in found.warnings) == grows
+
+
+def test_two_experiments_of_which_one_is_loud():
+    """Their residuals tell nothing of the loud one's noise, but its periods do: the mean of both ratios Y/U."""
+    rng, lines = np.random.default_rng(8), 20 + np.arange(100)
+    amplitude = np.array([0.1, 10.0])[:, None, None]
+    U = amplitude * np.exp(2j * np.pi * rng.random((2, 100, 1)))
+    Y = U * (1 + 0.1 * plants.circular(rng, (2, 100, 1)))
+    noise = np.zeros((1, 2, 100, 2, 2))
+    noise[0, ..., :1, 0] = 1e-2 * amplitude**2
+    known = dataclasses.replace(plants.spectra(U, Y, lines=lines), noise=noise, n_periods=2)
+    np.testing.assert_allclose(jf.estimate(known, jf.H1()).G[0], np.mean(Y / U, axis=0)[..., None], rtol=1e-9)
 
 
 @pytest.mark.parametrize("n, n_real", [slow(1, 4), slow(2, 3), (2, 6)])

@@ -1,0 +1,122 @@
+"""Experiments of unequal noise, each divided by its own.
+
+Methods that put experiments side by side take the noise of all for of one size. That of quantisation by the range, of a
+gain, of friction that turns grows with the amplitude: the loudest experiment then decides on G, and the others' small
+residuals on how well it is known.
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from .._text import number
+from ..spectra import Spectra
+from .average import AbstractAverage
+from .method import AbstractMethod
+
+_LINES = 256  # of an operating point, spread over the band, that residuals are taken at
+_NEAR = 4  # lines on either side, over which the noise of a line is averaged
+_ROUNDS, _SETTLED = 60, 0.05  # at most; relative change of the variances in the last of them
+_FAR = 100.0  # times a variance, that it moves in a round
+_LEAST = 1e-9  # of all degrees of freedom: as few are none
+_UNEQUAL = 1.5  # ratio of two experiments' noise, from which on they are weighed
+_SURE = 5.0  # standard deviations of its logarithm, that this ratio is from 1
+_TOLD = 1.0  # standard deviation of a logarithm of two variances' ratio, up to which residuals tell it
+_ROUNDING = 1e-10  # of the output: residuals as small say nothing of noise
+
+
+def weighed(spectra: Spectra, method: AbstractMethod) -> tuple[Spectra, tuple[str, ...]]:
+    """The spectra whose experiments are of one noise, and what to say of it.
+
+    Every experiment's U, Y and R are divided by one number, which changes no ratio of theirs: G of a single experiment,
+    and of a block of as many as inputs, stays. The numbers come from what experiments leave of a common G at every
+    line; where these cannot tell (experiments not more than inputs, or one so loud that G follows it) from the scatter
+    between periods. As they are where experiments are averaged, have transients, or do not differ for sure by a half.
+    """
+    averages = isinstance(method, AbstractAverage) or spectra.n_exp <= method.block_size(spectra)
+    if averages or spectra.leaks or spectra.segments:
+        return spectra, ()
+    level = np.stack([_level(spectra, pos) for pos in range(spectra.n_pos)])
+    unequal = level.max(axis=1) / level.min(axis=1)
+    if (unequal == 1).all():
+        return spectra, ()
+    pos, others = int(np.argmax(unequal)), int(np.sum(unequal > 1)) - 1
+    least, most = int(np.argmin(level[pos])), int(np.argmax(level[pos]))
+    said = (
+        f"experiments are of unequal noise: at position {pos}{f' and {others} others' if others else ''} that of "
+        f"experiment {most} is {number(unequal[pos], 2)} times that of experiment {least}; each is weighed by it",
+    )
+    part = level[:, :, None, None]
+    divided = {n: getattr(spectra, n) / part for n in ("U", "Y", "R") if getattr(spectra, n) is not None}
+    noise = None if spectra.noise is None else np.asarray(spectra.noise) / part[..., None] ** 2
+    return dataclasses.replace(spectra, **divided, noise=noise), said
+
+
+def _level(spectra: Spectra, pos: int) -> Float[np.ndarray, "exp"]:
+    """Standard deviation of each experiment's noise over their geometric mean; ones where they may be alike."""
+    U, Y = (np.asarray(X[pos]) for X in (spectra.U, spectra.Y))
+    told = _by_residuals(U, Y) if spectra.n_exp > spectra.n_in else None
+    if told is None and spectra.noise is not None:
+        told = _by_periods(np.asarray(spectra.noise[pos]), Y, spectra.n_periods)
+    if told is None:
+        return np.ones(spectra.n_exp)
+    level, spread = told
+    ratio = np.abs(np.subtract.outer(np.log(level), np.log(level)))
+    if not ((ratio > np.log(_UNEQUAL)) & (2 * ratio > _SURE * spread)).any():
+        return np.ones(spectra.n_exp)
+    return level / np.exp(np.mean(np.log(level)))
+
+
+def _by_residuals(U, Y) -> tuple[np.ndarray, np.ndarray] | None:
+    """Levels, and the standard deviation of every difference of the logarithms of their squares.
+
+    Restricted maximum likelihood of one variance for each experiment, G of every line being free: the residuals of
+    experiments that are divided by these deviations have the power that their leverage leaves them. `None` where they
+    do not tell the variances apart."""
+    U, Y = (_spread(X) for X in (U, Y))
+    level = np.ones(U.shape[-1])  # from where it moves as far as the data tell: the loudest may hide its own noise
+    for _ in range(_ROUNDS):
+        Q = np.linalg.qr((U / level).conj().swapaxes(1, 2))[0]
+        y = Y / level
+        left = np.abs(y - y @ Q @ Q.conj().swapaxes(1, 2)) ** 2
+        if not left.sum() > _ROUNDING**2 * np.sum(np.abs(y) ** 2):
+            return None
+        usual = _near(left.mean(axis=2))
+        power = np.sum(np.mean(left / np.where(usual > 0, usual, 1.0)[..., None], axis=1), axis=0)
+        power = power / np.maximum(np.sum(1 - np.sum(np.abs(Q) ** 2, axis=2), axis=0), _LEAST * len(Q))
+        power = np.clip(power / np.median(power), 1 / _FAR, _FAR)
+        level = level * np.sqrt(power)
+        if np.abs(np.log(power)).max() < _SETTLED:
+            break
+    n = len(level)
+    curvature = np.sum(np.abs(np.eye(n) - Q @ Q.conj().swapaxes(1, 2)) ** 2, axis=0)  # of the likelihood
+    cov = np.linalg.inv(curvature + _LEAST * np.trace(curvature) * np.eye(n))  # what is not told varies without end
+    spread = np.sqrt(np.maximum(np.add.outer(np.diag(cov), np.diag(cov)) - 2 * cov, 0.0))
+    return (level, spread) if spread.max() < _TOLD else None
+
+
+def _by_periods(noise, Y, n_periods: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """As `_by_residuals`, from the covariance between periods."""
+    variance = np.einsum("efoo->feo", noise[..., : Y.shape[-1], : Y.shape[-1]]).real
+    if not variance.sum() > _ROUNDING**2 * np.sum(np.abs(Y) ** 2):
+        return None
+    usual = variance.mean(axis=1, keepdims=True)
+    level = np.sqrt(np.mean(variance / np.where(usual > 0, usual, 1.0), axis=(0, 2)))
+    if not (level > 0).all():
+        return None
+    return level, np.full((len(level),) * 2, np.sqrt(2 / (len(variance) * (n_periods - 1))))
+
+
+def _spread(X: Complex[np.ndarray, "exp freq channel"]) -> Complex[np.ndarray, "line channel exp"]:
+    """Some lines, those that are not finite as 0."""
+    lines = np.unique(np.linspace(0, X.shape[1] - 1, _LINES).astype(int))
+    return np.nan_to_num(np.moveaxis(X[:, lines], 0, -1))
+
+
+def _near(x: Float[np.ndarray, "line out"]) -> Float[np.ndarray, "line out"]:
+    """Mean over neighbouring lines."""
+    total = np.concatenate([np.zeros_like(x[:1]), np.cumsum(x, axis=0)])
+    line = np.arange(len(x))
+    first, last = np.maximum(line - _NEAR, 0), np.minimum(line + _NEAR + 1, len(x))
+    return (total[last] - total[first]) / (last - first)[:, None]
