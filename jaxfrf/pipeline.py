@@ -208,6 +208,8 @@ class DistortionSummary(eqx.Module):
             "noise only": "not told: no unexcited lines and no second realisation; noise alone",
         }[found.way]
         text = [f"distortion {how}; decibels relative to the output of one experiment, its mean period"]
+        if np.isfinite(found.total).any():
+            text.append("total: noise, and the distortion that falls on excited lines")
         if np.isnan(found.total).all() and found.way == "fast":
             text.append(
                 "every odd line of the band is excited: distortion of odd order, which falls on them, is not seen; "

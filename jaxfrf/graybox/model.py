@@ -23,7 +23,7 @@ from ..robot import (
     parameters as robot_parameters,
     with_parameters,
 )
-from .parameter import Parameter, matching
+from .parameter import Parameter, as_parameters, matching
 
 Values = Mapping[str, jax.Array]
 
@@ -77,7 +77,7 @@ class GrayBox(AbstractModel):
 
     def __init__(self, model: Callable, parameters: Mapping[str, Parameter | float]):
         self.model = model
-        self.parameters = {n: p if isinstance(p, Parameter) else Parameter(float(p)) for n, p in parameters.items()}
+        self.parameters = as_parameters(parameters)
         self.configured = _takes_configuration(model)
 
     def response(self, frequency, values, point):

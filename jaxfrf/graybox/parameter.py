@@ -149,6 +149,19 @@ def _inverse_softplus(t: float) -> float:
     return t + math.log(-math.expm1(-t)) if t > 0 else -math.inf
 
 
+def as_parameters(given: Mapping[str, Parameter | float]) -> dict[str, Parameter]:
+    """Parameters by name, where a number is a positive one that starts there."""
+    for name, p in given.items():
+        if not isinstance(p, Parameter) and not (math.isfinite(float(p)) and float(p) > 0):
+            raise input_error(
+                f"start of {name}",
+                f"{float(p):g}",
+                "a positive number",
+                "Give another start, or say Parameter(start, positive=False).",
+            )
+    return {n: p if isinstance(p, Parameter) else Parameter(float(p)) for n, p in given.items()}
+
+
 class Coordinates(eqx.Module):
     """From the vector x that a solver changes to the parameters by name.
 

@@ -79,7 +79,7 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
             "one quantity in all channels",
             f"Estimate them apart (--map {key}=...), or say that they are one: --set {key}_unit=...",
         )
-    stated = key in file.given.factor or (key == "q" and _of_each(file, key) is not None)
+    stated = key in file.given.factor or of_each(file, key) is not None
     if not stated and len({factor for _, factor in found}) > 1:
         raise file.error(
             key,
@@ -87,7 +87,8 @@ def unit_of(file: File, key: str) -> tuple[str, float]:
             "one unit for all",
             f"Say one factor for each: --factor {key}=[...].",
         )
-    return "", 1.0
+    units = {unit for unit, _ in found}
+    return units.pop() if len(units) == 1 else "", 1.0
 
 
 def stated_quantity(file: File, key: str) -> str | None:
@@ -113,18 +114,20 @@ def _stated(units: Mapping[str, str], name: str) -> str:
     return units.get(name) or units.get(re.sub(r"'?(\[[^\[\]]*\])?$", "", name).strip(), "")
 
 
-def _of_each(file: File, key: str) -> np.ndarray | None:
-    """Factors of channels that state a unit each, as angles of turning joints beside lengths of sliding ones do."""
+def of_each(file: File, key: str) -> np.ndarray | None:
+    """Factors of channels that state a unit each, as a force in kN beside one in N, or angles of turning joints beside
+    lengths of sliding ones do."""
     if key in file.given.values or f"{key}_unit" in file.given.values or f"{key}_unit" in file.variables:
         return None
     said = [_stated(file.variables.units, part) for part in _parts(file, file.given.names.get(key, key).strip())]
     factors = np.array([(known_unit(text) or (text, 1.0))[1] for text in said])
-    return factors if len(factors) > 1 and len(set(said)) > 1 and all(said) else None
+    known = all(said) if key == "q" else all(known_unit(text) for text in said)
+    return factors if len(factors) > 1 and len(set(said)) > 1 and known else None
 
 
 def scaled(file: File, key: str, x: np.ndarray) -> np.ndarray:
     factor: Any = file.given.factor.get(key)
-    each = _of_each(file, key) if key == "q" and factor is None else None
+    each = of_each(file, key) if key in (*SIGNALS, "q") and factor is None else None
     if each is not None:
         factor = each
     elif factor is None:
@@ -134,9 +137,9 @@ def scaled(file: File, key: str, x: np.ndarray) -> np.ndarray:
     if np.size(factor) not in (1, channels):
         raise file.error(
             key,
-            f"{np.size(factor)} factors in --factor for {channels} channels",
+            f"{np.size(factor)} {'factors in --factor' if each is None else 'units'} for {channels} channels",
             "one, or one each",
-            "Correct --factor.",
+            "Correct --factor." if each is None else f"Say one factor for each: --factor {key}=[...].",
         )
     return x * np.asarray(factor, np.float64)
 

@@ -22,7 +22,7 @@ from ._joined import expanded, joined, part_of, propose_joined
 from ._matlab import NAMELESS
 from ._rate import sampling_frequency
 from ._select import NOT_THERE, column, missing
-from ._variables import File, Given, numbers, scalar, scaled, stated_quantity, text, unit_of
+from ._variables import File, Given, numbers, of_each, scalar, scaled, stated_quantity, text, unit_of
 from .record_arguments import SIGNALS, check_factor, check_names, check_values
 
 _CHANNEL = {"r": "input", "u": "input", "y": "output"}
@@ -353,6 +353,12 @@ def _conversions(file: File) -> list[str]:
                 f"as they were: --factor {key}=FACTOR converts them."
             )
         stated = f"{key}_unit" in file.given.values
+        each = of_each(file, key) if key in SIGNALS and key not in file.given.factor and unit else None
+        if each is not None and file.get(key) is not None:
+            said.append(
+                f"{file.label(key)}: converted to {unit}, as the file states the units of its channels (factors "
+                f"{', '.join(number(x, 6) for x in each)})."
+            )
         if factor != 1.0 and key not in file.given.factor and not stated and file.get(key) is not None:
             said.append(
                 f"{file.label(key)}: converted to {unit}, as the file states its unit (factor {number(factor, 6)})."

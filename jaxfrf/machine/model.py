@@ -14,6 +14,7 @@ from .._errors import input_error
 from .._types import Array
 from ..effects import AbstractEffect
 from ..graybox import AbstractModel, Parameter
+from ..graybox.parameter import as_parameters
 
 Values = Mapping[str, Array]
 
@@ -64,7 +65,7 @@ class Machine(AbstractModel):
         smoothing: float = 1e-2,
     ):
         self.matrices = matrices
-        self.parameters = {n: p if isinstance(p, Parameter) else Parameter(float(p)) for n, p in parameters.items()}
+        self.parameters = as_parameters(parameters)
         self.inputs, self.outputs = np.atleast_2d(np.asarray(inputs, float)), np.atleast_2d(np.asarray(outputs, float))
         self.places = {name: np.asarray(p, float) for name, p in (places or {}).items()}
         self.effects, self.quantity, self.smoothing = (), quantity, float(smoothing)

@@ -58,7 +58,9 @@ def _jitter(c: Channel) -> Iterator[Finding]:
     if s.mean() == 0:
         return
     fit = np.polyfit(s, d, 1)
-    size = float(np.sqrt(max(fit[0], 0.0) / 2))
+    if not fit[0] > 0:
+        return
+    size = float(np.sqrt(fit[0] / 2))
     share = fit[0] * s.mean() / d.mean()
     chance = np.mean([difference[i].var() / len(i) for i in part])
     rest = np.sqrt(max(np.var(d - np.polyval(fit, s)) - chance, 0.0)) / max(fit[0] * s.std(), 1e-300)

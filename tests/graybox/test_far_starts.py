@@ -92,6 +92,11 @@ def test_a_third_argument_named_q_is_the_configuration():
     assert not jf.GrayBox(Scaled(), TRUE).configured
 
 
+def test_a_start_that_is_not_positive_is_named():
+    with pytest.raises(jf.InputError, match="start of k: found -1; expected a positive number"):
+        jf.GrayBox(Drive(), TRUE | {"k": -1.0})
+
+
 class TwoMasses(eqx.Module):
     def __call__(self, omega, v):
         s = 1j * omega

@@ -125,8 +125,10 @@ def test_units_of_headings_as_they_are_written(tmp_path, several, pick):
             np.testing.assert_allclose(x[0, 0], np.tile(Y[:, None], x.shape[-1]), rtol=1e-12)
         assert (data.y_quantity, data.r_quantity) == ("position", "velocity")
         assert sum("converted to" in text for text in data.warnings) == 3
-    with pytest.raises(jf.InputError, match=r"channels in Nm, mNm; expected one unit for all"):
-        jf.io.read(*files, names={"u": f"[{name['u1']};{name['u2']}]", "y": name["y"]}, values=PERIOD)
+    both = {"u": f"[{name['u1']};{name['u2']}]", "y": name["y"]}
+    data = jf.io.read(*files, names=both, values=PERIOD)
+    np.testing.assert_allclose(data.u[0, 0], np.tile(U[:, None], 2), rtol=1e-12)
+    assert data.u_unit == "" and any("converted to N m" in text for text in data.warnings)  # the usual one
 
 
 def test_units_go_with_the_data(tmp_path):

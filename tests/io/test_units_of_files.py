@@ -97,6 +97,17 @@ def test_in_beside_out_is_no_inch(tmp_path):
     assert data.u_unit == "" and not any("converted" in text for text in data.warnings)
 
 
+def test_forces_of_several_units(tmp_path):
+    """Each by its own; and what factors are given for keeps its unit."""
+    table = np.column_stack([np.arange(400) / 100.0, np.random.default_rng(0).standard_normal((400, 3))])
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="t [s],a [kN],b [N],y [m/s]", comments="")
+    names = {"t": "t [s]", "u": "[a [kN];b [N]]", "y": "y [m/s]"}
+    for factor, expected in ({}, [1e3, 1.0]), ({"u": [2.0, 3.0]}, [2.0, 3.0]):
+        data = jf.io.read(tmp_path / "run.csv", names=names, factor=factor)
+        np.testing.assert_allclose(data.u[0, 0], table[:, 1:3] * expected, rtol=1e-14)
+        assert data.u_unit == "N"
+
+
 def test_channels_of_several_quantities_are_refused(tmp_path):
     t, rng = np.arange(400) / 100.0, np.random.default_rng(0)
     table = np.column_stack([t, rng.standard_normal((400, 3))])
