@@ -13,6 +13,7 @@ from .._status import Status
 from ..spectra import Spectra
 from .aperiodic import has_fractions, uses_reference, uses_windows
 from .average import AbstractAverage
+from .classical import channel_size
 from .covariance import variances
 from .method import AbstractMethod, Estimate
 from .scaled import Widened, scaled
@@ -143,9 +144,9 @@ def _pointwise(spectra: Spectra, Z):
     freq, out), where experiments are left over to tell it."""
     U, Y, Z = (np.moveaxis(np.asarray(X), 1, -1) for X in (spectra.U, spectra.Y, Z))
     H = Z.conj().swapaxes(-1, -2)
-    size_u, size_z = (np.linalg.norm(X, axis=-1) for X in (U, Z))
-    size_u, size_z = (np.where(size > 0, size, 1.0) for size in (size_u, size_z))
-    product = U @ H / (size_u[..., :, None] * size_z[..., None, :])  # units of channels do not matter
+    # Units of channels do not matter, lines at which one has no power do.
+    size_u, size_z = (channel_size(X, (1, 3))[:, :, :, 0] for X in (U, Z))
+    product = U @ H / (size_u[..., :, None] * size_z[..., None, :])
     with np.errstate(all="ignore"):
         singular = ~np.isfinite(product).all(axis=(-2, -1)) | ~(np.linalg.cond(product) < _SINGULAR)
     product = np.where(singular[..., None, None], np.eye(product.shape[-1]), product)

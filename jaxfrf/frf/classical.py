@@ -153,6 +153,7 @@ def check_independent(name: str, X) -> None:
     """Raise if the experiments are linearly dependent at every line, as when one record is repeated."""
     X = np.asarray(X)
     n = X.shape[-1]
+    X = X / channel_size(X, (1, 2))  # units do not matter
     worst = np.array([_best_rank(x.transpose(1, 2, 0)) for x in X])
     if worst.min() < n:
         pos = int(np.argmin(worst))
@@ -164,14 +165,18 @@ def check_independent(name: str, X) -> None:
         )
 
 
+def channel_size(X, axes: tuple[int, int]) -> np.ndarray:
+    """Norm of what is finite of every channel, over the axes of experiments and lines, which stay; 1 of a dead one."""
+    size = np.linalg.norm(np.where(np.isfinite(X), X, 0.0), axis=axes, keepdims=True)
+    return np.where(size > 0, size, 1.0)
+
+
 def _best_rank(X) -> int:
-    """The largest rank at any line of (freq, channel, exp), channels scaled: looking at the lines only until one has
-    full rank."""
+    """The largest rank at any line of (freq, channel, exp): looking at the lines only until one has full rank."""
     n, best, first = X.shape[1], 0, 0
     while best < n and first < len(X):
         last = first + _AT_ONCE if first else 1
-        size = np.linalg.norm(X[first:last], axis=-1, keepdims=True)
-        singular = np.linalg.svd(X[first:last] / np.where(size > 0, size, 1.0), compute_uv=False)
+        singular = np.linalg.svd(X[first:last], compute_uv=False)
         best = max(best, int((singular > DEPENDENT * singular[..., :1]).sum(axis=-1).max()))
         first = last
     return best

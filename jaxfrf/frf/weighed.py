@@ -111,7 +111,8 @@ def _by_periods(noise, Y, n_periods: int) -> tuple[np.ndarray, np.ndarray] | Non
 def _spread(X: Complex[np.ndarray, "exp freq channel"]) -> Complex[np.ndarray, "line channel exp"]:
     """Some lines, those that are not finite as 0."""
     lines = np.unique(np.linspace(0, X.shape[1] - 1, _LINES).astype(int))
-    return np.nan_to_num(np.moveaxis(X[:, lines], 0, -1))
+    X = np.moveaxis(X[:, lines], 0, -1)
+    return np.where(np.isfinite(X), X, 0.0)
 
 
 def _near(x: Float[np.ndarray, "line out"]) -> Float[np.ndarray, "line out"]:
