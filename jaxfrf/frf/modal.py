@@ -1,23 +1,19 @@
 """Modes of a machine from its FRF: poles, damping and residues, with intervals and a stabilisation diagram."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-import scipy.ndimage
 from jaxtyping import Complex, Float
 
-from .._arguments import expect, expect_real
+from .._arguments import expect
 from .._errors import input_error
 from .._text import NORMAL_95, number
 from .._threads import one_blas_thread
 from .._types import Array
-from ..experiment import QUANTITIES
-from .overlap import Overlap, overlaps
-from .poles import PoleFit, fit_poles
+from .modal_lines import Lines, background_of, chosen_lines
+from .poles import PoleFit
 from .response import FRF
-from .scatter import scatter
 from .stabilisation import LARGEST_DAMPING, Stabilisation, clusters, nearest, pole, stabilisation
 
 _HOPELESS = 10.0  # standard deviations, rms, that no mode at all leaves: they say less than how linear a machine is
@@ -32,8 +28,6 @@ _LAG_AT = (0.15, 0.4, 1.0)  # ... at these parts of the highest frequency
 _LAG_EXPLAINS = 1.2  # misfit, at most, beside a lag that is one; 1 but for noise, more where its fit did not end
 _MISSED_BY_LAG = 1.07  # the same beside a lag, which leaves nothing where it is one
 _THERE = 0.07  # of the frequency at which a mode was asked for, within which it is
-_SCATTER = 10  # degrees of freedom behind a deviation that weighs a line
-_BLOCK = 2_000_000  # entries of covariances that are looked at together
 _AROUND, _FEWEST = 8.0, 16  # half widths of the resonance on either side; lines
 _SURE = 0.5  # relative standard deviation of a damping beyond which nothing is known of it
 
@@ -105,7 +99,7 @@ class ModalModel(eqx.Module):
     def response(self, frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "freq out in"]:
         """G of the modes, the lags, the background and the delay, (freq, out, in)."""
         s = 2j * np.pi * np.asarray(frequency, float)
-        G = np.einsum("ft,toi->foi", _background(s, self.y_quantity), self.background)
+        G = np.einsum("ft,toi->foi", background_of(s, self.y_quantity), self.background)
         for mode in (*self.modes, *self.lags, *self.outside):
             R, pole = mode.residue, mode.pole
             G = G + R / (s - pole)[:, None, None] + R.conj() / (s - np.conj(pole))[:, None, None]
@@ -165,18 +159,18 @@ def modal(
     expect("frf", frf, FRF)
     if delay is not None and not np.isfinite(delay):
         raise input_error("delay", f"{delay}", "seconds", "Leave it out to have it found.")
-    lines = _chosen(frf, position, band)
+    lines = chosen_lines(frf, position, band)
     order = _order(max_order, len(lines.s), frf.n_in)
 
     higher = order if near is not None or max_order is not None else _order(None, len(lines.s), frf.n_in, _HIGHER)
 
-    def at(order: int, lines: _Lines):
+    def at(order: int, lines: Lines):
         table = stabilisation(lines.frequency, lines.G, lines.std, order)
         start = clusters(table) if near is None else nearest(table, near)
         fit = lambda lags: _significant(lines, start, near is not None, delay, lags)
         return table, fit, fit(())
 
-    def found(lines: _Lines):
+    def found(lines: Lines):
         table, fit, plain = at(order, lines)
         if plain[0].misfit <= _MISSED:
             return table, *plain
@@ -217,107 +211,6 @@ def modal(
     )
 
 
-class _Lines(NamedTuple):
-    """An FRF at the lines that are fitted. `s`: rad/s. `measured`: whether `std` was, or comes from the scatter of G.
-    `background`: see `modal`. `overlap`: of windows."""
-
-    s: Complex[np.ndarray, "freq"]
-    G: Complex[np.ndarray, "freq out in"]
-    std: Float[np.ndarray, "freq out in"]
-    measured: bool
-    background: Float[np.ndarray, "freq term"]
-    overlap: Overlap | None
-    errors: "_Errors | None"
-
-    @property
-    def frequency(self) -> Float[np.ndarray, "freq"]:
-        return self.s.imag / (2 * np.pi)
-
-    def fit(self, poles, delay: float | None) -> PoleFit:
-        g = self.G.reshape(len(self.s), -1)
-        alike = () if self.overlap is None else (self.overlap,)
-        return fit_poles(
-            self.s,
-            g,
-            self.std.reshape(g.shape),
-            poles,
-            self.background,
-            alike=alike,
-            delay=delay,
-            errors=self.errors,
-            measured=self.measured,
-        )
-
-    def at(self, some) -> "_Lines":
-        errors, overlap = self.errors and self.errors.at(some), self.overlap and self.overlap.at(some)
-        return _Lines(self.s[some], self.G[some], self.std[some], self.measured, self.background[some], overlap, errors)
-
-
-def _chosen(frf: FRF, position: int, band) -> _Lines:
-    if not -frf.n_pos <= position < frf.n_pos:
-        raise input_error("position", f"{position}", f"one of {frf.n_pos} (from 0)", "Choose another.")
-    low, high = (0.0, np.inf) if band is None else _band(band)
-    frequency, G = np.asarray(frf.frequency, float), np.asarray(frf.G)[position]
-    std = np.asarray(frf.std)[position]
-    wanted = (frequency >= low) & (frequency <= high) & (frequency > 0) & np.isfinite(G).all(axis=(1, 2))
-    if wanted.sum() < 12:
-        raise input_error(
-            "lines", f"{int(wanted.sum())} in the band", "12 or more with a finite response", "Widen the band."
-        )
-    frequency, G, std = frequency[wanted], G[wanted], std[wanted]
-    of_lines = overlaps(np.asarray(frf.window, float)[[position]])
-    overlap = None if of_lines is None else of_lines[0].at(np.flatnonzero(wanted))
-    level = np.sqrt(np.mean(np.abs(G) ** 2, axis=0))
-    s = 2j * np.pi * frequency
-    background = _background(s, frf.y_quantity)
-    measured = bool(np.isfinite(std).all() and (std > 0).all())
-    std = _steady(std, np.asarray(frf.dof, float)[position][wanted]) if measured else scatter(frequency, G)
-    # Below a thousandth of the element's level a standard deviation says more of the noise than of the model.
-    floored = np.maximum(std, 1e-4 * np.maximum(np.abs(G), 1e-2 * level))
-    errors = _Errors(frf, position, np.flatnonzero(wanted), std.reshape(len(std), -1)) if measured else None
-    return _Lines(s, G, floored, measured, background, overlap, errors)
-
-
-def _band(band) -> tuple[float, float]:
-    expect_real("band", band)
-    if np.shape(band) != (2,) or not band[0] < band[1]:
-        raise input_error("band", f"{band}", "the lower and the upper end, Hz", "E.g. band=(5.0, 80.0).")
-    return float(band[0]), float(band[1])
-
-
-def _steady(std, dof) -> Float[np.ndarray, "freq out in"]:
-    """Deviations over as many lines as make `_SCATTER` degrees of freedom: one of few is now and then next to nothing,
-    and its line would outweigh all others."""
-    lines = int(min(np.ceil(_SCATTER / max(float(np.median(dof)), 1.0)), len(std)))
-    return np.sqrt(scipy.ndimage.uniform_filter1d(std**2, lines, axis=0, mode="reflect")) if lines > 1 else std
-
-
-class _Errors:
-    """Errors of the elements of an FRF at some lines, with what is common to them: noise of an input shows in all
-    outputs. `std`: what stands for their deviations where they are smoothed."""
-
-    def __init__(self, frf: FRF, position: int, lines, std: Float[np.ndarray, "freq element"]):
-        self.frf, self.position, self.lines, self.std = frf, position, lines, std
-
-    def at(self, chosen) -> "_Errors":
-        return _Errors(self.frf, self.position, self.lines[chosen], self.std[chosen])
-
-    def __call__(self, columns, deviations):
-        """As `Errors`. Where deviations are larger than those of the FRF, what is more is each element's own."""
-        n_out, n_in = self.frf.n_out, self.frf.n_in
-        vec = np.arange(n_out * n_in).reshape(n_in, n_out).T.ravel()  # of the elements, row by row
-        cov, total = self.frf.cov[self.position], np.zeros((columns.shape[-1],) * 2)
-        size = max(1, _BLOCK // len(vec) ** 2)
-        for first in range(0, len(self.lines), size):
-            some = slice(first, first + size)
-            C = np.asarray(cov[self.lines[some]])[:, vec[:, None], vec]
-            own = np.maximum(deviations[some] ** 2 - self.std[some] ** 2, 0.0)
-            C = C + own[:, :, None] * np.eye(len(vec))
-            w = columns[:, some] / deviations[some].T[..., None]
-            total += np.einsum("efp,feg,gfq->pq", w.conj(), C, w, optimize=True).real
-        return total
-
-
 def _order(asked: int | None, n_lines: int, n_in: int, usual: int = _USUAL) -> int:
     most = max((n_lines - 4) // (1 + n_in) - 1, 2)
     if asked is None:
@@ -327,13 +220,7 @@ def _order(asked: int | None, n_lines: int, n_in: int, usual: int = _USUAL) -> i
     return int(asked)
 
 
-def _background(s: np.ndarray, quantity: str) -> Float[np.ndarray, "freq term"]:
-    q = QUANTITIES[quantity]
-    middle = np.exp(np.mean(np.log(np.abs(s))))
-    return np.stack([(s / middle) ** n * middle**n for n in (q - 2, q - 1, q)], axis=1)
-
-
-def _significant(lines: _Lines, poles, keep: bool, delay, lags=()) -> tuple[PoleFit, np.ndarray]:
+def _significant(lines: Lines, poles, keep: bool, delay, lags=()) -> tuple[PoleFit, np.ndarray]:
     """Fit all, leave out the least significant, until all that is left is significant; `lags` stay."""
     dropped: list[float] = []
     poles = np.append(poles, lags)
@@ -356,7 +243,7 @@ def _significant(lines: _Lines, poles, keep: bool, delay, lags=()) -> tuple[Pole
         poles, lag = fitted.poles[~gone], lag[~gone]
 
 
-def _profiled(fitted: PoleFit, lines: _Lines) -> PoleFit:
+def _profiled(fitted: PoleFit, lines: Lines) -> PoleFit:
     """The fit with the interval of its delay by the profile of the cost, and coefficients as loose as they are over it;
     without a delay where that explains the data as well.
 
@@ -422,7 +309,7 @@ def _doubtful(fitted: PoleFit, lag: np.ndarray) -> np.ndarray:
     return doubtful & ~(lag & (fitted.damping > LARGEST_DAMPING))
 
 
-def _widened(fitted: PoleFit, lines: _Lines) -> PoleFit:
+def _widened(fitted: PoleFit, lines: Lines) -> PoleFit:
     """Standard deviations with how far each mode moves where lines far from it do not count."""
     each = range(len(fitted.poles))
     moved = np.array([_moved(fitted, i, lines) for i in each]).reshape(-1, 2)
@@ -432,7 +319,7 @@ def _widened(fitted: PoleFit, lines: _Lines) -> PoleFit:
     )
 
 
-def _moved(fitted: PoleFit, i: int, lines: _Lines) -> tuple[float, float]:
+def _moved(fitted: PoleFit, i: int, lines: Lines) -> tuple[float, float]:
     """Of frequency, Hz, and damping, beyond what the fit around the mode does not know itself; 0 where it fails."""
     at, damping = abs(fitted.poles[i]), fitted.damping[i]
     away = np.abs(np.abs(lines.s) - at)
