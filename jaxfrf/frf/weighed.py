@@ -16,8 +16,11 @@ from .average import AbstractAverage
 from .method import AbstractMethod
 
 _LINES = 256  # of an operating point, spread over the band, that residuals are taken at
+_FEW_LINES = 48  # the same, of a first look, which costs little beside any estimate
+_ALIKE = 1.5  # ratio of two experiments' noise power in that look, up to which they are taken for alike
 _NEAR = 4  # lines on either side, over which the noise of a line is averaged
 _ROUNDS, _SETTLED = 60, 0.05  # at most; relative change of the variances in the last of them
+_SHOWN = 0.1  # of an experiment's noise, that its residuals must show for that
 _FAR = 100.0  # times a variance, that it moves in a round
 _LEAST = 1e-9  # of all degrees of freedom: as few are none
 _UNEQUAL = 1.5  # ratio of two experiments' noise, from which on they are weighed
@@ -56,7 +59,11 @@ def weighed(spectra: Spectra, method: AbstractMethod) -> tuple[Spectra, tuple[st
 def _level(spectra: Spectra, pos: int) -> Float[np.ndarray, "exp"]:
     """Standard deviation of each experiment's noise over their geometric mean; ones where they may be alike."""
     U, Y = (np.asarray(X[pos]) for X in (spectra.U, spectra.Y))
-    told = _by_residuals(U, Y) if spectra.n_exp > spectra.n_in else None
+    told = None
+    if spectra.n_exp > spectra.n_in:
+        if _look_alike(_spread(U, _FEW_LINES), _spread(Y, _FEW_LINES)):
+            return np.ones(spectra.n_exp)
+        told = _by_residuals(_spread(U), _spread(Y))
     if told is None and spectra.noise is not None:
         told = _by_periods(np.asarray(spectra.noise[pos]), Y, spectra.n_periods)
     if told is None:
@@ -74,17 +81,11 @@ def _by_residuals(U, Y) -> tuple[np.ndarray, np.ndarray] | None:
     Restricted maximum likelihood of one variance for each experiment, G of every line being free: the residuals of
     experiments that are divided by these deviations have the power that their leverage leaves them. `None` where they
     do not tell the variances apart."""
-    U, Y = (_spread(X) for X in (U, Y))
     level = np.ones(U.shape[-1])  # from where it moves as far as the data tell: the loudest may hide its own noise
     for _ in range(_ROUNDS):
-        Q = np.linalg.qr((U / level).conj().swapaxes(1, 2))[0]
-        y = Y / level
-        left = np.abs(y - y @ Q @ Q.conj().swapaxes(1, 2)) ** 2
-        if not left.sum() > _ROUNDING**2 * np.sum(np.abs(y) ** 2):
+        power, Q = _power(U / level, Y / level)
+        if power is None:
             return None
-        usual = _near(left.mean(axis=2))
-        power = np.sum(np.mean(left / np.where(usual > 0, usual, 1.0)[..., None], axis=1), axis=0)
-        power = power / np.maximum(np.sum(1 - np.sum(np.abs(Q) ** 2, axis=2), axis=0), _LEAST * len(Q))
         power = np.clip(power / np.median(power), 1 / _FAR, _FAR)
         level = level * np.sqrt(power)
         if np.abs(np.log(power)).max() < _SETTLED:
@@ -94,6 +95,25 @@ def _by_residuals(U, Y) -> tuple[np.ndarray, np.ndarray] | None:
     cov = np.linalg.inv(curvature + _LEAST * np.trace(curvature) * np.eye(n))  # what is not told varies without end
     spread = np.sqrt(np.maximum(np.add.outer(np.diag(cov), np.diag(cov)) - 2 * cov, 0.0))
     return (level, spread) if spread.max() < _TOLD else None
+
+
+def _look_alike(U, Y) -> bool:
+    """Whether all do, none being so loud that G follows it and hides its noise."""
+    power, Q = _power(U, Y)
+    shown = 1 - np.mean(np.sum(np.abs(Q) ** 2, axis=2), axis=0)
+    return power is not None and bool(shown.min() > _SHOWN and power.max() < _ALIKE * power.min())
+
+
+def _power(U, Y) -> tuple[Float[np.ndarray, "exp"] | None, Complex[np.ndarray, "line exp in"]]:
+    """Power of what a common G leaves of every experiment, over its share of the degrees of freedom, in units of what
+    lines around leave (`None`: next to nothing); and an orthonormal basis of the inputs at every line."""
+    Q = np.linalg.qr(U.conj().swapaxes(1, 2))[0]
+    left = np.abs(Y - Y @ Q @ Q.conj().swapaxes(1, 2)) ** 2
+    if not left.sum() > _ROUNDING**2 * np.sum(np.abs(Y) ** 2):
+        return None, Q
+    usual = _near(left.mean(axis=2))
+    power = np.sum(np.mean(left / np.where(usual > 0, usual, 1.0)[..., None], axis=1), axis=0)
+    return power / np.maximum(np.sum(1 - np.sum(np.abs(Q) ** 2, axis=2), axis=0), _LEAST * len(Q)), Q
 
 
 def _by_periods(noise, Y, n_periods: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -108,9 +128,9 @@ def _by_periods(noise, Y, n_periods: int) -> tuple[np.ndarray, np.ndarray] | Non
     return level, np.full((len(level),) * 2, np.sqrt(2 / (len(variance) * (n_periods - 1))))
 
 
-def _spread(X: Complex[np.ndarray, "exp freq channel"]) -> Complex[np.ndarray, "line channel exp"]:
+def _spread(X: Complex[np.ndarray, "exp freq channel"], most: int = _LINES) -> Complex[np.ndarray, "line channel exp"]:
     """Some lines, those that are not finite as 0."""
-    lines = np.unique(np.linspace(0, X.shape[1] - 1, _LINES).astype(int))
+    lines = np.unique(np.linspace(0, X.shape[1] - 1, most).astype(int))
     X = np.moveaxis(X[:, lines], 0, -1)
     return np.where(np.isfinite(X), X, 0.0)
 
