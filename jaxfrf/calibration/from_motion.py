@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -10,7 +11,7 @@ from .._errors import input_error
 from ..effects import AbstractEffect, AbstractGearCoupling, Payload, library
 from ..experiment import Experiment
 from ..robot import Friction, Robot
-from ..robot.equations import gear_coupling
+from ..robot.equations import arm_angles
 from ..robot.regressor import link_parameters, link_regressor
 from ..trajectory.evidence import Gram
 from ..trajectory.rigid_motion import MeasuredMotion, check_rigid, chosen_cutoff, measured_motions, thinned
@@ -113,12 +114,10 @@ def calibrate_from_motion(
 
 
 def _rows(robot: Robot, motion: MeasuredMotion, payload: Payload | None) -> Rows:
-    gear = np.asarray(robot.drives.gear_ratio, float)
-    out = _unmixed(robot) / gear  # arm = out @ motor
-    zero = 0.0 if robot.drives.zero is None else np.asarray(robot.drives.zero)
+    out = np.asarray(arm_angles(robot, jnp.eye(robot.n_axes))).T  # arm = out @ motor
     joints = np.zeros((3, robot.chain.n_joints, len(motion.angle)))
     driven = np.array(robot.driven_joints)
-    for k, signal in enumerate((motion.angle - zero, motion.speed, motion.acceleration)):
+    for k, signal in enumerate((motion.angle, motion.speed, motion.acceleration)):
         joints[k, driven] = out @ signal.T
     Y = link_regressor(robot.chain, *joints)[driven].reshape(len(driven), -1, joints.shape[-1])
     links = np.stack([thinned(motion, np.moveaxis(out.T @ Y[:, k], 0, -1)) for k in range(Y.shape[1])], axis=-1)
@@ -132,12 +131,6 @@ def _parameters_of(robot: Robot) -> Float[np.ndarray, "parameter"]:
     """Of all links, in which the torques are linear."""
     links = (np.asarray(getattr(robot.chain, kind)) for kind in OF_LINKS)
     return np.concatenate([link_parameters(*link) for link in zip(*links, strict=True)])
-
-
-def _unmixed(robot: Robot):
-    """Turn of every joint per turn of every gear's output; a wrist's gears may turn more than one."""
-    coupling = gear_coupling(robot)
-    return np.eye(robot.n_axes) if coupling is None else np.linalg.inv(np.asarray(coupling))
 
 
 def needed(robot: Robot, numbers: Sequence[Number], x, rows: Rows) -> Float[np.ndarray, "row axis"]:

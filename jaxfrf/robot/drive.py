@@ -192,3 +192,7 @@ class Drives(eqx.Module):
 
     def __check_init__(self):
         check_fields(self)
+
+    def turned(self, reading: Float[Array, "*batch axis"]) -> Float[Array, "*batch axis"]:
+        """Motor angles behind readings of a log, rad: 0 where the joints' angles are."""
+        return reading if self.zero is None else reading - self.zero

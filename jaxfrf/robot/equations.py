@@ -178,6 +178,25 @@ def gear_angles(robot: Robot, arm: Float[Array, "*batch axis"]) -> Float[Array, 
     return arm if coupling is None else arm @ coupling.T
 
 
+def motor_angles(robot: Robot, arm: Float[Array, "*batch axis"]) -> Float[Array, "*batch axis"]:
+    """Angles of all motors whose driven joints stand at these, rad, behind gears that do not give way; rates of rates.
+
+    What a log reads there is further by `Drives.zero` (`Drives.turned`).
+
+    **Arguments:** `arm`: of all driven joints, (*batch, axis), rad, arm side.
+    """
+    return gear_angles(robot, arm) * robot.drives.gear_ratio
+
+
+def arm_angles(robot: Robot, motor: Float[Array, "*batch axis"]) -> Float[Array, "*batch axis"]:
+    """Angles of the driven joints whose motors stand at these, rad: the inverse of `motor_angles`.
+
+    **Arguments:** `motor`: of all axes, (*batch, axis), rad, motor side.
+    """
+    coupling, outputs = gear_coupling(robot), motor / robot.drives.gear_ratio
+    return outputs if coupling is None else outputs @ jnp.linalg.inv(coupling).T
+
+
 @checked
 def spring_directions(robot: Robot) -> Float[Array, "dof spring"]:
     """W with deflections(z) = W^T z, rad; a spring torque tau acts on the coordinates as -W tau.

@@ -20,7 +20,7 @@ from ..effects import (
 )
 from ..effects._place import axis_of
 from ..robot import Robot, arm_inertia_and_bias
-from ..robot.equations import gear_coupling
+from ..robot.equations import arm_angles, gear_coupling
 from .rigid_motion import MeasuredMotion, check_rigid, smooth
 
 Torque = Float[np.ndarray, "time axis"]
@@ -79,10 +79,9 @@ def added_torque(robot: Robot, effect: AbstractEffect, motion: MeasuredMotion, n
 @eqx.filter_jit
 def _inertial(robot: Robot, angle, speed, acceleration):
     """Torque of masses, gravity and the robot's own friction, motor side."""
-    gear = robot.drives.gear_ratio
-    matrix, bias = arm_inertia_and_bias(robot, angle / gear, speed / gear)
-    arm = jnp.einsum("...ij,...j->...i", matrix, acceleration / gear) + bias
-    return arm / gear + robot.drives.friction.torque(speed)
+    matrix, bias = arm_inertia_and_bias(robot, arm_angles(robot, angle), arm_angles(robot, speed))
+    arm = jnp.einsum("...ij,...j->...i", matrix, arm_angles(robot, acceleration)) + bias
+    return arm / robot.drives.gear_ratio + robot.drives.friction.torque(speed)
 
 
 def _contribution(robot: Robot, effect: AbstractEffect, motion: MeasuredMotion, torque: Torque) -> Torque:

@@ -1,6 +1,7 @@
 """Measured motion for inverse dynamics: filtered derivatives of records, and the torque that acted meanwhile."""
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import scipy.ndimage
 import scipy.signal
@@ -8,18 +9,22 @@ from jaxtyping import Float
 
 from .._errors import input_error
 from ..experiment import QUANTITIES, Experiment
-from ..robot import Robot
+from ..robot import Robot, arm_inertia_and_bias
+from ..robot.equations import motor_angles
 
 _ABOVE_FLOOR = 10.0  # power over the floor of y, up to which its derivatives are believed
 _BEYOND = 2.5  # times that band: friction turns over with the sign of the speed, which a narrow filter would round
 COMPARED = 0.2  # of the cut-off: where torques are compared, and noise beyond it is taken off both sides
 _ORDER = 4
+_CONFIGURATIONS = 4  # that are asked whether torques depend on them
+_ROUNDING = 1e-6  # of a torque or inertia; jax may compute in single precision
 
 
 class MeasuredMotion(eqx.Module):
     """One record as inverse dynamics needs it, motor side, every sample.
 
-    **Fields:** `angle`, `speed`, `acceleration`: (time, axis), rad, rad/s, rad/s^2. `torque`: (time, axis), N m, the
+    **Fields:** `angle`, `speed`, `acceleration`: (time, axis), rad, rad/s, rad/s^2; the angle is 0 where those of the
+    joints are, whatever the log reads there. `torque`: (time, axis), N m, the
     mean of the command around every sample (a command is held until the next sample, so that at a sample half of the
     last and half of the next have acted). `fs`, `cutoff`: Hz.
     """
@@ -37,9 +42,11 @@ def measured_motions(robot: Robot, data: Experiment, cutoff: float) -> tuple[Mea
 
     y goes through a Butterworth filter of order 4 at `cutoff` (Hz), forth and back (no phase); derivatives are central
     differences, integrals trapezoids about the configuration q. Transient periods are dropped. An acceleration is
-    integrated as if the speed came back to where it was.
+    integrated as if the speed came back to where it was. A q that is not the joints' mean biases
+    what depends on it.
 
-    **Raises:** `jaxfrf.InputError` where the record has other channels than the robot has motors.
+    **Raises:** `jaxfrf.InputError` where the record has other channels than the robot has motors; where angles were
+    not logged, there is no q, and the torque depends on them.
     """
     for name, width in (("u", data.n_in), ("y", data.n_out)):
         if width != robot.n_axes:
@@ -49,13 +56,31 @@ def measured_motions(robot: Robot, data: Experiment, cutoff: float) -> tuple[Mea
                 f"{robot.n_axes}, one for each motor of {robot.name}",
                 "Pick them (--map).",
             )
+    if data.q is None and QUANTITIES[data.y_quantity] and _asks_for_angles(robot):
+        raise input_error(
+            "q of the records",
+            f"none, and a {data.y_quantity} as y",
+            f"the mean angles of the joints: the torque of {robot.name} depends on them, and a {data.y_quantity} tells "
+            "them up to a constant",
+            'State them (--set "q=0.3;-0.7", rad, arm side), or log positions (--set y_quantity=position).',
+        )
     first = data.transient_periods * data.period
     records = [(pos, exp) for pos in range(data.n_pos) for exp in range(data.n_exp)]
-    gear = np.asarray(robot.drives.gear_ratio)
-    rest = np.zeros((data.n_pos, robot.n_axes)) if data.q is None else np.asarray(data.q)[:, : robot.n_axes] * gear
+    rest = np.zeros((data.n_pos, robot.n_axes)) if data.q is None else np.asarray(data.q)[:, : robot.n_axes]
+    rest = np.asarray(motor_angles(robot, jnp.asarray(rest)))
+    y = np.asarray(data.y if QUANTITIES[data.y_quantity] else robot.drives.turned(data.y))
     return tuple(
-        _motion(data.u[pos, exp, first:], data.y[pos, exp, first:], data, rest[pos], cutoff) for pos, exp in records
+        _motion(data.u[pos, exp, first:], y[pos, exp, first:], data, rest[pos], cutoff) for pos, exp in records
     )
+
+
+def _asks_for_angles(robot: Robot) -> bool:
+    """Whether gravity or inertia are others where all joints stand elsewhere."""
+    rng = np.random.default_rng(0)
+    arm, rate = rng.uniform(-1.0, 1.0, (2, _CONFIGURATIONS, len(robot.arm_joints)))
+    matrix, bias = arm_inertia_and_bias(robot, jnp.asarray(arm), jnp.broadcast_to(jnp.asarray(rate[0]), rate.shape))
+    largest = max(float(jnp.abs(x).max()) for x in (matrix, bias))
+    return any(float(jnp.ptp(x, axis=0).max()) > _ROUNDING * largest for x in (matrix, bias))
 
 
 def _motion(u, y, data: Experiment, rest, cutoff: float) -> MeasuredMotion:

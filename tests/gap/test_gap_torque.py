@@ -168,15 +168,22 @@ def test_a_resolver_error_adds_an_acceleration():
 
 @pytest.mark.parametrize("quantity", ["position", "velocity", "acceleration"])
 def test_motion_from_any_quantity(quantity):
-    """Sines of whole periods about the configuration q: all three quantities give the same motion, ends apart."""
+    """Sines of whole periods about the configuration q: all three quantities give the same motion, ends apart, of a
+    wrist and behind encoders that begin elsewhere, too; speeds alone tell no angle."""
     fs, t = 500.0, np.arange(5000) / 500.0
     w, amplitude = 2 * np.pi * np.array([0.5, 1.1]), np.array([0.3, 0.2])
     q = np.array([[0.4, -0.7]])
     waves = [amplitude * w**k * np.sin(np.outer(t, w) + k * np.pi / 2) for k in range(3)]
-    exact_motion = [(waves[0] + q) * GEAR, waves[1] * GEAR, waves[2] * GEAR]
-    y = exact_motion[("position", "velocity", "acceleration").index(quantity)]
+    wrist, zero = np.array([[1.0, 0.0], [0.5, 1.0]]), np.array([3.0, -20.0])
+    robot = eqx.tree_at(lambda r: r.drives.zero, arm(), zero, is_leaf=lambda x: x is None)
+    robot = robot.with_effects(jf.effects.WristCoupling("elbow", 0.5))
+    exact_motion = [(x @ wrist.T) * GEAR for x in (waves[0] + q, waves[1], waves[2])]
+    y = exact_motion[("position", "velocity", "acceleration").index(quantity)] + zero * (quantity == "position")
     data = jf.Experiment(np.zeros_like(y), y, fs, q=q, y_quantity=quantity)
-    (found,) = measured_motions(arm(), data, 40.0)
+    (found,) = measured_motions(robot, data, 40.0)
+    if quantity != "position":
+        with pytest.raises(jf.InputError, match="the mean angles of the joints"):
+            measured_motions(robot, dataclasses.replace(data, q=None), 40.0)
     for got, expected in zip((found.angle, found.speed, found.acceleration), exact_motion, strict=True):
         size = np.abs(expected - expected.mean(axis=0)).max()
         np.testing.assert_allclose(got[50:-50], expected[50:-50], atol=5e-3 * size)

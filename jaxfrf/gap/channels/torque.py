@@ -9,12 +9,14 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from ...effects import Reach
 from ...experiment import Experiment
 from ...robot import Robot, parameters
+from ...robot.equations import arm_angles
 from ...trajectory.needed_torque import added_torque, check_one_motor_a_joint, needed_torque
 from ...trajectory.rigid_motion import COMPARED, MeasuredMotion, chosen_cutoff, measured_motions, thinned, thinned_rate
 from ..result import Cell
@@ -110,8 +112,8 @@ class TorqueChannel(AbstractRecords):
         return rows_of([thinned(m, x) for m, x in zip(self.motions, torques, strict=True)], self.size)
 
     def courses(self, robot, before, after):
-        gear = np.asarray(self.robot.drives.gear_ratio)
-        signals = {"speed": lambda m: m.speed, "angle": lambda m: m.angle / gear, "load": lambda m: m.torque}
+        angle = lambda m: np.asarray(arm_angles(self.robot, jnp.asarray(m.angle)))
+        signals = {"speed": lambda m: m.speed, "angle": angle, "load": lambda m: m.torque}
         sides = [x.reshape(-1, self.n_axes) * self.size for x in (before, after)]
         over = lambda f: np.concatenate([thinned(m, f(m)) for m in self.motions])
         return {name: _course(over(f), *sides) for name, f in signals.items()}
