@@ -3,12 +3,14 @@
 A wrong configuration fits: masses, centres and inertias take it on. The logged positions of the motors deny it.
 """
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from .._text import number
 from ..experiment import Experiment
 from ..robot import Robot
+from ..robot.equations import arm_angles
 from .measured import mean_period
 
 _NEAR = 0.02  # rad or m, of the arm, beside how far it moves: a slip of 1 degree is none, and bends no number by much
@@ -18,7 +20,7 @@ def misplaced(robot: Robot, data: Experiment) -> tuple[str, ...]:
     """Where q and the logged positions of the motors do not agree, in sentences; none where they do, where positions
     were not logged, and of an axis whose encoder begins at zero wherever it stands.
 
-    **Arguments:** `robot`: for its gears. `data`: periodic.
+    **Arguments:** `robot`: for its gears, and the zeros of its encoders. `data`: periodic.
     """
     if data.y_quantity != "position" or data.q is None or data.n_out != robot.n_axes:
         return ()
@@ -38,11 +40,9 @@ def misplaced(robot: Robot, data: Experiment) -> tuple[str, ...]:
 
 def _arm(robot: Robot, data: Experiment) -> tuple[Float[np.ndarray, "pos exp axis"], Float[np.ndarray, "pos axis"]]:
     """Mean positions of the motors on the arm side, and how far they move at most."""
-    gear = np.asarray(robot.drives.gear_ratio)
-    zero = 0.0 if robot.drives.zero is None else np.asarray(robot.drives.zero)
     means, moves = [], []
     for pos in range(data.n_pos):
-        period = (mean_period(data, pos, data.y) - zero) / gear
+        period = np.asarray(arm_angles(robot, robot.drives.turned(jnp.asarray(mean_period(data, pos, data.y)))))
         means.append(period.mean(axis=1))
         moves.append(np.ptp(period, axis=1).max(axis=0))
     return np.array(means), np.array(moves)

@@ -52,10 +52,11 @@ def test_where_motors_stand(data, expected):
     assert expected in "".join(said) and bool(said) == bool(expected)
 
 
-def test_zeros_that_the_robot_states_are_taken_off():
-    zero = np.array([0.0, 20.0])
+def test_zeros_and_wrists_that_the_robot_states_are_taken_off():
+    zero, wrist = np.array([0.0, 20.0]), np.array([[1.0, 0.0], [0.8, 1.0]])
     robot = eqx.tree_at(lambda r: r.drives.zero, model(), zero, is_leaf=lambda x: x is None)
-    stands = Q + zero / np.asarray(model().drives.gear_ratio)
+    robot = robot.with_effects(jf.effects.WristCoupling("elbow", 0.8))
+    stands = Q @ wrist.T + zero / np.asarray(model().drives.gear_ratio)
     assert misplaced(model(), record(stands)) and not misplaced(robot, record(stands))
 
 
