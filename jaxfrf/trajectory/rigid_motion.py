@@ -93,9 +93,13 @@ def _motion(u, y, data: Experiment, rest, cutoff: float) -> MeasuredMotion:
         below.insert(0, _integral(below[0], fs, rest if len(below) == order else 0.0))
     while len(below) < 3:
         below.append(np.gradient(below[-1], 1.0 / fs, axis=0))
-    held = np.concatenate([u[:1], 0.5 * (u[1:] + u[:-1])])
     angle, speed, acceleration = below
-    return MeasuredMotion(angle, speed, acceleration, torque=np.asarray(held), fs=fs, cutoff=cutoff)
+    return MeasuredMotion(angle, speed, acceleration, torque=held(np.asarray(u)), fs=fs, cutoff=cutoff)
+
+
+def held(u: Float[np.ndarray, "time axis"]) -> Float[np.ndarray, "time axis"]:
+    """Mean torque about every sample of a command that is held until the next one."""
+    return np.concatenate([u[:1], 0.5 * (u[1:] + u[:-1])])
 
 
 def _integral(x, fs: float, mean):

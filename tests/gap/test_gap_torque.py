@@ -23,6 +23,7 @@ from jaxfrf.effects import (
 from jaxfrf.gap import diagnose
 from jaxfrf.gap.channels import State
 from jaxfrf.gap.channels.channel import makes_sense
+from jaxfrf.gap.channels.deflection import DeflectionChannel
 from jaxfrf.gap.channels.torque import TorqueChannel
 from jaxfrf.gap.significance import covariance, family_wise, held_out, numbered, projector, summed
 from jaxfrf.io.gaps import gap_contents
@@ -36,7 +37,7 @@ GEAR, ROTOR = np.array([50.0, 40.0]), np.array([1e-3, 8e-4])
 VISCOUS, COULOMB, SMOOTHING = np.array([4e-3, 3e-3]), np.array([0.3, 0.2]), 0.2
 
 
-def arm():
+def arm(stiffness=float("inf"), damping=0.0):
     def joint(axis, name, offset, mass, com, inertia):
         return {
             "name": name,
@@ -48,8 +49,8 @@ def arm():
             "inertia": [inertia / 2, inertia / 2, inertia, 0.0, 0.0, 0.0],
             "gear_ratio": GEAR[axis],
             "motor_inertia": float(ROTOR[axis]),
-            "stiffness": float("inf"),
-            "damping": 0.0,
+            "stiffness": stiffness,
+            "damping": damping,
             "viscous_friction": float(VISCOUS[axis]),
             "coulomb_friction": float(COULOMB[axis]),
         }
@@ -366,15 +367,39 @@ def test_held_out_rows_are_those_of_fits_to_the_others():
 
 
 def deflection_runs(more, n=3, fs=250.0):
-    """A gear of 256:1 with a linear spring of 5e6 N m/rad; `more(u, v)` is added to the deflection."""
+    """A gear of 256:1 with a linear spring of 5e6 N m/rad; `more(u, v)` is added to the deflection. The torque is held,
+    as in `record`."""
     runs = []
     for seed in range(n):
         t = np.arange(int(10 * fs)) / fs
-        q, v, a = (x[:, :1] for x in path(t, seed))
-        u = 3 * np.sin(q) + 0.4 * a + 2 * np.tanh(v / 0.02)
+        (q, v, u), (*_, command) = (_pulled(*path(x, seed)[..., :1]) for x in (t, t + 0.5 / fs))
         link = q - 256 * u / 5e6 - more(u, v)
-        runs.append(jf.Experiment(u, np.concatenate([q, link], axis=1), fs, y_quantity="position"))
+        runs.append(jf.Experiment(command, np.concatenate([q, link], axis=1), fs, y_quantity="position"))
     return runs
+
+
+def _pulled(q, v, a):
+    return q, v, 3 * np.sin(q) + 0.4 * a + 2 * np.tanh(v / 0.02)
+
+
+def test_deflections_of_a_wrist_with_dampers():
+    """Springs and dampers behind viscous motors, their deflections given: what is left of these is nothing."""
+    fs, k, d, wrist = 250.0, 5e4, 100.0, np.array([[1.0, 0.0], [0.8, 1.0]])
+    robot = jf.robot.with_parameters(arm(k, d), {f"{j}.coulomb_friction": 0.0 for j in ("shoulder", "elbow")})
+    robot = robot.with_effects(jf.effects.WristCoupling("elbow", 0.8))
+
+    def signals(t, seed):
+        q, x = path(t, seed), 1e-3 * path(t, seed + 100)
+        motor, speed, acceleration = (q @ wrist.T + x) * GEAR
+        return q[0], motor, (k * x[0] + d * x[1]) / GEAR + ROTOR * acceleration + VISCOUS * speed
+
+    runs = []
+    for seed in (0, 1):
+        t = np.arange(int(10 * fs)) / fs
+        (link, motor, _), (*_, u) = signals(t, seed), signals(t + 0.5 / fs, seed)
+        runs.append(jf.Experiment(u, np.concatenate([motor, link], axis=1), fs, y_quantity="position"))
+    channel = DeflectionChannel.opened(robot, runs)
+    assert np.sqrt(np.mean(channel.residual(State(robot, dict.fromkeys(channel.own(), k))) ** 2)) < 5e-3
 
 
 def alone(found, axis, name):

@@ -80,7 +80,8 @@ class AbstractChannel(eqx.Module):
     **Class attributes:** `compared`: what is, in a sentence. `quantity`: what a residual is called; `unit`: of the gap.
     `tolerance`: residual, in the gap's unit, below which nothing is asked for. `linear`: whether rows are linear in the
     coefficients of a candidate, near enough to choose among them; otherwise each is fitted in full. `least_drop`: of
-    the power that is left where an effect acts, that it takes away on held-out rows, whatever the floor. `tie`: of
+    the power that is left where an effect acts, that it takes away on held-out rows, whatever the floor. `smallest`:
+    of what was measured, rms where it acts, that an effect explains; less is none, however significant. `tie`: of
     what the best takes away, within which another is as good whatever its standard error says. `n_parts`: that share
     nothing, each of which may miss as many effects as a whole may.
     """
@@ -91,6 +92,7 @@ class AbstractChannel(eqx.Module):
     tolerance: ClassVar[float]
     linear: ClassVar[bool] = True
     least_drop: ClassVar[float] = 0.0
+    smallest: ClassVar[float] = 0.0
     tie: ClassVar[float] = NEAR
 
     @property

@@ -1,8 +1,9 @@
 """The deflection of transmissions, motor-side less link-side position, against the torque of their motors.
 
-    q_m/n - q_a = n (u - losses of the motor)/k + what the spring is not + what the link's sensor makes of it
+    q_m/n - C q_a = n (u - losses of the motor)/k + what the spring is not + what the link's sensor makes of it
 
-For robots with encoders on both sides, on any motion.
+C is 1 but for wrists whose axes turn each other's gears; u is held from sample to sample. For robots with encoders on
+both sides, on any motion.
 """
 
 from collections.abc import Sequence
@@ -26,8 +27,9 @@ from ...effects import (
 from ...effects._place import axis_of
 from ...experiment import Experiment
 from ...robot import Robot, parameters, robot_from_table, with_parameters
-from ...trajectory.rigid_motion import MeasuredMotion, smooth
-from ..settings import DEFLECTION, DEFLECTION_CUTOFF, DEFLECTION_DROP
+from ...robot.equations import arm_angles, gear_angles
+from ...trajectory.rigid_motion import MeasuredMotion, held, smooth
+from ..settings import DEFLECTION, DEFLECTION_CUTOFF, DEFLECTION_DROP, SMALLEST
 from .channel import Rows
 from .records import AbstractRecords, every_record, reaches, rows_of
 
@@ -51,6 +53,7 @@ class DeflectionChannel(AbstractRecords):
     unit: ClassVar = "of the deflection"
     tolerance: ClassVar = DEFLECTION
     least_drop: ClassVar = DEFLECTION_DROP
+    smallest: ClassVar = SMALLEST
 
     robot: Robot
     motions: tuple[MeasuredMotion, ...]
@@ -105,8 +108,8 @@ class DeflectionChannel(AbstractRecords):
         reach = reaches(motions)
         turn = _TURN * np.array([x.speed for x in reach])
         robot = _springs_alone(n, float(turn.min())) if robot is None else robot
-        gear = np.asarray(robot.drives.gear_ratio)
-        deflection = [_thinned(m, a / gear - b) for m, a, b in zip(motions, motor, link, strict=True)]
+        gear, seen_by_gears = np.asarray(robot.drives.gear_ratio), lambda x: np.asarray(gear_angles(robot, x))
+        deflection = [_thinned(m, a / gear - seen_by_gears(b)) for m, a, b in zip(motions, motor, link, strict=True)]
         size = np.sqrt(np.mean(np.concatenate(deflection) ** 2, axis=0))
         seen = [np.concatenate([m.angle, m.speed, np.tanh(m.speed / turn), m.torque], axis=1) for m in motions]
         lengths = tuple(len(x) for x in deflection)
@@ -144,7 +147,9 @@ class DeflectionChannel(AbstractRecords):
         for m, u, link in zip(self.motions, self.u, self.link, strict=True):
             loss = _loss(robot, m)
             slow = gear * (m.torque - loss) / k
-            yield gear * (u - loss) / k + _bend(robot, slow, m, k) - _misread(robot, link, m.speed / gear)
+            rate = np.asarray(arm_angles(robot, jnp.asarray(m.speed)))
+            misread = np.asarray(gear_angles(robot, _misread(robot, link, rate)))
+            yield gear * (u - loss) / k + _bend(robot, slow, m, k) - misread
 
     def remarks(self, outcome):
         late = [c.joint for c, _ in outcome.state.chosen if isinstance(c.basis[0], AbstractLinkSensor)]
@@ -156,7 +161,7 @@ class DeflectionChannel(AbstractRecords):
 
 def _run(record: Experiment, pos: int, exp: int, n: int):
     y = np.asarray(record.y[pos, exp])
-    return np.asarray(record.u[pos, exp]), y[:, :n], y[:, n:]
+    return held(np.asarray(record.u[pos, exp])), y[:, :n], y[:, n:]
 
 
 def _filtered(u, motor, fs: float) -> MeasuredMotion:
@@ -189,16 +194,16 @@ def _loss(robot: Robot, m: MeasuredMotion):
 
 def _bend(robot: Robot, x, m: MeasuredMotion, k):
     """What the transmissions give way beyond their stiffness k where a spring would be deflected by x: first order."""
-    still, more = jnp.zeros_like(x), np.zeros_like(x)
-    springs = np.zeros((len(x), robot.springs.stiffness.shape[0]))
-    springs[:, : x.shape[1]] = x
-    more += np.asarray(robot.springs.torque(jnp.asarray(springs), jnp.zeros_like(springs)))[:, : x.shape[1]] - k * x
+    none = np.zeros((len(x), len(robot.spring_names) - x.shape[1]))
+    rate = np.gradient(x, 1.0 / m.fs, axis=0)
+    springs, rates = (jnp.asarray(np.concatenate([signal, none], axis=1)) for signal in (x, rate))
+    more = np.array(robot.springs.torque(springs, rates))[:, : x.shape[1]] - k * x
     for e in robot.effects:
         if isinstance(e, AbstractGearTorque | AbstractGearError):
             axis = axis_of(robot, e.joint)
             angle = jnp.asarray(m.angle[:, axis] / float(robot.drives.gear_ratio[axis]))
             effect, with_it = arrays((e, robot))
-            more[:, axis] += np.asarray(_along(effect, with_it, x[:, axis], still[:, axis], angle, 1.0 / m.fs))
+            more[:, axis] += np.asarray(_along(effect, with_it, x[:, axis], rate[:, axis], angle, 1.0 / m.fs))
     return -more / k
 
 

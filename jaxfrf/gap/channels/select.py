@@ -35,7 +35,7 @@ class TriedCandidate(eqx.Module):
     **Fields:** `values`: of its coefficients; `part`: of the residual, that it explains; `explained`: of its power.
     `left`: of rows that the fit did not see, `squares`: their mean in every block. `share`: of the reducible gap where
     it acts, that it takes away on them; `sure`: whether it surely
-    takes any, and enough.
+    takes any, and enough. `matters`: whether it is more than the `smallest` of its channel.
     """
 
     candidate: Candidate
@@ -48,16 +48,20 @@ class TriedCandidate(eqx.Module):
     share: float
     sensible: bool
     sure: bool
+    matters: bool
 
     @property
     def accepted(self) -> bool:
-        return self.p_value <= LEVEL and self.sensible and self.sure and self.share >= LEAST_SHARE
+        shows = self.p_value <= LEVEL and self.matters
+        return shows and self.sensible and self.sure and self.share >= LEAST_SHARE
 
     @property
     def why(self) -> str:
         """Why it is named or not, if it is the best."""
         if self.p_value > LEVEL:
             return "no more than chance explains"
+        if not self.matters:
+            return "too little to matter"
         if not self.sensible:
             return "a sign or size that no such effect has"
         if not self.sure or self.share < LEAST_SHARE:
@@ -75,7 +79,8 @@ class Found(eqx.Module):
 
 class ChannelSelection(eqx.Module):
     """What a search found: `base` without and `fitted` with the effects; `trials`: all candidates at the first step,
-    the best of each effect and joint, best first; `refused`, `last_p`: at the last one. `floor`: of the base.
+    the best of each effect and joint, best first; `refused`, `last_p`: at the last one, `last_p` of those that matter.
+    `floor`: of the base.
     `left_out`: name -> why."""
 
     base: FittedState
@@ -155,7 +160,7 @@ def _search(channel: AbstractChannel, kinds, believed_first: bool) -> tuple[Chan
         pool = [c for c in whole if c.key not in {chosen.key for chosen, _ in now.state.chosen}]
     refused = tuple(t for t in _best(trials) if not t.accepted)
     now, kept = _backward(channel, now)
-    last_p = min((t.p_value for t in trials), default=1.0)
+    last_p = min((t.p_value for t in trials if t.matters), default=1.0)
     return ChannelSelection(
         base, now, tuple(found[i] for i in kept), first, refused, last_p, floor, left_out
     ), all_believed
@@ -211,6 +216,7 @@ def _trials(
             channel.sensible(candidate, values),
             _relative(channel, left, here) <= (1.0 - channel.least_drop) * _relative(channel, now.left, here)
             and surely_positive(before - squares),
+            float(np.mean(part[here] ** 2)) >= channel.smallest**2 * float(np.mean(channel.measured[here] ** 2)),
         )
         other = trials.get(candidate.key)
         if other is None or (trial.sensible, trial.explained) > (other.sensible, other.explained):

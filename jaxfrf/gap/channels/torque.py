@@ -20,7 +20,7 @@ from ...robot.equations import arm_angles
 from ...trajectory.needed_torque import added_torque, check_one_motor_a_joint, needed_torque
 from ...trajectory.rigid_motion import COMPARED, MeasuredMotion, chosen_cutoff, measured_motions, thinned, thinned_rate
 from ..result import Cell
-from ..settings import LEVEL, STRETCHES, TORQUE, WORTH
+from ..settings import LEVEL, SMALLEST, STRETCHES, TORQUE, WORTH
 from .channel import Outcome, Rows
 from .records import AbstractRecords, reaches, rows_of, stretches
 
@@ -43,6 +43,7 @@ class TorqueChannel(AbstractRecords):
     quantity: ClassVar = "torque residual"
     unit: ClassVar = "of the torque"
     tolerance: ClassVar = TORQUE
+    smallest: ClassVar = SMALLEST
 
     robot: Robot
     motions: tuple[MeasuredMotion, ...]
