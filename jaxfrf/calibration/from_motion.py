@@ -88,7 +88,7 @@ def calibrate_from_motion(
     for record, payload in zip(records, payloads, strict=True):
         motions = measured_motions(robot, record, chosen_cutoff(record) if cutoff is None else float(cutoff))
         owner += (np.repeat(np.arange(record.n_pos), record.n_exp) + 1 + max(owner, default=-1)).tolist()
-        rows += [_rows(robot, motion, payload) for motion in motions]
+        rows += [thinned_rows(robot, motion, payload) for motion in motions]
     judge = np.isin(owner, held)
     fitted = [r for r, h in zip(rows, judge, strict=True) if not h]
     judged = [r for r, h in zip(rows, judge, strict=True) if h]
@@ -113,7 +113,8 @@ def calibrate_from_motion(
     return _result(robot, uncertain, x, posterior, done, converged, fitted, judged, records)
 
 
-def _rows(robot: Robot, motion: MeasuredMotion, payload: Payload | None) -> Rows:
+def thinned_rows(robot: Robot, motion: MeasuredMotion, payload: Payload | None) -> Rows:
+    """A motion as the torque that it needs is computed from it."""
     out = np.asarray(arm_angles(robot, jnp.eye(robot.n_axes))).T  # arm = out @ motor
     joints = np.zeros((3, robot.chain.n_joints, len(motion.angle)))
     driven = np.array(robot.driven_joints)
@@ -170,7 +171,7 @@ def _law(robot: Robot) -> Friction:
     return law
 
 
-def _slopes(robot: Robot, numbers: Sequence[Number], x, rows: Rows) -> Float[np.ndarray, "row axis number"]:
+def torque_slopes(robot: Robot, numbers: Sequence[Number], x, rows: Rows) -> Float[np.ndarray, "row axis number"]:
     """Derivatives of the needed torque by x."""
     now = with_numbers(robot, numbers, x)
     friction, speed = _law(now), rows.motion.speed
@@ -208,7 +209,7 @@ def _gram(robot: Robot, numbers, x, records: Sequence[Rows], left, scale) -> Gra
     each = max(2, -(-_BLOCKS // len(records)))
     A, b, rr = [], [], []
     for rows, rest in zip(records, left, strict=True):
-        J = (_slopes(robot, numbers, x, rows) / scale[:, None]).reshape(len(rest), -1, len(numbers))
+        J = (torque_slopes(robot, numbers, x, rows) / scale[:, None]).reshape(len(rest), -1, len(numbers))
         r = rest / scale
         for part in np.array_split(np.arange(len(r)), each):
             columns, residual = J[part].reshape(-1, len(numbers)), r[part].ravel()

@@ -135,13 +135,13 @@ def test_tx40(tx40):
     assert whole.converged
     data = in_parts(u, y, 1)
     cutoff = fm.chosen_cutoff(data)
-    rows = [fm._rows(robot, m, None) for m in fm.measured_motions(robot, data, cutoff)]
+    rows = [fm.thinned_rows(robot, m, None) for m in fm.measured_motions(robot, data, cutoff)]
     ours = fm._all(rows, [r.torque - fm.needed(robot, whole.numbers, whole.x, r) for r in rows])
     plain = fm._all(rows, least_squares(robot, rows)(rows))
 
     halves = in_parts(u, y, 2)
     fitted = jf.calibrate(robot, halves, heldout=[1], cutoff=cutoff)
-    first, second = ([fm._rows(robot, m, None)] for m in fm.measured_motions(robot, halves, cutoff))
+    first, second = ([fm.thinned_rows(robot, m, None)] for m in fm.measured_motions(robot, halves, cutoff))
     left = [r.torque - fm.needed(robot, fitted.numbers, fitted.x, r) for r in second]
     by_axis = [100 * np.sqrt(np.mean(x**2)) for x in (whole.missed_after, fitted.heldout[1])]
     ours_later, plain_later = fm._all(second, left), fm._all(second, least_squares(robot, first)(second))
@@ -162,7 +162,7 @@ def test_what_changes_between_the_halves_of_tx40(tx40):
     in the second, slower one it is a third of what even a fit to that half alone misses."""
     robot, u, y = tx40
     halves = in_parts(u, y, 2)
-    first, second = ([fm._rows(robot, m, None)] for m in fm.measured_motions(robot, halves, 50.0))
+    first, second = ([fm.thinned_rows(robot, m, None)] for m in fm.measured_motions(robot, halves, 50.0))
 
     def behind_the_gear(speed):
         return np.sign(speed[:, 5] / RATIO[5] - speed[:, 4] / RATIO[4])[:, None] * np.eye(6)[5]

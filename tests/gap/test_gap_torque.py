@@ -37,7 +37,7 @@ GEAR, ROTOR = np.array([50.0, 40.0]), np.array([1e-3, 8e-4])
 VISCOUS, COULOMB, SMOOTHING = np.array([4e-3, 3e-3]), np.array([0.3, 0.2]), 0.2
 
 
-def arm(stiffness=float("inf"), damping=0.0):
+def arm(stiffness=float("inf"), damping=0.0, tolerance=0.0):
     def joint(axis, name, offset, mass, com, inertia):
         return {
             "name": name,
@@ -57,7 +57,7 @@ def arm(stiffness=float("inf"), damping=0.0):
 
     joints = [joint(0, "shoulder", 0.0, M1, C1, I1), joint(1, "elbow", L1, M2, C2, I2)]
     table = {"name": "arm", "gravity": [0.0, -9.81, 0.0], "friction": {"smoothing": SMOOTHING}, "joint": joints}
-    return jf.robot.robot_from_table(table)
+    return jf.robot.robot_from_table(table | {"tolerance": {"all": tolerance}})
 
 
 def path(t, seed):
@@ -259,13 +259,21 @@ def test_wrong_numbers_are_no_missing_effect():
     assert nominal > 2 * before
 
 
+def test_numbers_within_their_tolerance_are_no_missing_effect():
+    """Masses and Coulomb friction off by a tolerance."""
+    named = {"shoulder.mass": 1.05 * M1, "elbow.mass": 0.95 * M2, "elbow.coulomb_friction": 0.95 * COULOMB[1]}
+    wrong = jf.robot.with_parameters(arm(tolerance=0.05), named)
+    found = diagnose(wrong, record(5))
+    assert found.verdict == "sufficient" and found.gap.before < 0.03
+
+
 @pytest.mark.slow
 def test_identify_asks_after_signs_and_channels():
     data = record(3)
     opposite, exchanged = (dataclasses.replace(data, u=u) for u in (data.u * np.array([1.0, -1.0]), data.u[..., ::-1]))
-    assert not jf.calibrate(arm(), data).hints
-    assert "elbow is like the opposite" in "".join(jf.calibrate(arm(), opposite).doubts())
-    assert "shoulder is like that of elbow" in "".join(jf.calibrate(arm(), exchanged).doubts())
+    assert not jf.calibrate(arm(tolerance=0.05), data).hints
+    assert "elbow is like the opposite" in "".join(jf.calibrate(arm(tolerance=0.05), opposite).doubts())
+    assert "shoulder is like that of elbow" in "".join(jf.calibrate(arm(tolerance=0.05), exchanged).doubts())
 
 
 def test_what_the_library_lacks_is_not_named():

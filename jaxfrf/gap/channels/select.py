@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..._errors import InputError
 from ...effects import AbstractEffect, Candidate
-from ..settings import BEST, CONFIDENCE, DRAWS, LEAST_SHARE, LEVEL, MOST, RIVALS, STANDARD_ERROR, THE_SAME
+from ..settings import BEST, CONFIDENCE, DRAWS, EXPLAINED, LEAST_SHARE, LEVEL, MOST, RIVALS, STANDARD_ERROR, THE_SAME
 from ..significance import covariance, family_wise, held_out, mean_squares, projector, summed, surely_positive
 from .channel import AbstractChannel, Rows, State, acting
 
@@ -325,14 +325,16 @@ def _one_class(candidate: Candidate, other: Candidate) -> bool:
 
 def _backward(channel: AbstractChannel, now: FittedState) -> tuple[FittedState, list[int]]:
     """Effects that the others have made needless or senseless, or whose interval holds none of them, are taken out
-    again."""
+    again; not for that interval, where without them much would be left: it is a local one."""
     kept = list(range(len(now.state.chosen)))
     for i in reversed(range(len(now.state.chosen))):
         at = kept.index(i)
         fewer, block = refitted(channel, now.state.without(at)), channel.blocks(now.residual)
         gain = mean_squares(fewer.left, block) - mean_squares(now.left, block)
         needless = len(kept) > 1 and not surely_positive(gain)
-        if needless or _holds_none(channel, now, at) or _senseless(channel, *now.state.chosen[at]):
+        much = np.mean(now.left**2) < (1.0 - EXPLAINED) * np.mean(fewer.left**2)  # and numbers that give way soften it
+        none = not much and _holds_none(channel, now, at)
+        if needless or none or _senseless(channel, *now.state.chosen[at]):
             now = fewer
             kept.remove(i)
     return now, kept

@@ -5,6 +5,7 @@ For records that are no multisine, or whose reference or controller is not known
 carries the noise of the position into the torque.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -20,8 +21,10 @@ from ...robot.equations import arm_angles
 from ...trajectory.needed_torque import added_torque, check_one_motor_a_joint, needed_torque
 from ...trajectory.rigid_motion import COMPARED, MeasuredMotion, chosen_cutoff, measured_motions, thinned, thinned_rate
 from ..result import Cell
-from ..settings import LEVEL, SMALLEST, STRETCHES, TORQUE, WORTH
-from .channel import Outcome, Rows
+from ..settings import LEVEL, OFF, SMALLEST, STRETCHES, TORQUE, WORTH
+from ..significance import block_length, projector
+from .channel import Outcome, Rows, State
+from .giving import GivingNumbers, giving_numbers
 from .records import AbstractRecords, reaches, rows_of, stretches
 
 _BINS = 24  # of a course
@@ -33,10 +36,13 @@ class TorqueChannel(AbstractRecords):
 
     The motion is filtered without phase and differentiated; torques of both sides go through the same filter. It fails
     where flexible modes within the filter's band dominate the motion, and where the torque came from feedback of a
-    noisy position (the derivatives' noise then correlates with it).
+    noisy position (the derivatives' noise then correlates with it). A payload is biased by as much as the last link's
+    numbers give way for it.
 
     **Fields:** `motions`, `size`: of the torques, N m, (axis,). `cutoff`: of the motion's filter, Hz: 2.5 times the
-    band in which y stands 10 dB above its noise floor; torques are compared up to a fifth of it.
+    band in which y stands 10 dB above its noise floor; torques are compared up to a fifth of it. `giving`: the robot's
+    numbers with a tolerance, which go before effects that look like them, to first order and within two tolerances;
+    a channel of data that were held out takes them from the `fitted` one.
     """
 
     compared: ClassVar = "torque that the model needs for the measured motion (inverse dynamics): the weaker comparison"
@@ -55,6 +61,8 @@ class TorqueChannel(AbstractRecords):
     rate: float = eqx.field(static=True)
     feature: Float[np.ndarray, "sample feature"]
     reach: tuple[Reach, ...]
+    giving: GivingNumbers
+    fitted: "TorqueChannel | None" = None
 
     @classmethod
     def takes(cls, robot: Robot | None, data: Sequence[Any]) -> bool:
@@ -66,10 +74,20 @@ class TorqueChannel(AbstractRecords):
     @classmethod
     def opened(cls, robot, data):
         check_one_motor_a_joint(robot)
-        return cls._compared(robot, data, min(chosen_cutoff(x) for x in data))
+        channel = cls._compared(robot, data, min(chosen_cutoff(x) for x in data))
+        return dataclasses.replace(channel, giving=channel._priced()) if channel.giving.numbers else channel
 
     def of(self, data):
-        return self._compared(self.robot, data, self.motions[0].cutoff)
+        other = self._compared(self.robot, data, self.motions[0].cutoff)
+        return dataclasses.replace(other, fitted=self)
+
+    def _priced(self) -> GivingNumbers:
+        """A tolerance costs as much as noise that is alike for as long as what all numbers together leave."""
+        state = State(self.robot, self.own())
+        left = self.measured - self.predicted(state)
+        left = projector(np.concatenate([super().slopes(state), self.giving.columns], axis=1))(left)
+        alike = block_length(np.split(left.reshape(-1, self.n_axes), np.cumsum(self.lengths)[:-1]))
+        return dataclasses.replace(self.giving, price=float(np.mean(left**2)) * alike)
 
     @classmethod
     def _compared(cls, robot: Robot, data, cutoff: float) -> "TorqueChannel":
@@ -93,21 +111,43 @@ class TorqueChannel(AbstractRecords):
             rate=thinned_rate(motions[0]),
             feature=np.concatenate([thinned(m, turned(m)) for m in motions]),
             reach=reach,
+            giving=giving_numbers(robot, motions, size),
         )
 
     def own(self):
-        """Motor inertia and viscous friction of every axis."""
+        """Motor inertia and viscous friction of every axis; others give way within their tolerances (`giving`)."""
         return {name: float(v) for name, v in parameters(self.robot, ("motor_inertia", "viscous_friction")).items()}
 
     def predicted(self, state):
         robot = state.robot()
         return self._rows([needed_torque(robot, m) for m in self.motions])
 
+    def residual(self, state):
+        return self._beside(state)[0]
+
+    def _beside(self, state: State):
+        """Residual and weight of rows beside numbers that give way, where those of what was fitted have not settled
+        them."""
+        left = self.measured - self.predicted(state)
+        if not self.giving.numbers:
+            return left, lambda rows: rows
+        if self.fitted is not None:
+            return left - self.giving.columns @ self.fitted.given_way(state.robot()), lambda rows: rows
+        left, weight = self.giving.beside(left)
+        return weight(left), weight
+
+    def given_way(self, robot: Robot) -> Float[np.ndarray, "number"]:
+        """How far the numbers of a robot give way, in tolerances."""
+        return self.giving.at(self.measured - self._rows([needed_torque(robot, m) for m in self.motions]))
+
+    def slopes(self, state):
+        return self._beside(state)[1](super().slopes(state))
+
     def columns(self, state, candidates):
-        robot = state.robot()
+        weight, robot = self._beside(state)[1], state.robot()
         needed = [needed_torque(robot, m) for m in self.motions]
         more = lambda e: [added_torque(robot, e, m, x) for m, x in zip(self.motions, needed, strict=True)]
-        return [np.stack([self._rows(more(e)) for e in c.basis], axis=1) for c in candidates]
+        return [weight(np.stack([self._rows(more(e)) for e in c.basis], axis=1)) for c in candidates]
 
     def _rows(self, torques: Sequence[Float[np.ndarray, "time axis"]]) -> Rows:
         return rows_of([thinned(m, x) for m, x in zip(self.motions, torques, strict=True)], self.size)
@@ -151,7 +191,16 @@ class TorqueChannel(AbstractRecords):
 
     def remarks(self, outcome: Outcome):
         cutoff = self.motions[0].cutoff
-        return (f"the motion was filtered at {cutoff:.3g} Hz, torques compared up to {COMPARED * cutoff:.3g} Hz.",)
+        said = f"the motion was filtered at {cutoff:.3g} Hz, torques compared up to {COMPARED * cutoff:.3g} Hz."
+        away = self.given_way(outcome.state.robot())
+        off = [f"{n.name} ({x:+.1f})" for n, x in zip(self.giving.numbers, away, strict=True) if abs(x) > OFF]
+        if not off:
+            return (said,)
+        return said, f"off by more than their tolerance, of which the torques ask so many: {', '.join(off)}."
+
+    def joined(self, found):
+        base, extended = (self.giving.of(robot, self.given_way(robot)) for robot in (found.base, found.extended))
+        return dataclasses.replace(found, base=base, extended=extended)
 
 
 _SIGNATURES = {
