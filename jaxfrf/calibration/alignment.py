@@ -13,11 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
+from .._text import number
 from ..experiment import Experiment
 from ..robot import Robot
 from ..trajectory.controller import ShownController, law_times, shown_controller
 from ..trajectory.evidence import Column
-from ..trajectory.log_times import LogTimes
+from ..trajectory.log_times import LogTimes, speeds_of_differences
 from ..trajectory.measured import Measured, measured
 from ..trajectory.scene import Scene
 from .columns import near_rest_columns
@@ -32,6 +33,7 @@ _LEAST = 0.3  # of a sampling interval, where the motion alone tells: what a mod
 _AGREE = 0.2  # of the time: axes of one log that differ by more were not taken late, they lack something each
 _FALLS, _FALLS_ALONE = 0.8, 0.5  # of the misfit behind one step of all numbers, that may be left where the motion alone
 # tells: of axes that agree, beside which an effect may be missing; of one
+_HALF = 0.1  # of a sampling interval, around half of one, in which speeds are differences of positions
 _FLOOR = 1.0  # of that misfit, mean square: below it nothing is asked
 
 
@@ -69,7 +71,7 @@ def aligned(
     late they stand in the log, unless the robot's motion denies it: a controller that commands late is told from a log
     of late commands by the torque that the measured motion needs. Where there is no such law, only commands that all
     come late behind the motion are taken back, since that no robot does; motion behind commands is a delay of the
-    robot's.
+    robot's; but for speeds of several axes that are all half a sample late, as differences of positions are.
 
     **Arguments:** `data`: periodic. `robot`: as given. `divide`: a record into the parts that fit and judge; `seen`: of
     these, what may be looked at.
@@ -77,7 +79,8 @@ def aligned(
     **Returns:** `Aligned`; the record itself where nothing is late.
 
     **Biased** where a controller's law is not the written one in another way that a shift of some samples imitates to
-    2 % of the torque, and the robot's numbers are off by so much that its motion does not deny it.
+    2 % of the torque, and the robot's numbers are off by so much that its motion does not deny it; and where all drives
+    of a log of speeds without such a law act half a sample late.
 
     **Source:** this project's own.
     """
@@ -90,12 +93,36 @@ def aligned(
     if times is None and (contradicted or not np.any(shown.left)):
         times = _behind_motion(robot, record)
     if times is None:
-        return Aligned(data, parts, shown)
+        differenced = not np.any(shown.left) and _differenced(robot, record)
+        return _of_differences(data, robot, divide, seen) if differenced else Aligned(data, parts, shown)
     late, moved = times.says(robot.axis_names), times.taken_back(data)
     moved_parts = divide(moved)
     if by_law and not times.are_together and not _confirmed(robot, seen(moved_parts), times):
         return Aligned(data, parts, shown, commands=late)
     return Aligned(moved, moved_parts, shown_controller(robot, seen(moved_parts)), late=late)
+
+
+def _of_differences(data: Experiment, robot: Robot, divide, seen) -> Aligned:
+    """A record of speeds that are differences of positions, as if they were speeds."""
+    moved = speeds_of_differences(data)
+    parts = divide(moved)
+    time = number(500.0 / data.fs, 3)
+    late = f"y is {time} ms late (half a sample), as a difference of positions is (log these instead)"
+    return Aligned(moved, parts, shown_controller(robot, seen(parts)), late=late)
+
+
+def _differenced(robot: Robot, record: Measured) -> bool:
+    """Whether logged speeds are differences of positions, by the torque that the motion needs: all axes half a sample
+    behind the commands, and together with them once they are taken for that. A single axis may be what it looks like.
+    """
+    data = record.data
+    before = _left(robot, record) if data.y_quantity == "velocity" and robot.n_axes > 1 else None
+    if before is None or before <= _FLOOR:
+        return False
+    together = lambda times, at: times is not None and bool(np.all(np.abs(times * data.fs - at) < _HALF))
+    if not together(_late(robot, record), -0.5):
+        return False
+    return together(_late(robot, measured(speeds_of_differences(data), record.payloads)), 0.0)
 
 
 def _confirmed(robot: Robot, moved: Measured, times: LogTimes) -> bool:

@@ -64,6 +64,20 @@ class LogTimes(eqx.Module):
         return f"{number(1e3 * abs(time), 3)} ms {way} ({count} sample{'' if count == 1 else 's'})"
 
 
+def speeds_of_differences(data: Experiment) -> Experiment:
+    """The record with speeds at the samples, of one whose speeds are positions less those a sample before.
+
+    Such a difference is the mean speed since: half a sample late, and less by sin(x)/x of x = omega/(2 fs).
+    """
+    moved = np.array(data.y)
+    steady = slice(data.transient_periods * data.period, (data.transient_periods + data.n_periods) * data.period)
+    spectrum = scipy.fft.rfft(moved[:, :, steady], axis=2)
+    cycles = np.fft.rfftfreq(data.n_periods * data.period)[:, None]  # of a sample
+    back = np.exp(1j * np.pi * cycles) / np.sinc(cycles)
+    moved[:, :, steady] = scipy.fft.irfft(spectrum * back, n=data.n_periods * data.period, axis=2)
+    return dataclasses.replace(data, y=moved)
+
+
 def _earlier(signal, times, data: Experiment):
     """Steady periods of a signal by so much earlier, axis by axis; whole samples exactly."""
     moved = np.array(signal)

@@ -12,7 +12,7 @@ from uncertain_arm import design, machine, model, played
 import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.calibration.alignment import aligned
-from jaxfrf.trajectory.log_times import LogTimes
+from jaxfrf.trajectory.log_times import LogTimes, speeds_of_differences
 from jaxfrf.trajectory.measured import fewer, measured
 
 
@@ -82,6 +82,30 @@ def test_parts_of_a_sample_and_axes_of_their_own():
 def test_nothing_is_late():
     found = aligned(played(), model(), few, lambda parts: parts)
     assert found.data is played() and not found.late and not found.commands and not found.sentence()
+
+
+def test_speeds_behind_differences():
+    """Of a sine of 7 cycles a period, whose differences are known in closed form."""
+    phase = 2 * np.pi * 7 / 200 * np.arange(800)[None, None, :, None]
+    step = 2 * np.pi * 7 / 200
+    y = 100.0 * (np.sin(phase) - np.sin(phase - step)) + 2.0
+    data = jf.Experiment(0.0 * y, y, 100.0, 200, transient_periods=1, y_quantity="velocity")
+    found = speeds_of_differences(data).y
+    np.testing.assert_allclose(found[:, :, 200:], (100.0 * step * np.cos(phase) + 2.0)[:, :, 200:], atol=1e-9)
+    np.testing.assert_array_equal(found[:, :, :200], y[:, :, :200])
+
+
+@pytest.mark.slow
+def test_speeds_that_are_differences_of_positions():
+    """They are half a sample late on all axes; what comes back is the derivative of the positions, line by line."""
+    data, positions = without_reference(played()), np.asarray(played().y)
+    differences = (positions - np.roll(positions, 1, axis=2)) * FS
+    found = aligned(dataclasses.replace(data, y=differences, y_quantity="velocity"), model(), few, lambda parts: parts)
+    assert found.late.startswith("y is 0.5 ms late (half a sample), as a difference of positions is")
+    lines = lambda x: np.fft.rfft(np.asarray(x)[:, :, -data.period :], axis=2)[:, :, 1 : max(data.lines) + 1]
+    omega = 2 * np.pi * np.arange(1, max(data.lines) + 1)[:, None] * FS / data.period
+    speeds = 1j * omega * lines(positions)
+    np.testing.assert_allclose(lines(found.data.y), speeds, atol=1e-3 * np.abs(speeds).max())
 
 
 @functools.cache
