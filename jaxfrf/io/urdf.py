@@ -16,6 +16,7 @@ from ..robot.robot import Robot
 from ..robot.schema import robot_from_table
 from .robots import read_robot_toml
 
+_ROUNDED = 0.01  # of the sum of two moments: numbers in a file have few digits
 _MOVING = ("revolute", "continuous", "prismatic")
 
 
@@ -24,14 +25,15 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike, own: Sequence[
 
     The TOML file has the schema of a robot's file without the links: a `[[joint]]` table for every moving
     joint of the URDF, under its name there, with gear, motor, spring and friction; `type` is `driven` where
-    it is left out, `gravity` [0, 0, -9.81]. Fixed joints join their links. Limits, meshes and transmissions
-    of the URDF are not read.
+    it is left out, `gravity` [0, 0, -9.81]. Fixed joints join their links. `<dynamics damping friction>` of a
+    joint is its motor's friction where the TOML file states none of that kind, over the gear ratio n: damping/n^2,
+    friction/|n|. Limits, meshes and transmissions of the URDF are not read.
 
     **Arguments:** `urdf`, `drives`: paths of both files, in SI units. `own`: effects of your own that the TOML file may
     name.
 
     **Raises:** `jaxfrf.InputError` for a tree that is not a serial chain, joints of several freedoms, links without
-    the numbers that the dynamics need, and joints that only one of the two files has.
+    the numbers that the dynamics need or with some that no body has, and joints that only one of the two files has.
     """
     expect_path("urdf", urdf)
     expect_path("drives", drives)
@@ -62,7 +64,8 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike, own: Sequence[
                 "one for every moving joint of the URDF",
                 "Add it.",
             )
-    table["joint"] = [{"type": "driven", **link, **trains[link["name"]]} for link in links]
+    friction = {name: _friction(root, name, trains[name], urdf.name) for name in names}
+    table["joint"] = [{"type": "driven", **link, **friction[link["name"]], **trains[link["name"]]} for link in links]
     return robot_from_table(table, drives.name, own)
 
 
@@ -106,6 +109,26 @@ def _drive_trains(table: Mapping[str, Any], source: str) -> dict[str, Mapping[st
     return trains
 
 
+def _friction(root: ET.Element, name: str, train: Mapping[str, Any], source: str) -> dict[str, float]:
+    """Friction of a joint as its motor feels it."""
+    dynamics = next(joint.find("dynamics") for joint in root.findall("joint") if joint.get("name") == name)
+    gear = train.get("gear_ratio")
+    if dynamics is None or not isinstance(gear, int | float) or gear == 0:
+        return {}
+    found: dict[str, float] = {}
+    for key, kind, by in (("damping", "viscous_friction", gear**2), ("friction", "coulomb_friction", abs(gear))):
+        try:
+            value = float(dynamics.get(key, "0"))
+        except ValueError:
+            value = -1.0
+        if not 0.0 <= value < np.inf:
+            raise input_error(
+                f"{source}: joint {name!r}: {key}", repr(dynamics.get(key)), "a number, 0 or more", "Correct it there."
+            )
+        found |= {kind: value / by} if value else {}
+    return found
+
+
 def _links(root: ET.Element, source: str) -> list[dict[str, Any]]:
     """The moving links, base to tip, all frames parallel to the base with the joints at zero."""
     tree = _Tree(root, source)
@@ -132,6 +155,13 @@ def _links(root: ET.Element, source: str) -> list[dict[str, Any]]:
     if not rows:
         raise input_error(
             source, "no joint that moves", "at least one revolute or prismatic joint", "Check the joint types."
+        )
+    if not rows[-1]["mass"] and not any(rows[-1]["inertia"]):
+        raise input_error(
+            f"{source}: link {link!r}",
+            f"no mass that joint {rows[-1]['name']!r} moves",
+            "an <inertial> of the last link, or of one that is fixed to it; a mesh states none",
+            "State it, or fix the joint.",
         )
     return rows
 
@@ -243,6 +273,13 @@ class _Tree:
         inertial = link.find("inertial")
         if inertial is None:
             return 0.0, np.zeros(3), np.zeros((3, 3))
+        if len(link.findall("inertial")) > 1:
+            raise input_error(
+                f"{self.source}: link {link.get('name')!r}",
+                f"{len(link.findall('inertial'))} <inertial>",
+                "one",
+                "Leave one, or make a link of each, fixed to this one.",
+            )
         mass, tensor = inertial.find("mass"), inertial.find("inertia")
         if mass is None or tensor is None:
             raise input_error(
@@ -255,9 +292,18 @@ class _Tree:
             float(self._numbers(link, name, tensor.get(name, "0"), 1)[0])
             for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
         )
+        own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        low, middle, high = np.linalg.eigvalsh(own)
+        if low >= 0.0 and high > (1.0 + _ROUNDED) * (low + middle):
+            raise input_error(
+                f"{self.source}: link {link.get('name')!r}: inertia",
+                f"principal moments {low:.4g}, {middle:.4g} and {high:.4g} kg m^2",
+                "the largest at most the sum of the others, as of any body",
+                "Check the numbers and their units: about the centre of mass, in axes of its <origin>.",
+            )
         shift, turn = self._origin(inertial)
         turn = rotation @ turn
-        about_centre = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
+        about_centre = turn @ own @ turn.T
         return (
             float(self._numbers(link, "mass", mass.get("value"), 1)[0]),
             place + rotation @ shift,

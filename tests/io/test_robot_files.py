@@ -252,6 +252,14 @@ class TestURDF:
                 "joint 'elbow': found the parent link 'uper'",
             ),
             ('<mass value="4"/>', "", "link 'upper': found an <inertial> without"),
+            ("</inertial></link>", "</inertial><inertial/></link>", "link 'upper': found 2 <inertial>"),
+            ('ixx="0.05"', 'ixx="0.5"', "link 'upper': inertia: found principal moments .* and 0.5"),
+            (
+                "</robot>",
+                '<link name="end"/><joint name="wrist" type="revolute"><parent link="tool"/><child link="end"/></joint>'
+                "</robot>",
+                "link 'end': found no mass that joint 'wrist' moves",
+            ),
             ('<mass value="4"/>', '<mass value="four"/>', "link 'upper': mass: found 'four'"),
             ('xyz="0 0 0.3"', 'xyz="0 0"', "xyz: found '0 0'; expected 3 finite numbers"),
             ("</robot>", "", "two.urdf: found .*expected an XML file"),
@@ -262,6 +270,17 @@ class TestURDF:
         files[0].write_text(URDF.replace(old, new))
         with pytest.raises(InputError, match=message):
             read_urdf(*files)
+
+    def test_dynamics(self, files):
+        """Friction of a joint, of the arm: the power that it takes is the motors'; what the TOML states goes before."""
+        dynamics = '<axis xyz="0 0.6 0.8"/><dynamics damping="1.6" friction="4"/>'
+        files[0].write_text(URDF.replace('<axis xyz="0 0.6 0.8"/>', dynamics))
+        friction, rate = read_urdf(*files).drives.friction, np.array([0.3, 0.3])
+        motor = rate * np.array([100.0, 80.0])
+        power = friction.torque(motor) * motor
+        np.testing.assert_allclose(power, [0.0, (1.6 * 0.3 + 4.0) * 0.3], rtol=1e-9)
+        files[1].write_text(DRIVES + "coulomb_friction = 0.2\n")
+        assert read_urdf(*files).drives.friction.coulomb[1] == 0.2
 
     def test_wrong_drives(self, files):
         files[1].write_text(DRIVES.split('[[joint]]\nname = "elbow"')[0])
