@@ -96,7 +96,7 @@ class Auto(AbstractMethod):
         return 1
 
     def remarks(self, spectra: Spectra) -> tuple[str, ...]:
-        if not self.use_reference or spectra.R is None or self._through_reference(spectra):
+        if not self.use_reference or spectra.R is None or self.through_reference(spectra):
             return ()
         return (
             f"r has {counted(spectra.R.shape[-1], 'channel')}, u has {spectra.n_in}: the reference was not used, which "
@@ -122,7 +122,7 @@ class Auto(AbstractMethod):
         n = self.method.n_parameters(spectra, spectra.n_in, max(spectra.n_out, spectra.n_in))
         if len(spectra.frequency) * spectra.n_exp >= n or spectra.n_exp < spectra.n_in:
             return self
-        return JointInputOutput(H1()) if self._through_reference(spectra) else H1()
+        return JointInputOutput(H1()) if self.through_reference(spectra) else H1()
 
     def residual_dof(self, signals: Signals) -> float:
         return self._with_width(self.candidates(signals)[0], signals).residual_dof(signals)
@@ -160,7 +160,7 @@ class Auto(AbstractMethod):
     def _tried(self, signals: Signals) -> tuple[Estimate, Array | None]:
         """The estimates with every width, which is the leading axis, the pilot in front of them; and the prediction
         that fits in two stages have made."""
-        joint = self._through_reference(signals)
+        joint = self.through_reference(signals)
         methods = [dataclasses.replace(self.method, width=w) for w in self.candidates(signals)]
         plans = [method.plan(signals, joint) for method in methods]
         windows = [plan.windows for plan in plans]
@@ -183,12 +183,13 @@ class Auto(AbstractMethod):
         widths = self.candidates(signals)
         return prediction(dataclasses.replace(self.method, width=widths[min(1, len(widths) - 1)]), signals, joint)
 
-    def _through_reference(self, spectra: Spectra | Signals) -> bool:
+    def through_reference(self, spectra: Spectra | Signals) -> bool:
+        """Whether the response from the reference is estimated."""
         return self.use_reference and spectra.R is not None and spectra.R.shape[-1] == spectra.n_in
 
     def _with_width(self, width: int, spectra: Spectra | Signals) -> AbstractMethod:
         method = dataclasses.replace(self.method, width=width)
-        return JointInputOutput(method) if self._through_reference(spectra) else method
+        return JointInputOutput(method) if self.through_reference(spectra) else method
 
 
 class _OneWidth(AbstractMethod):
@@ -211,7 +212,7 @@ class _OneWidth(AbstractMethod):
 
     def at_point(self, signals: Signals, lines=None) -> Estimate:
         method = dataclasses.replace(self.of.method, width=self.width)
-        joint = self.of._through_reference(signals)
+        joint = self.of.through_reference(signals)
         if self.predicted is not None:
             return second_stage(method, signals, joint, self.predicted, lines=lines)
         return method.regressed(signals, joint, lines)

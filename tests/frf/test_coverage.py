@@ -105,7 +105,9 @@ def test_two_experiments_of_which_one_is_loud():
     Y = U * (1 + 0.1 * plants.circular(rng, (2, 100, 1)))
     noise = np.zeros((1, 2, 100, 2, 2))
     noise[0, ..., :1, 0] = 1e-2 * amplitude**2
-    known = dataclasses.replace(plants.spectra(U, Y, lines=lines), noise=noise, n_periods=2)
+    unknown = plants.spectra(U, Y, lines=lines)
+    assert any("factor of 100 in amplitude" in text for text in jf.estimate(unknown, jf.H1()).warnings)
+    known = dataclasses.replace(unknown, noise=noise, n_periods=2)
     np.testing.assert_allclose(jf.estimate(known, jf.H1()).G[0], np.mean(Y / U, axis=0)[..., None], rtol=1e-9)
 
 
