@@ -2,9 +2,12 @@
 
 import numpy as np
 import scipy.ndimage
+import scipy.optimize
 from jaxtyping import Complex, Float
 
 _WIDTH, _ORDER = 11, 2  # lines of a window; order of numerator and denominator, which take a resonance and its rest
+_ROUNDS = 5  # of weights that follow the shape of the noise
+_MUCH = 2.0  # times what is expected of a window: as much and more counts less
 _BLOCK = 200_000  # entries of windows that are solved together
 
 
@@ -12,8 +15,9 @@ def scatter(frequency: Float[np.ndarray, "freq"], G: Complex[np.ndarray, "freq *
     """Standard deviation of G, (freq, ...), from how its lines scatter, element by element.
 
     A fraction B(r)/A(r) of second order goes through every eleven lines, r the distance from the middle one; what it
-    leaves, a mean over as many windows, is noise. Too small (.83 of it) for white noise, some of which the fraction
-    takes, and for errors of lines that share data; too large where a resonance has but a line or two.
+    leaves, a mean over as many windows, is noise: of the shape a + b |G|^2, as noise of the output and of the input or
+    the gain are. Too small (.83 of it) for white noise, some of which the fraction takes, and for errors of lines that
+    share data; too large where a resonance has but a line or two.
 
     **Source:** the local rational window (McKelvey & Guerin, SYSID 2012), of G itself.
     """
@@ -21,9 +25,26 @@ def scatter(frequency: Float[np.ndarray, "freq"], G: Complex[np.ndarray, "freq *
     g = G.reshape(n, -1)
     first = np.clip(np.arange(n) - width // 2, 0, n - width)
     size = max(1, _BLOCK // (width * (2 * _ORDER + 1) * g.shape[1]))
-    blocks = [_left(frequency, g, first[k : k + size], k, width) for k in range(0, n, size)]
-    variance = np.maximum(scipy.ndimage.uniform_filter1d(np.concatenate(blocks), width, axis=0, mode="reflect"), 0.0)
-    return np.sqrt(variance).reshape(G.shape)
+    left = np.concatenate([_left(frequency, g, first[k : k + size], k, width) for k in range(0, n, size)])
+    power = np.abs(g) ** 2
+    inside = np.concatenate([np.zeros_like(power[:1]), np.cumsum(power, axis=0)])
+    inside = (inside[first + width] - inside[first]) / width
+    shape, usual = (np.stack(x, axis=1) for x in zip(*map(_shape, left.T, inside.T, power.T), strict=True))
+    level = scipy.ndimage.uniform_filter1d(left / usual, width, axis=0, mode="reflect")
+    return np.sqrt(np.maximum(level, 0.0) * shape).reshape(G.shape)
+
+
+def _shape(left, inside, power) -> tuple[Float[np.ndarray, "freq"], Float[np.ndarray, "freq"]]:
+    """a + b |G|^2 of the lines of one element and its mean over their windows, from what is left of these: nonnegative
+    least squares, each window weighed by what is expected of it."""
+    columns = np.stack([np.full_like(inside, np.median(left)), inside * (np.median(left) / np.median(inside))], axis=1)
+    found = np.array([1.0, 0.0])
+    for _ in range(_ROUNDS):
+        usual = np.maximum(columns @ found, 1e-300)
+        weight = 1.0 / np.maximum(usual, left / _MUCH)  # a resonance that the fractions miss is no noise
+        found = scipy.optimize.nnls(columns * weight[:, None], left * weight)[0]
+    scale = np.median(left) / np.median(inside)
+    return found[0] * np.median(left) + found[1] * scale * power, columns @ found
 
 
 def _left(frequency, g, first, centre: int, width: int) -> Float[np.ndarray, "window element"]:

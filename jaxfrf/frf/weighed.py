@@ -18,6 +18,9 @@ from .method import AbstractMethod
 from .select import Auto
 
 _LINES = 256  # of an operating point, spread over the band, that residuals are taken at
+_FEW_LINES = 48  # the same, of a first look, which costs little beside any estimate
+_ALIKE = 1.5  # ratio of two experiments' noise power in that look, up to which they are taken for alike
+_SHOWN = 0.1  # of an experiment's noise, that its residuals must show for that
 _NEAR = 4  # lines on either side, over which the noise of a line is averaged
 _ROUNDS, _SETTLED = 60, 0.25  # at most; relative change of the variances in the last: as much is chance
 _FAR = 100.0  # times a variance, that it moves in a round
@@ -81,7 +84,10 @@ def _level(spectra: Spectra, pos: int, through: bool) -> Float[np.ndarray, "exp"
     U, Y, R = (None if X is None else np.asarray(X[pos]) for X in (spectra.U, spectra.Y, spectra.R))
     told = None
     if spectra.n_exp > spectra.n_in:
-        told = _by_residuals(R, np.concatenate([Y, U], axis=-1)) if through else _by_residuals(U, Y)
+        pair = (R, np.concatenate([Y, U], axis=-1)) if through else (U, Y)
+        if _look_alike(*(_spread(X, _FEW_LINES) for X in pair)):
+            return np.ones(spectra.n_exp)
+        told = _by_residuals(*map(_spread, pair))
     if told is None and spectra.noise is not None:
         told = _by_periods(np.asarray(spectra.noise[pos]), Y, spectra.n_periods)
     if told is None:
@@ -99,16 +105,13 @@ def _by_residuals(U, Y) -> tuple[np.ndarray, np.ndarray] | None:
     Restricted maximum likelihood of one variance for each experiment, G of every line being free: the residuals of
     experiments that are divided by these deviations have the power that their leverage leaves them. `None` where they
     do not tell the variances apart."""
-    U, Y = (_spread(X) for X in (U, Y))
     level = np.ones(U.shape[-1])  # from where it moves as far as the data tell: the loudest may hide its own noise
     noisy = np.sum(_left(U, Y)[1], axis=(0, 2)) > _ROUNDING**2 * np.sum(np.abs(Y) ** 2, axis=(0, 2))
     if not noisy.any():
         return level, np.zeros((len(level),) * 2)
     for _ in range(_ROUNDS):
         Q, left = _left(U / level, Y[:, noisy] / level)
-        usual = _near(left.mean(axis=2))
-        power = np.sum(np.mean(left / np.where(usual > 0, usual, 1.0)[..., None], axis=1), axis=0)
-        power = power / np.maximum(np.sum(1 - np.sum(np.abs(Q) ** 2, axis=2), axis=0), _LEAST * len(Q))
+        power = _power(Q, left)
         power = np.clip(power / np.median(power), 1 / _FAR, _FAR)
         level = level * np.sqrt(power)
         if np.abs(np.log(power)).max() < _SETTLED:
@@ -118,6 +121,21 @@ def _by_residuals(U, Y) -> tuple[np.ndarray, np.ndarray] | None:
     cov = np.linalg.inv(curvature + _LEAST * np.trace(curvature) * np.eye(n))  # what is not told varies without end
     spread = np.sqrt(np.maximum(np.add.outer(np.diag(cov), np.diag(cov)) - 2 * cov, 0.0))
     return (level, spread) if spread.max() < _TOLD else None
+
+
+def _look_alike(U, Y) -> bool:
+    """Whether experiments do, none being so loud that G follows it and hides its noise."""
+    Q, left = _left(U, Y)
+    shown = 1 - np.mean(np.sum(np.abs(Q) ** 2, axis=2), axis=0)
+    power = _power(Q, left)
+    return bool(shown.min() > _SHOWN and 0.0 < power.max() < _ALIKE * power.min())
+
+
+def _power(Q, left) -> Float[np.ndarray, "exp"]:
+    """Power that experiments leave over their share of the degrees of freedom, in units of what lines around leave."""
+    usual = _near(left.mean(axis=2))
+    power = np.sum(np.mean(left / np.where(usual > 0, usual, 1.0)[..., None], axis=1), axis=0)
+    return power / np.maximum(np.sum(1 - np.sum(np.abs(Q) ** 2, axis=2), axis=0), _LEAST * len(Q))
 
 
 def _left(U, Y) -> tuple[np.ndarray, np.ndarray]:
@@ -138,9 +156,9 @@ def _by_periods(noise, Y, n_periods: int) -> tuple[np.ndarray, np.ndarray] | Non
     return level, np.full((len(level),) * 2, np.sqrt(2 / (len(variance) * (n_periods - 1))))
 
 
-def _spread(X: Complex[np.ndarray, "exp freq channel"]) -> Complex[np.ndarray, "line channel exp"]:
+def _spread(X: Complex[np.ndarray, "exp freq channel"], most: int = _LINES) -> Complex[np.ndarray, "line channel exp"]:
     """Some lines, those that are not finite as 0."""
-    lines = np.unique(np.linspace(0, X.shape[1] - 1, _LINES).astype(int))
+    lines = np.unique(np.linspace(0, X.shape[1] - 1, most).astype(int))
     X = np.moveaxis(X[:, lines], 0, -1)
     return np.where(np.isfinite(X), X, 0.0)
 
