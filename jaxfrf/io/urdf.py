@@ -11,6 +11,7 @@ import numpy as np
 from .._arguments import expect_path
 from .._errors import input_error
 from .._files import check_readable
+from .._text import number
 from ..effects import AbstractEffect
 from ..robot.robot import Robot
 from ..robot.schema import robot_from_table
@@ -297,7 +298,7 @@ class _Tree:
         if low >= 0.0 and high > (1.0 + _ROUNDED) * (low + middle):
             raise input_error(
                 f"{self.source}: link {link.get('name')!r}: inertia",
-                f"principal moments {low:.4g}, {middle:.4g} and {high:.4g} kg m^2",
+                f"principal moments {number(low, 4)}, {number(middle, 4)} and {number(high, 4)} kg m^2",
                 "the largest at most the sum of the others, as of any body",
                 "Check the numbers and their units: about the centre of mass, in axes of its <origin>.",
             )
