@@ -183,6 +183,21 @@ def test_an_frf_without_covariance_is_weighed_by_its_scatter(together):
     assert np.mean(np.abs(errors) < 1.96) > 0.87 and 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 
+@pytest.mark.parametrize("grows", [True, False])
+def test_scatter_of_noise_that_grows_with_the_response(grows):
+    """At resonances of two lines to the half width, too: a mean over neighbours halves what grows; of noise that does
+    not, they are left wide."""
+    f, rng = np.arange(1.0, 100.0, 0.25), np.random.default_rng(3)
+    s, w, z = 2j * np.pi * f[:, None], 2 * np.pi * np.array([20.1, 40.07, 70.13]), np.array([0.025, 0.0125, 0.0071])
+    G = np.sum(s**2 / (s**2 + 2 * z * w * s + w**2), axis=1)
+    sigma = 0.01 * (np.abs(G) if grows else np.full(len(f), np.median(np.abs(G))))
+    over = np.array([scatter(f, G + sigma * plants.circular(rng, f.shape)) for _ in range(20)]) / sigma
+    peaks = [np.argmin(np.abs(f - x)) for x in (20.1, 40.07, 70.13)]
+    assert 0.8 < np.sqrt(np.median(over**2)) < 1.0
+    assert np.all(np.abs(np.median(over[:, peaks], axis=0) - 0.95) < 0.15) or not grows
+    assert np.all(np.median(over[:, peaks], axis=0) < 1.8)
+
+
 def test_a_mode_that_is_missed_is_told_without_a_covariance():
     missed = jf.modal(without_covariance(1), near=[112.0, 121.0, 160.0, 240.0])
     assert missed.misfit > 3.0 and "a mode is missing" in missed.doubt
