@@ -178,9 +178,14 @@ def modal(
         table, fit, plain = min(tried, key=lambda x: x[2][0].misfit)
         return table, *(plain if plain[0].misfit <= _MISSED else _with_lag(fit, lines.s, plain, near is not None))
 
-    table, fitted, dropped = found(lines)
+    even = lines.evenly_weighed()
+    table, fitted, dropped = found(even)
     if not len(fitted.poles) and fitted.misfit > _HOPELESS:
-        table, fitted, dropped = found(lines._replace(std=np.maximum(lines.std, _LINEAR * np.abs(lines.G))))
+        table, fitted, dropped = found(even._replace(std=np.maximum(even.std, _LINEAR * np.abs(lines.G))))
+    elif even is not lines:
+        lag = fitted.damping > LARGEST_DAMPING
+        fitted, more = _significant(lines, fitted.poles[~lag], near is not None, delay, fitted.poles[lag])
+        dropped = np.append(dropped, more)
     if near is not None:
         _check_there(fitted, near)
     if delay is None and len(fitted.poles):

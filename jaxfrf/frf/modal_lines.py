@@ -15,6 +15,7 @@ from .response import FRF
 from .scatter import scatter
 
 _SCATTER = 10  # degrees of freedom behind a deviation that weighs a line
+_EVEN = 11  # lines, over which weights are alike in a search
 _BLOCK = 2_000_000  # entries of covariances that are looked at together
 
 
@@ -48,6 +49,14 @@ class Lines(NamedTuple):
             errors=self.errors,
             measured=self.measured,
         )
+
+    def evenly_weighed(self) -> "Lines":
+        """For a search: deviations that come from the scatter of G as means over some lines. Noise that grows with |G|
+        gives a peak itself so little weight that a fit from afar passes it by."""
+        if self.measured:
+            return self
+        variance = scipy.ndimage.uniform_filter1d(self.std**2, _EVEN, axis=0, mode="reflect")
+        return self._replace(std=np.sqrt(variance))
 
     def at(self, some) -> "Lines":
         errors, overlap = self.errors and self.errors.at(some), self.overlap and self.overlap.at(some)
