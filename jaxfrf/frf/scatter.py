@@ -27,8 +27,7 @@ def scatter(frequency: Float[np.ndarray, "freq"], G: Complex[np.ndarray, "freq *
     size = max(1, _BLOCK // (width * (2 * _ORDER + 1) * g.shape[1]))
     left = np.concatenate([_left(frequency, g, first[k : k + size], k, width) for k in range(0, n, size)])
     power = np.abs(g) ** 2
-    inside = np.concatenate([np.zeros_like(power[:1]), np.cumsum(power, axis=0)])
-    inside = (inside[first + width] - inside[first]) / width
+    inside = np.lib.stride_tricks.sliding_window_view(power, width, axis=0).mean(axis=-1)[first]
     shape, usual = (np.stack(x, axis=1) for x in zip(*map(_shape, left.T, inside.T, power.T), strict=True))
     level = scipy.ndimage.uniform_filter1d(left / usual, width, axis=0, mode="reflect")
     return np.sqrt(np.maximum(level, 0.0) * shape).reshape(G.shape)
@@ -37,14 +36,17 @@ def scatter(frequency: Float[np.ndarray, "freq"], G: Complex[np.ndarray, "freq *
 def _shape(left, inside, power) -> tuple[Float[np.ndarray, "freq"], Float[np.ndarray, "freq"]]:
     """a + b |G|^2 of the lines of one element and its mean over their windows, from what is left of these: nonnegative
     least squares, each window weighed by what is expected of it."""
-    columns = np.stack([np.full_like(inside, np.median(left)), inside * (np.median(left) / np.median(inside))], axis=1)
+    usual = np.median(left)
+    if not (usual > 0 and np.median(inside) > 0):  # a dead output: nothing to tell a shape by
+        return np.ones_like(left), np.ones_like(left)
+    part = usual / np.median(inside)
+    columns = np.stack([np.full_like(inside, usual), part * inside], axis=1)
     found = np.array([1.0, 0.0])
     for _ in range(_ROUNDS):
-        usual = np.maximum(columns @ found, 1e-300)
-        weight = 1.0 / np.maximum(usual, left / _MUCH)  # a resonance that the fractions miss is no noise
+        expected = np.maximum(columns @ found, 1e-300)
+        weight = 1.0 / np.maximum(expected, left / _MUCH)  # a resonance that the fractions miss is no noise
         found = scipy.optimize.nnls(columns * weight[:, None], left * weight)[0]
-    scale = np.median(left) / np.median(inside)
-    return found[0] * np.median(left) + found[1] * scale * power, columns @ found
+    return found[0] * usual + found[1] * part * power, np.maximum(columns @ found, 1e-300)
 
 
 def _left(frequency, g, first, centre: int, width: int) -> Float[np.ndarray, "window element"]:
