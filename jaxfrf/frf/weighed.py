@@ -18,7 +18,8 @@ from .method import AbstractMethod
 from .select import Auto
 
 _LINES = 256  # of an operating point, spread over the band, that residuals are taken at
-_FEW_LINES = 48  # the same, of a first look, which costs little beside any estimate
+_FEW_LINES, _TOLD_BY = 48, 288  # the same, of a first look, which costs little beside any estimate; lines times outputs
+# that are enough for it
 _ALIKE = 1.5  # ratio of two experiments' noise power in that look, up to which they are taken for alike
 _SHOWN = 0.1  # of an experiment's noise, that its residuals must show for that
 _NEAR = 4  # lines on either side, over which the noise of a line is averaged
@@ -85,7 +86,8 @@ def _level(spectra: Spectra, pos: int, through: bool) -> Float[np.ndarray, "exp"
     told = None
     if spectra.n_exp > spectra.n_in:
         pair = (R, np.concatenate([Y, U], axis=-1)) if through else (U, Y)
-        if _look_alike(*(_spread(X, _FEW_LINES) for X in pair)):
+        few = min(_FEW_LINES, max(_TOLD_BY // pair[1].shape[-1], 1))
+        if _look_alike(*(_spread(X, few) for X in pair)):
             return np.ones(spectra.n_exp)
         told = _by_residuals(*map(_spread, pair))
     if told is None and spectra.noise is not None:
