@@ -18,7 +18,7 @@ import jaxfrf as jf
 from jaxfrf import effects as fx
 from jaxfrf.gap import diagnose
 from jaxfrf.gap.simulated.quantised import resolution
-from jaxfrf.gap.simulated.records import opened_positions
+from jaxfrf.gap.simulated.records import opened_positions, split
 from jaxfrf.gap.simulated.rounds import PART_FILES
 from jaxfrf.parts import Parts
 from jaxfrf.robot import linearise, motor_directions, operating_point, parameters, with_parameters
@@ -280,6 +280,18 @@ class TestRecords:
         for wrong in (-1, 3):
             with pytest.raises(jf.InputError, match=r"held-out positions.*0 to 2"):
                 opened_positions(data, wrong)
+
+    @pytest.mark.parametrize("positions, most", [(3, 6), (6, 4), (12, 2)])
+    def test_experiments_of_the_robot_that_is_written(self, positions, most):
+        """Sixteen runs at most of the positions that are not held out; two of each at least."""
+        data = made_up(positions, n_exp=6, lines=np.array([3, 5]))
+        every = measured(data)
+        records = split(measured(fewer(data, 2)), every, None)
+        found = records.final
+        assert found.data.u.shape[:2] == (positions - positions // 3, most)
+        some = np.linspace(0, 5, most).round().astype(int)
+        np.testing.assert_array_equal(found.U, every.U[records.opened][:, some])
+        np.testing.assert_array_equal(found.data.u, np.asarray(data.u)[records.opened][:, some])
 
     def test_joined(self):
         first, second = made_up(lines=np.array([3, 5])), made_up(1, seed=1, lines=np.array([5, 7]))
