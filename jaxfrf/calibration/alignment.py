@@ -90,10 +90,12 @@ def aligned(
     contradicted = bool(np.any(shown.contradicted))
     times = law_times(robot, record, shown.contradicted) if contradicted else None
     by_law = times is not None
-    if times is None and (contradicted or not np.any(shown.left)):
-        times = _behind_motion(robot, record)
+    lawless = not np.any(shown.left)
+    apart = _beside_motion(robot, record) if times is None and (contradicted or lawless) else None
+    if apart is not None:
+        times = _behind_motion(robot, record, *apart)
     if times is None:
-        differenced = not np.any(shown.left) and _differenced(robot, record)
+        differenced = lawless and apart is not None and _differenced(robot, record, apart[1])
         return _of_differences(data, robot, divide, seen) if differenced else Aligned(data, parts, shown)
     late, moved = times.says(robot.axis_names), times.taken_back(data)
     moved_parts = divide(moved)
@@ -111,16 +113,21 @@ def _of_differences(data: Experiment, robot: Robot, divide, seen) -> Aligned:
     return Aligned(moved, parts, shown_controller(robot, seen(parts)), late=late)
 
 
-def _differenced(robot: Robot, record: Measured) -> bool:
+def _beside_motion(robot: Robot, record: Measured) -> tuple[float, Float[np.ndarray, "axis"]] | None:
+    """What errors of all numbers leave, mean square over the floor, and how late commands are beside them, s; `None`
+    where that is nothing, and where the robot cannot be simulated."""
+    before = _left(robot, record)
+    times = None if before is None or before <= _FLOOR else _late(robot, record)
+    return None if before is None or times is None else (before, times)
+
+
+def _differenced(robot: Robot, record: Measured, times: Float[np.ndarray, "axis"]) -> bool:
     """Whether logged speeds are differences of positions, by the torque that the motion needs: all axes half a sample
     behind the commands, and together with them once they are taken for that. A single axis may be what it looks like.
     """
     data = record.data
-    before = _left(robot, record) if data.y_quantity == "velocity" and robot.n_axes > 1 else None
-    if before is None or before <= _FLOOR:
-        return False
     together = lambda times, at: times is not None and bool(np.all(np.abs(times * data.fs - at) < _HALF))
-    if not together(_late(robot, record), -0.5):
+    if data.y_quantity != "velocity" or robot.n_axes == 1 or not together(times, -0.5):
         return False
     return together(_late(robot, measured(speeds_of_differences(data), record.payloads)), 0.0)
 
@@ -132,15 +139,12 @@ def _confirmed(robot: Robot, moved: Measured, times: LogTimes) -> bool:
     return left is not None and bool(np.sum(np.abs(left)) < 0.5 * np.sum(np.abs(times.apart)))
 
 
-def _behind_motion(robot: Robot, record: Measured) -> LogTimes | None:
+def _behind_motion(robot: Robot, record: Measured, before: float, first: Float[np.ndarray, "axis"]) -> LogTimes | None:
     """How late commands are behind the motion, of all axes alike, by the torque that it needs; `None` where they are
-    not."""
-    before = _left(robot, record)
-    if before is None or before <= _FLOOR:
-        return None
+    not. `before`, `first`: of `_beside_motion`."""
     total, apart, moved = 0.0, np.inf, record
-    for _ in range(_SHIFTS):
-        times = _late(robot, moved)
+    for shift in range(_SHIFTS):
+        times = _late(robot, moved) if shift else first
         if times is None:
             return None
         total, apart = total + float(np.median(times)), float(np.ptp(times))

@@ -14,6 +14,7 @@ from .._text import number
 from ..spectra import Spectra
 from .aperiodic import uses_reference
 from .average import AbstractAverage
+from .causes import running_mean
 from .method import AbstractMethod
 from .select import Auto
 
@@ -135,7 +136,7 @@ def _look_alike(U, Y) -> bool:
 
 def _power(Q, left) -> Float[np.ndarray, "exp"]:
     """Power that experiments leave over their share of the degrees of freedom, in units of what lines around leave."""
-    usual = _near(left.mean(axis=2))
+    usual = running_mean(left.mean(axis=2)[None], _NEAR)[0]
     power = np.sum(np.mean(left / np.where(usual > 0, usual, 1.0)[..., None], axis=1), axis=0)
     return power / np.maximum(np.sum(1 - np.sum(np.abs(Q) ** 2, axis=2), axis=0), _LEAST * len(Q))
 
@@ -163,11 +164,3 @@ def _spread(X: Complex[np.ndarray, "exp freq channel"], most: int = _LINES) -> C
     lines = np.unique(np.linspace(0, X.shape[1] - 1, most).astype(int))
     X = np.moveaxis(X[:, lines], 0, -1)
     return np.where(np.isfinite(X), X, 0.0)
-
-
-def _near(x: Float[np.ndarray, "line out"]) -> Float[np.ndarray, "line out"]:
-    """Mean over neighbouring lines."""
-    total = np.concatenate([np.zeros_like(x[:1]), np.cumsum(x, axis=0)])
-    line = np.arange(len(x))
-    first, last = np.maximum(line - _NEAR, 0), np.minimum(line + _NEAR + 1, len(x))
-    return (total[last] - total[first]) / (last - first)[:, None]
