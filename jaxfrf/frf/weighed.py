@@ -83,10 +83,12 @@ def _not_told(spectra: Spectra, where: list[bool]) -> tuple[str, ...]:
 def _level(spectra: Spectra, pos: int, through: bool) -> Float[np.ndarray, "exp"] | None:
     """Standard deviation of each experiment's noise over their geometric mean; ones where they may be alike, `None`
     where nothing tells."""
-    U, Y, R = (None if X is None else np.asarray(X[pos]) for X in (spectra.U, spectra.Y, spectra.R))
+    U, Y = (np.asarray(X[pos]) for X in (spectra.U, spectra.Y))
     told = None
     if spectra.n_exp > spectra.n_in:
-        pair = (R, np.concatenate([Y, U], axis=-1)) if through else (U, Y)
+        pair = (U, Y)
+        if through and spectra.R is not None:
+            pair = (np.asarray(spectra.R[pos]), np.concatenate([Y, U], axis=-1))
         few = min(_FEW_LINES, max(_TOLD_BY // pair[1].shape[-1], 1))
         if _look_alike(*(_spread(X, few) for X in pair)):
             return np.ones(spectra.n_exp)
