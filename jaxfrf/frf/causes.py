@@ -16,6 +16,7 @@ from .average import AbstractAverage
 from .classical import channel_size
 from .covariance import variances
 from .method import AbstractMethod, Estimate
+from .running import running_mean
 from .scaled import Widened, scaled
 
 _NEAR, _LEAST_NEAR = 8, 2  # bias is averaged over this part of the window, and so many lines on either side
@@ -72,18 +73,6 @@ def noise_level(G, spectra: Spectra) -> np.ndarray:
     effect = np.concatenate([eye, -np.asarray(G)], axis=-1)
     noise = np.mean(np.asarray(spectra.noise), axis=1)
     return np.maximum(np.einsum("pfos,pfst,pfot->pfo", effect, noise, effect.conj()).real, 0)
-
-
-def running_mean(x, reach) -> np.ndarray:
-    """Mean of (pos, freq, ...) over `reach` lines on either side, a number or (pos, freq)."""
-    n = x.shape[1]
-    reach = np.broadcast_to(reach, x.shape[:2])
-    line = np.arange(n)
-    first, last = np.maximum(line - reach, 0), np.minimum(line + reach + 1, n)
-    total = np.concatenate([np.zeros_like(x[:, :1]), np.cumsum(x, axis=1)], axis=1)
-    at = np.arange(len(x))[:, None]
-    count = (last - first).reshape(*reach.shape, *[1] * (x.ndim - 2))
-    return (total[at, last] - total[at, first]) / count
 
 
 def _with_noise(estimate: Estimate, spectra: Spectra) -> Estimate:

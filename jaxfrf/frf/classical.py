@@ -10,6 +10,7 @@ from jaxtyping import Float
 from .._errors import input_error
 from .._types import Array
 from ..spectra import Spectra
+from .alike import few_lines, looks_alike
 from .covariance import KroneckerSum
 from .inverse import adjoint, inverse, positive_inverse, product
 from .least_squares import AbstractLeastSquares, check_periodic
@@ -18,7 +19,7 @@ from .regression import PIVOT
 from .window import Windows, windows
 
 DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
-_AT_ONCE = 16  # lines whose rank is looked at together, after the first, which mostly tells
+_AT_ONCE = 16  # lines whose rank is looked at together
 
 
 class H1(AbstractLeastSquares):
@@ -54,6 +55,10 @@ class H1(AbstractLeastSquares):
         check_experiments(spectra, n_parameters)
         return windows(np.arange(len(spectra.frequency)), 1)
 
+    @property
+    def looks(self) -> bool:
+        return True
+
     def block_size(self, spectra: Spectra | Signals) -> int:
         return spectra.n_in
 
@@ -82,6 +87,10 @@ class H2(AbstractMethod):
 
     **Source:** Mitchell, J. Mechanical Design 104 (1982) 277-279.
     """
+
+    @property
+    def looks(self) -> bool:
+        return True
 
     def block_size(self, spectra: Spectra | Signals) -> int:
         return spectra.n_in
@@ -121,6 +130,10 @@ class Hv(AbstractMethod):
     **Source:** Rocklin, Crowley & Vold, A comparison of H1, H2 and Hv frequency response functions, IMAC 1985.
     """
 
+    @property
+    def looks(self) -> bool:
+        return True
+
     def block_size(self, spectra: Spectra | Signals) -> int:
         return spectra.n_in
 
@@ -152,6 +165,8 @@ def check_experiments(spectra: Spectra | Signals, needed: int) -> None:
 def check_independent(name: str, X) -> None:
     """Raise if the experiments are linearly dependent at every line, as when one record is repeated."""
     X = np.asarray(X)
+    if _begins_independent(X):
+        return
     n = X.shape[-1]
     X = X / channel_size(X, (1, 2))  # units do not matter
     worst = np.array([_best_rank(x.transpose(1, 2, 0)) for x in X])
@@ -165,6 +180,15 @@ def check_independent(name: str, X) -> None:
         )
 
 
+def _begins_independent(X) -> bool:
+    """Whether all positions are of full rank at their first line, which mostly tells; channels scaled as below."""
+    size = np.sqrt(np.einsum("pefc,pefc->pc", X.real, X.real) + np.einsum("pefc,pefc->pc", X.imag, X.imag))
+    if not (np.isfinite(size).all() and size.all()):
+        return False
+    singular = np.linalg.svd(X[:, :, 0] / size[:, None], compute_uv=False)
+    return bool((singular[:, X.shape[-1] - 1 :] > DEPENDENT * singular[:, :1]).all())
+
+
 def channel_size(X, axes: tuple[int, int]) -> np.ndarray:
     """Norm of what is finite of every channel, over the axes of experiments and lines, which stay; 1 of a dead one."""
     size = np.linalg.norm(np.where(np.isfinite(X), X, 0.0), axis=axes, keepdims=True)
@@ -175,7 +199,7 @@ def _best_rank(X) -> int:
     """The largest rank at any line of (freq, channel, exp): looking at the lines only until one has full rank."""
     n, best, first = X.shape[1], 0, 0
     while best < n and first < len(X):
-        last = first + _AT_ONCE if first else 1
+        last = first + _AT_ONCE
         singular = np.linalg.svd(X[first:last], compute_uv=False)
         best = max(best, int((singular > DEPENDENT * singular[..., :1]).sum(axis=-1).max()))
         first = last
@@ -201,15 +225,17 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
         Z = U if Z is None else Z.T
         G = None if response is None else response(U, Y)
         X, S = _influence(U if G is None else _where_finite(G, U), Z)
-        G = product(product(Y, adjoint(Z)), X) if G is None else G
+        influence = product(adjoint(Z), X)
+        G = product(Y, influence) if G is None else G
         residual = Y - product(G, U)
         C = product(residual, adjoint(residual)) / (dof if dof > 0 else jnp.nan)
         condition = jnp.max(jnp.abs(X) * jnp.linalg.norm(Z, axis=1)[:, None] * jnp.linalg.norm(U, axis=1))
-        told = None if noise is None else _noise_covariance(G, product(adjoint(Z), X), noise)
-        return G, KroneckerSum(S[None], C[None]), told, condition
+        told = None if noise is None else _noise_covariance(G, influence, noise)
+        free = 1 - jnp.sum(influence * U.T, axis=1).real
+        return G, KroneckerSum(S[None], C[None]), told, condition, residual, free
 
     of = _at(lines, signals.U, signals.Y, instrument, signals.noise)
-    G, cov, cov_noise, condition = jax.vmap(one_line, in_axes=1)(*of)
+    G, cov, cov_noise, condition, residual, free = jax.vmap(one_line, in_axes=1)(*of)
     every = jnp.zeros(G.shape[0])
     estimate = Estimate(
         G=G,
@@ -219,8 +245,16 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
         window=every + 1,
         doubtful=every > 0,
         cov_noise=cov_noise,
+        alike=_alike(residual, free) if lines is None and dof > 0 else None,
     )
     return estimate, condition
+
+
+def _alike(residual, free):
+    """Whether experiments look so, by some of the lines."""
+    lines = few_lines(len(free), residual.shape[1])
+    rest = residual[lines]
+    return looks_alike(jnp.real(rest) ** 2 + jnp.imag(rest) ** 2, free[lines])
 
 
 def _influence(U, Z):

@@ -16,12 +16,13 @@ from .._types import Array
 from ..experiment import Experiment
 from ..spectra import Spectra, changed_signals, check_power, dft, silent_lines, unexcited_spectra
 from .average import ArithmeticMean
-from .causes import by_output, noise_level, running_mean
+from .causes import by_output, noise_level
 from .covariance import variances
 from .estimate import estimate
 from .from_record import spectra_of
 from .method import AbstractMethod
 from .response import FRF
+from .running import running_mean
 from .scaled import scaled
 from .select import Auto
 

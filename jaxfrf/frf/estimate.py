@@ -72,19 +72,14 @@ def estimate(
     method.check(spectra)
     _check_rank(spectra, method)
     as_measured = spectra
-    spectra, unequal = weighed(spectra, method)
-    groups = _groups(spectra)
-    stored = None
-    for group, part in zip(groups, _estimates(spectra, method, groups), strict=True):
-        stored = _stored(stored, part, group, spectra.n_pos)
-        if progress is not None:
-            progress(int(group[-1]) + 1, spectra.n_pos)
-    assert stored is not None  # there is no record without a position
-    whole = with_causes(stored, spectra, method)
+    looked = _everywhere(spectra, method, progress) if method.looks else None
+    spectra, unequal = weighed(as_measured, method, None if looked is None else looked.alike)
+    found = looked if looked is not None and spectra is as_measured else _everywhere(spectra, method, progress)
+    whole = with_causes(found, spectra, method)
     status = whole.status | _excitation_status(as_measured, method)
     status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
     serious = [text for text in describe(status & int(SERIOUS))]
-    found = FRF(
+    frf = FRF(
         G=whole.G,
         frequency=np.asarray(spectra.frequency),
         cov=whole.cov,
@@ -104,8 +99,8 @@ def estimate(
         version=__version__,
     )
     if isinstance(data, Experiment) and spectra.periodic:  # segments have lines of their own
-        return _with_distortion(found, data)
-    return found
+        return _with_distortion(frf, data)
+    return frf
 
 
 def _with_distortion(frf: FRF, data: Experiment) -> FRF:
@@ -185,6 +180,18 @@ def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray
         yield from pool.map(with_settings(estimated), groups[first:])
 
 
+def _everywhere(spectra: Spectra, method: AbstractMethod, progress) -> Estimate:
+    """The estimate at every operating point, group by group."""
+    groups = _groups(spectra)
+    stored = None
+    for group, part in zip(groups, _estimates(spectra, method, groups), strict=True):
+        stored = _stored(stored, part, group, spectra.n_pos)
+        if progress is not None:
+            progress(int(group[-1]) + 1, spectra.n_pos)
+    assert stored is not None  # there is no record without a position
+    return stored
+
+
 def _stored(whole: Estimate | None, part: Estimate, group, n_pos: int) -> Estimate:
     """The result of a group put in its place among those of all operating points."""
     if len(group) == n_pos:
@@ -248,7 +255,7 @@ def _excitation_status(spectra: Spectra, method: AbstractMethod) -> np.ndarray:
     """LOW_EXCITATION where a channel of u carries almost no power over all experiments, (pos, freq); of methods that
     take a line's neighbours, too, where none does: lines may be shared among channels (zippered designs)."""
     U = np.asarray(spectra.U)
-    power = np.mean(np.square(U.real) + np.square(U.imag), axis=1)
+    power = np.einsum("pefi,pefi->pfi", U.real, U.real) + np.einsum("pefi,pefi->pfi", U.imag, U.imag)
     weak = power <= _WEAK * np.median(power, axis=1, keepdims=True)
     low = weak.any(axis=-1) if method.block_size(spectra) > 1 else weak.all(axis=-1)
     return np.where(low, int(Status.LOW_EXCITATION), 0)

@@ -34,6 +34,10 @@ class JointInputOutput(AbstractMethod):
     def block_size(self, spectra: Spectra | Signals) -> int:
         return self.method.block_size(spectra)
 
+    @property
+    def looks(self) -> bool:
+        return self.method.looks
+
     def check(self, spectra: Spectra) -> None:
         if spectra.R is None:
             raise input_error(

@@ -1,6 +1,7 @@
 """What every estimation method is: a pure function of the spectra of one operating point, and how that is run."""
 
 import abc
+import dataclasses
 
 import equinox as eqx
 import jax
@@ -51,7 +52,8 @@ class Estimate(eqx.Module):
 
     **Fields:** `G`, `cov`, `dof`, `status`, `window`, `cov_noise`, `cov_total`, `bias`: as those of `jaxfrf.FRF`, with
     or without the axis of positions. `doubtful`: lines where the fast solution is not accurate enough (too small a
-    pivot or residual): `jaxfrf.estimate` solves them again by an orthogonal factorisation.
+    pivot or residual): `jaxfrf.estimate` solves them again by an orthogonal factorisation. `alike`: whether the noise
+    of the experiments is surely of about one size, of methods that look (`AbstractMethod.looks`).
     """
 
     G: Complex[Array, "*pos freq out in"]
@@ -63,6 +65,7 @@ class Estimate(eqx.Module):
     cov_noise: AbstractFactors | Complex[Array, "*pos freq vec vec"] | None = None
     cov_total: AbstractFactors | Complex[Array, "*pos freq vec vec"] | None = None
     bias: Float[Array, "*pos freq out in"] | None = None
+    alike: Bool[Array, "*pos"] | None = None
 
 
 class AbstractMethod(eqx.Module):
@@ -104,6 +107,11 @@ class AbstractMethod(eqx.Module):
     def residual_dof(self, signals: Signals) -> float:
         """Residual degrees of freedom of the estimate at a line whose regressors have full rank; none at 0 or below."""
 
+    @property
+    def looks(self) -> bool:
+        """Whether its estimate says in `Estimate.alike` if experiments are of one noise."""
+        return False
+
     def remarks(self, spectra: Spectra) -> tuple[str, ...]:
         """Sentences on what of these spectra the method does not use."""
         return ()
@@ -127,6 +135,7 @@ def solved_again(estimate: Estimate, method: AbstractMethod, spectra: Spectra) -
 
 def solve_again(estimate: Estimate, method: AbstractMethod, signals: Signals) -> None:
     """Write the doubtful lines of one operating point, by orthogonal factorisation, into the estimate's arrays."""
+    estimate = dataclasses.replace(estimate, alike=None)  # which is no line's
     for lines, count in _batches(np.flatnonzero(estimate.doubtful)):
         again = on_host(compiled(_run_again)(method, signals, lines))
         jax.tree.map(lambda old, new, at=lines[:count]: old.__setitem__(at, new[: len(at)]), estimate, again)

@@ -231,6 +231,7 @@ def _pilot(method: AbstractMethod, signals: Signals, like: Estimate) -> Estimate
         cov=_of_kind(KroneckerSum(found.cov.left, right), like.cov),
         dof=found.dof * min(lines, len(right)),
         doubtful=jnp.zeros_like(found.doubtful),
+        alike=None,
         cov_noise=None if like.cov_noise is None or noise is None else _of_kind(noise, like.cov_noise),
     )
 

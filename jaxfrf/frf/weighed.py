@@ -8,22 +8,18 @@ residuals on how well it is known.
 import dataclasses
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
 
 from .._text import number
+from .._types import Array
 from ..spectra import Spectra
+from .alike import few_lines, looks_alike, power_left, spread_lines
 from .aperiodic import uses_reference
 from .average import AbstractAverage
-from .causes import running_mean
 from .method import AbstractMethod
 from .select import Auto
 
 _LINES = 256  # of an operating point, spread over the band, that residuals are taken at
-_FEW_LINES, _TOLD_BY = 48, 288  # the same, of a first look, which costs little beside any estimate; lines times outputs
-# that are enough for it
-_ALIKE = 1.5  # ratio of two experiments' noise power in that look, up to which they are taken for alike
-_SHOWN = 0.1  # of an experiment's noise, that its residuals must show for that
-_NEAR = 4  # lines on either side, over which the noise of a line is averaged
 _ROUNDS, _SETTLED = 60, 0.25  # at most; relative change of the variances in the last: as much is chance
 _FAR = 100.0  # times a variance, that it moves in a round
 _LEAST = 1e-9  # of all degrees of freedom: as few are none
@@ -34,7 +30,9 @@ _TOLD = 1.0  # standard deviation of a logarithm of two variances' ratio, up to 
 _ROUNDING = 1e-10  # of the output: residuals as small say nothing of noise
 
 
-def weighed(spectra: Spectra, method: AbstractMethod) -> tuple[Spectra, tuple[str, ...]]:
+def weighed(
+    spectra: Spectra, method: AbstractMethod, alike: Bool[Array, "pos"] | None = None
+) -> tuple[Spectra, tuple[str, ...]]:
     """The spectra whose experiments are of one noise, and what to say of it.
 
     Every experiment's U, Y and R are divided by one number, which changes no ratio of theirs: G of a single experiment,
@@ -42,12 +40,17 @@ def weighed(spectra: Spectra, method: AbstractMethod) -> tuple[Spectra, tuple[st
     line (of the responses of y and u to r, where the method goes through these); where that cannot tell (experiments
     not more than inputs, or one so loud that G follows it) from the scatter between periods. As they are where
     experiments are averaged, have transients, or do not differ for sure by a half, and where nothing tells.
+
+    `alike`: where an estimate has found them so (`Estimate.alike`).
     """
     averages = isinstance(method, AbstractAverage) or spectra.n_exp <= method.block_size(spectra)
     if averages or spectra.leaks or spectra.segments:
         return spectra, ()
     through = uses_reference(method) or (isinstance(method, Auto) and method.through_reference(spectra))
-    told = [_level(spectra, pos, through) for pos in range(spectra.n_pos)]
+    same = np.zeros(spectra.n_pos, bool) if alike is None else np.asarray(alike)
+    if same.all():
+        return spectra, ()
+    told = [np.ones(spectra.n_exp) if same[pos] else _level(spectra, pos, through) for pos in range(spectra.n_pos)]
     level = np.stack([np.ones(spectra.n_exp) if x is None else x for x in told])
     unequal = level.max(axis=1) / level.min(axis=1)
     if (unequal == 1).all():
@@ -89,10 +92,11 @@ def _level(spectra: Spectra, pos: int, through: bool) -> Float[np.ndarray, "exp"
         pair = (U, Y)
         if through and spectra.R is not None:
             pair = (np.asarray(spectra.R[pos]), np.concatenate([Y, U], axis=-1))
-        few = min(_FEW_LINES, max(_TOLD_BY // pair[1].shape[-1], 1))
-        if _look_alike(*(_spread(X, few) for X in pair)):
+        few = few_lines(len(spectra.lines), pair[1].shape[-1])
+        Q, left = _left(*(_at(X, few) for X in pair))
+        if looks_alike(left, _free(Q)):
             return np.ones(spectra.n_exp)
-        told = _by_residuals(*map(_spread, pair))
+        told = _by_residuals(*(_at(X, spread_lines(len(spectra.lines), _LINES)) for X in pair))
     if told is None and spectra.noise is not None:
         told = _by_periods(np.asarray(spectra.noise[pos]), Y, spectra.n_periods)
     if told is None:
@@ -116,7 +120,7 @@ def _by_residuals(U, Y) -> tuple[np.ndarray, np.ndarray] | None:
         return level, np.zeros((len(level),) * 2)
     for _ in range(_ROUNDS):
         Q, left = _left(U / level, Y[:, noisy] / level)
-        power = _power(Q, left)
+        power = power_left(left, _free(Q))
         power = np.clip(power / np.median(power), 1 / _FAR, _FAR)
         level = level * np.sqrt(power)
         if np.abs(np.log(power)).max() < _SETTLED:
@@ -128,25 +132,15 @@ def _by_residuals(U, Y) -> tuple[np.ndarray, np.ndarray] | None:
     return (level, spread) if spread.max() < _TOLD else None
 
 
-def _look_alike(U, Y) -> bool:
-    """Whether experiments do, none being so loud that G follows it and hides its noise."""
-    Q, left = _left(U, Y)
-    shown = 1 - np.mean(np.sum(np.abs(Q) ** 2, axis=2), axis=0)
-    power = _power(Q, left)
-    return bool(shown.min() > _SHOWN and 0.0 < power.max() < _ALIKE * power.min())
-
-
-def _power(Q, left) -> Float[np.ndarray, "exp"]:
-    """Power that experiments leave over their share of the degrees of freedom, in units of what lines around leave."""
-    usual = running_mean(left.mean(axis=2)[None], _NEAR)[0]
-    power = np.sum(np.mean(left / np.where(usual > 0, usual, 1.0)[..., None], axis=1), axis=0)
-    return power / np.maximum(np.sum(1 - np.sum(np.abs(Q) ** 2, axis=2), axis=0), _LEAST * len(Q))
-
-
 def _left(U, Y) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal columns that the experiments' inputs span at every line, and the power that they leave of Y."""
     Q = np.linalg.qr(U.conj().swapaxes(1, 2))[0]
     return Q, np.abs(Y - Y @ Q @ Q.conj().swapaxes(1, 2)) ** 2
+
+
+def _free(Q) -> Float[np.ndarray, "freq exp"]:
+    """Share of every experiment's noise that it leaves."""
+    return 1 - np.sum(np.abs(Q) ** 2, axis=2)
 
 
 def _by_periods(noise, Y, n_periods: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -161,8 +155,7 @@ def _by_periods(noise, Y, n_periods: int) -> tuple[np.ndarray, np.ndarray] | Non
     return level, np.full((len(level),) * 2, np.sqrt(2 / (len(variance) * (n_periods - 1))))
 
 
-def _spread(X: Complex[np.ndarray, "exp freq channel"], most: int = _LINES) -> Complex[np.ndarray, "line channel exp"]:
-    """Some lines, those that are not finite as 0."""
-    lines = np.unique(np.linspace(0, X.shape[1] - 1, most).astype(int))
+def _at(X: Complex[np.ndarray, "exp freq channel"], lines) -> Complex[np.ndarray, "line channel exp"]:
+    """At some lines, those that are not finite as 0."""
     X = np.moveaxis(X[:, lines], 0, -1)
     return np.where(np.isfinite(X), X, 0.0)
