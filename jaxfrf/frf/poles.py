@@ -199,6 +199,12 @@ def _slopes(s, poles) -> Complex[np.ndarray, "freq pole 2 2"]:
     return np.stack([up + down, 1j * (up - down)], axis=-1)
 
 
+def _carried(change, covariance):
+    """Variances of coefficients that change by so much, never below 0 however little is known of a pole."""
+    size, direction = np.linalg.eigh((covariance + covariance.T) / 2)
+    return np.sum((change @ (direction * np.sqrt(np.maximum(size, 0.0)))) ** 2, axis=-1)
+
+
 def _strength(coefficients, variance, n_poles: int) -> Float[np.ndarray, "pole"]:
     size, its = (x[:, : 2 * n_poles].reshape(len(x), n_poles, 2).sum(axis=-1) for x in (coefficients**2, variance))
     return np.sqrt(np.mean(size / (its + 1e-300), axis=0))
@@ -219,12 +225,12 @@ def _result(s, x, state: _State, middle: float, alike, *, measured: bool, own: f
     covariance = independent if meat is None else independent @ meat @ independent
     covariance = covariance * np.sqrt(each[:, None] * each)
     std = np.sqrt(np.maximum(np.diag(covariance), 0) * widened)
-    through = np.einsum("ecp,pq,ecq->ec", state.change, covariance, state.change)
+    through = _carried(state.change, covariance)
     change, known_delay = state.change[..., :n], np.linalg.pinv(state.gram[:n, :n])
     if meat is not None:
         known_delay = known_delay @ meat[:n, :n] @ known_delay
     known_delay = known_delay * np.sqrt(each[:n, None] * each[:n])
-    at_delay = np.einsum("ecp,pq,ecq->ec", change, known_delay, change)
+    at_delay = _carried(change, known_delay)
     poles, top = _poles(x, middle), np.abs(s).max()
     order = np.argsort(np.abs(poles))
     of_poles = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
