@@ -19,6 +19,7 @@ import re
 import numpy as np
 import scipy.stats
 from _gap_estimates import errors
+from _gap_kept import kept
 from _hidden_effects import MAIN
 from _hidden_plan import class_of
 from _outside_effects import OUTSIDE
@@ -97,9 +98,10 @@ class Judged:
 
 
 def load(*folders) -> list[Judged]:
-    """All cases of these folders that have both truth and result."""
+    """All cases of these folders that have both truth and result, or of such files as `--keep` writes."""
     judged = []
     for folder in map(pathlib.Path, folders):
+        judged += [Judged(case["truth"], case["result"]) for case in kept(folder).values()] if folder.is_file() else []
         for path in sorted((folder / "results").glob("*.json")):
             truth = json.loads((folder / "truth" / path.name).read_text())
             judged.append(Judged(truth, json.loads(path.read_text())))

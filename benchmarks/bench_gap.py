@@ -3,6 +3,7 @@
     python benchmarks/bench_gap.py --part report -o report [--cases 0-63] [--robots small] [--make-only] [--no-refits]
     python benchmarks/bench_gap.py --again -o report
     python benchmarks/bench_gap.py --score -o report [tune ...]
+    python benchmarks/bench_gap.py --keep cases.json --commit 0123abc -o report   # and --score -o cases.json
     python benchmarks/bench_gap.py --cost -o cost
 
 Every case (`_hidden_plan.py`) is a simulated machine that differs from the robot that the diagnosis is given: in every
@@ -16,7 +17,10 @@ Data and results that are there are kept, so an interrupted run goes on; a diagn
 again. Every diagnosis runs in a process of its own, so that its time and its memory are those of a user's call, with
 programs kept from earlier runs. `--make-only` makes the data. The cases stand in an order in which the first few, or
 every second or third one (`--cases 0-251/3`), are a fair sample. `--score` prints the tables, and writes `score.json`,
-`score.txt` and `confusion.png` into the (first) folder. Tune on "tune", report on "report".
+`score.txt` and `confusion.png` into the (first) folder, or beside the file. Tune on "tune", report on "report".
+
+`--keep` adds what the finished cases of a folder said to a file, with the commit that made them; cases that such a file
+holds already are not run again with `--kept FILE`.
 
 `--cost` diagnoses one R3X with 12 positions, 6 experiments and 8 s each by `jaxfrf diagnose`, twice, and prints the
 time and the memory of both runs.
@@ -41,6 +45,7 @@ os.environ.setdefault("JAX_ENABLE_X64", "1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import numpy as np
+from _gap_kept import keep, kept
 from _gap_picture import draw
 from _gap_score import NAMING, load, report, score
 from _hidden_cases import PARTS, Case, can_be_made, cases, class_of, make
@@ -107,15 +112,22 @@ def main() -> None:
     parser.add_argument("--score", action="store_true", help="tables only")
     parser.add_argument("--no-refits", action="store_true", help="neither oracle nor placebo: a third of the time")
     parser.add_argument("--again", action="store_true", help="diagnose the robots that were written, too")
+    parser.add_argument("--keep", type=pathlib.Path, metavar="FILE", help="add the finished cases to it, run nothing")
+    parser.add_argument("--commit", default="", help="that made them, for --keep")
+    parser.add_argument("--kept", type=pathlib.Path, metavar="FILE", help="leave out the cases that it holds")
     parser.add_argument("--jobs", type=int, default=1, help="processes of MuJoCo")
     parser.add_argument("--cost", action="store_true", help="time and memory of one large case only")
     options = parser.parse_args()
     folder = options.output[0]
     if options.cost:
         return cost(folder, options.jobs)
+    if options.keep:
+        return print(f"{keep(options.keep, folder, options.commit)} cases in {options.keep}")
     if not options.score:
         chosen = [c for c in cases(options.part) if c.robot in options.robots]
         chosen = [c for c in chosen if options.cases is None or c.number in options.cases]
+        done = kept(options.kept) if options.kept else {}
+        chosen = [c for c in chosen if f"{options.part} {c.name}" not in done]
         run(chosen, folder, options.make_only, options.jobs, not options.no_refits)
         if options.again:
             diagnose_again(chosen, folder)
@@ -253,9 +265,10 @@ def tell(folders: list[pathlib.Path]) -> None:
         return
     text = report(scores)
     print(text)
-    write_json(folders[0] / "score.json", scores)
-    (folders[0] / "score.txt").write_text(text + "\n", encoding="utf-8")
-    draw(scores["confusion"], folders[0] / "confusion.png")
+    place = folders[0].parent if folders[0].is_file() else folders[0]
+    write_json(place / "score.json", scores)
+    (place / "score.txt").write_text(text + "\n", encoding="utf-8")
+    draw(scores["confusion"], place / "confusion.png")
 
 
 def _numbers(text: str) -> set[int]:
