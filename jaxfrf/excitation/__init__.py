@@ -16,6 +16,7 @@ from .lines import (
     random_odd_lines as random_odd_lines,
 )
 from .multisine import (
+    LIMITS as LIMITS,
     Multisine as Multisine,
     SlowSine as SlowSine,
     reference_spectra as reference_spectra,

@@ -2,12 +2,11 @@
 
 import equinox as eqx
 import numpy as np
-import scipy.fft
 from jaxtyping import Complex, Float
 
 from .._annotated import checked
 from .._types import Array
-from .signals import Reference, one_period
+from .signals import Reference, one_period, time_derivative
 
 
 class ExcitationLevels(eqx.Module):
@@ -85,12 +84,5 @@ def reference_levels(reference: Reference) -> ExcitationLevels:
         crest=crest_factor(steady - slow),
         velocity=np.max(np.abs(reference.r), axis=1),
         position=np.max(np.abs(reference.position), axis=1),
-        acceleration=np.max(np.abs(_derivative(steady, design.fs)), axis=1),
+        acceleration=np.max(np.abs(time_derivative(steady, design.fs)), axis=1),
     )
-
-
-def _derivative(x, fs: float):
-    """Time derivative of a periodic signal (exp, time, channel), by j omega in frequency."""
-    n = x.shape[1]
-    omega = 2 * np.pi * scipy.fft.rfftfreq(n, 1 / fs)[:, None]
-    return scipy.fft.irfft(1j * omega * scipy.fft.rfft(x, axis=1), n=n, axis=1)

@@ -15,6 +15,9 @@ from .._text import shortened
 from .._types import Array
 from .phases import AbstractPhases, RandomPhases, fourier_phases
 
+LIMITS = {"velocity_limit": "rad/s", "travel_limit": "rad", "acceleration_limit": "rad/s^2"}
+"""What of a design says how far its motion may go, and in which unit."""
+
 _LARGEST_SEED = 2**53  # larger ones are not exact in every file
 
 
@@ -75,7 +78,8 @@ class Multisine(eqx.Module):
     - `slow`: `SlowSine`, or `None`.
     - `periods`, `transient_periods`: steady periods to record, and leading ones to drop.
     - `ramp`: seconds over which the motion fades in from rest; within the transient periods.
-    - `velocity_limit`: highest |reference| allowed, rad/s, per channel or one for all.
+    - `velocity_limit` (rad/s), `travel_limit` (rad from rest), `acceleration_limit` (rad/s^2): highest speed, way and
+      acceleration of the motors that `jaxfrf.reference` lets pass, per channel or one for all.
     - `seed`: fixes the random phases where no key is given.
 
     **Raises:** `jaxfrf.InputError` naming the argument, what was found, what was expected and what to do.
@@ -86,6 +90,8 @@ class Multisine(eqx.Module):
     lines: Int[np.ndarray, "freq"]
     amplitude: Float[np.ndarray, "freq in"]
     velocity_limit: Float[np.ndarray, "in"] | None
+    travel_limit: Float[np.ndarray, "in"] | None
+    acceleration_limit: Float[np.ndarray, "in"] | None
     slow: SlowSine | None
     phases: AbstractPhases
     fs: float = eqx.field(static=True)
@@ -112,6 +118,8 @@ class Multisine(eqx.Module):
         transient_periods: int = 0,
         ramp: float = 0.0,
         velocity_limit=None,
+        travel_limit=None,
+        acceleration_limit=None,
         seed: int = 0,
     ):
         self.fs = _number("fs", fs, positive=True)
@@ -128,13 +136,15 @@ class Multisine(eqx.Module):
             expect("slow", slow, SlowSine)
         rms = None if rms is None else _numbers("rms", rms)
         amplitude = None if amplitude is None else _numbers("amplitude", amplitude)
-        velocity_limit = None if velocity_limit is None else _numbers("velocity_limit", velocity_limit)
-        n_in = _agree(n_in, rms, amplitude, slow, velocity_limit)
+        stated = zip(LIMITS, (velocity_limit, travel_limit, acceleration_limit), strict=True)
+        limits = {name: None if limit is None else _numbers(name, limit) for name, limit in stated}
+        n_in = _agree(n_in, rms, amplitude, slow, limits)
         check_memory(
             f"a design of {n_in} inputs", 8.0 * n_in * (n_in + len(self.lines)), "Design fewer inputs at once."
         )
         self.amplitude = _amplitude(amplitude, rms, len(self.lines), n_in)
-        self.velocity_limit = None if velocity_limit is None else _per_channel("velocity_limit", velocity_limit, n_in)
+        for name, limit in limits.items():
+            setattr(self, name, None if limit is None else _per_channel(name, limit, n_in))
 
     def __check_init__(self):
         top = (self.period - 1) // 2
@@ -264,14 +274,14 @@ def shaped_amplitude(
     return shaped[:, 0] if levels.ndim == 1 else shaped
 
 
-def _agree(n_in, rms, amplitude, slow, velocity_limit) -> int:
+def _agree(n_in, rms, amplitude, slow, limits) -> int:
     """The number of channels that the arguments tell together; 1 where none does."""
     stated = {
         "n_in": n_in if n_in is None else _whole_number("n_in", n_in, least=1),
         "rms": np.size(rms) if np.ndim(rms) == 1 else None,
         "amplitude": np.shape(amplitude)[1] if np.ndim(amplitude) == 2 else None,
         "slow": None if slow is None else len(slow.lines),
-        "velocity_limit": np.size(velocity_limit) if np.ndim(velocity_limit) == 1 else None,
+        **{name: np.size(limit) for name, limit in limits.items() if np.ndim(limit) == 1},
     }
     told = {name: n for name, n in stated.items() if n is not None}
     if len(set(told.values())) > 1:

@@ -10,7 +10,7 @@ from .._arguments import expect
 from .._errors import input_error
 from .._memory import check_memory
 from .._text import number
-from .multisine import Multisine, reference_spectra
+from .multisine import LIMITS, Multisine, reference_spectra
 
 
 class Reference(eqx.Module):
@@ -92,8 +92,8 @@ def reference(design: Multisine, *, key: PRNGKeyArray | None = None) -> Referenc
 
     **Returns:** a `Reference`: speed, rad/s, and position, rad, each (exp, time, in).
 
-    **Raises:** `jaxfrf.InputError` if `design` is none, where a speed exceeds `design.velocity_limit`, or for more
-    samples than fit into memory.
+    **Raises:** `jaxfrf.InputError` if `design` is none, where a speed, a way or an acceleration
+    exceeds the design's limit, or for more samples than fit into memory.
 
     **Source:** closed form.
     """
@@ -115,7 +115,7 @@ def _reference(design: Multisine, R) -> Reference:
         velocity, integral = one_period(design, X)
         r[exp], position[exp] = np.tile(velocity, (total, 1)), np.tile(integral, (total, 1))
     _fade_in(design, r, position)
-    _check_velocity(design, r)
+    _check_limits(design, r, position)
     return Reference(r=r, position=position, design=design)
 
 
@@ -155,16 +155,31 @@ def _fade_in(design: Multisine, r, position) -> None:
     position[:, :n] *= weight
 
 
-def _check_velocity(design: Multisine, r) -> None:
-    if design.velocity_limit is None:
-        return
-    peak = np.max(np.abs(r), axis=1)
-    excess = peak / design.velocity_limit
+def _check_limits(design: Multisine, r, position) -> None:
+    moved = {"velocity_limit": r, "travel_limit": position}
+    if design.acceleration_limit is not None:
+        moved["acceleration_limit"] = time_derivative(r[:, -design.period :], design.fs)
+    for name, x in moved.items():
+        limit = getattr(design, name)
+        if limit is not None:
+            _check_peak(name, np.max(np.abs(x), axis=1), limit)
+
+
+def _check_peak(name: str, peak, limit) -> None:
+    excess = peak / limit
     exp, channel = (int(i) for i in np.unravel_index(np.argmax(excess), excess.shape))
     if excess[exp, channel] > 1:
+        share = np.floor(1000 / excess[exp, channel]) / 1000
         raise input_error(
-            "velocity_limit",
-            f"a peak of {number(peak[exp, channel], 4)} rad/s in experiment {exp}, channel {channel}",
-            f"at most {number(design.velocity_limit[channel], 4)} rad/s",
-            "Lower rms or the slow sine, take another seed, or crest-optimised phases.",
+            name,
+            f"a peak of {number(peak[exp, channel], 4)} {LIMITS[name]} in experiment {exp}, channel {channel}",
+            f"at most {number(limit[channel], 4)} {LIMITS[name]}",
+            f"Lower rms and slow sine (both, to {share:g} of what they are), try another seed or crest-optimised phases.",
         )
+
+
+def time_derivative(x: Float[np.ndarray, "exp time in"], fs: float) -> Float[np.ndarray, "exp time in"]:
+    """Of whole periods, by j omega in frequency."""
+    n = x.shape[1]
+    omega = 2 * np.pi * scipy.fft.rfftfreq(n, 1 / fs)[:, None]
+    return scipy.fft.irfft(1j * omega * scipy.fft.rfft(x, axis=1), n=n, axis=1)

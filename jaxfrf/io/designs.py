@@ -12,6 +12,8 @@ Every key, by example:
     transient_periods = 1            # leading periods to drop; default 0
     ramp = 3.0                       # s, fade-in from rest within the transient periods; default 0
     velocity_limit = [400.0, ...]    # rad/s, highest |reference|, one number or one per input; optional
+    travel_limit = 20.0              # rad, farthest from rest, and
+    acceleration_limit = 3e4         # rad/s^2, likewise
 
     [lines]                          # the excited DFT lines
     grid = "log-odd"                 # "full", "odd", "random-odd", "log-odd" or "list"
@@ -45,10 +47,10 @@ import numpy as np
 from .. import excitation
 from .._arguments import expect_path
 from .._errors import InputError, input_error
-from ..excitation import PHASES, Multisine, SlowSine
+from ..excitation import LIMITS, PHASES, Multisine, SlowSine
 from ._toml import read_toml
 
-_RECORD = ("fs", "period", "blocks", "seed", "periods", "transient_periods", "ramp", "velocity_limit")
+_RECORD = ("fs", "period", "blocks", "seed", "periods", "transient_periods", "ramp", *LIMITS)
 _TOP = ("name", "inputs", *_RECORD, "lines", "multisine", "slow_sine")
 _LINES_STREAM = 0x6C696E65  # keeps the draw of the lines apart from those of the blocks, which count from 0
 

@@ -6,7 +6,8 @@
     r_position             (experiment, time, input)   rad     position reference, about the position at rest
     time                   (time,)                     s
     lines, amplitude       (line,), (line, input)      -, rad/s
-    slow_lines, slow_amplitude, velocity_limit         (input,), where the design has them
+    slow_lines, slow_amplitude, velocity_limit,        (input,), where the design has them
+    travel_limit, acceleration_limit
     fs, period, transient_periods, r_quantity          as in an experiment file
     periods, blocks, seed, ramp, phases, version       the rest of the design
 
@@ -21,6 +22,7 @@ import contextlib
 import json
 import os
 import pathlib
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +30,7 @@ from .. import __version__
 from .._arguments import expect, expect_path
 from .._errors import InputError, input_error
 from .._files import replacing
-from ..excitation import PHASES, Multisine, Reference, SlowSine
+from ..excitation import LIMITS, PHASES, Multisine, Reference, SlowSine
 from ._container import Variable, load, save
 
 _KINDS = (".nc", ".mat", ".csv")
@@ -135,9 +137,8 @@ def _arrays(design: Multisine) -> dict[str, Variable]:
     if design.slow is not None:
         arrays["slow_lines"] = Variable(("input",), design.slow.lines)
         arrays["slow_amplitude"] = Variable(("input",), design.slow.amplitude, "rad/s")
-    if design.velocity_limit is not None:
-        arrays["velocity_limit"] = Variable(("input",), design.velocity_limit, "rad/s")
-    return arrays
+    limits = {name: getattr(design, name) for name in LIMITS}
+    return arrays | {n: Variable(("input",), x, LIMITS[n]) for n, x in limits.items() if x is not None}
 
 
 def _attributes(design: Multisine) -> dict[str, float | int | str]:
@@ -165,13 +166,11 @@ def _design(found) -> Multisine:
     scalars = {
         name: number(name) for name in ("fs", "period", "periods", "transient_periods", "blocks", "seed", "ramp")
     }
-    limit = np.ravel(found["velocity_limit"]) if "velocity_limit" in found else None
+    limits: dict[str, Any] = {name: np.ravel(found[name]) for name in LIMITS if name in found}
     phases = str(found["phases"])
     if phases not in PHASES:
         raise input_error("phases", repr(phases), f"one of {', '.join(PHASES)}", "Write the file again.")
-    return Multisine(
-        lines=lines, amplitude=amplitude, slow=slow, velocity_limit=limit, phases=PHASES[phases](), **scalars
-    )
+    return Multisine(lines=lines, amplitude=amplitude, slow=slow, phases=PHASES[phases](), **limits, **scalars)
 
 
 def _write_csv(path: pathlib.Path, reference: Reference) -> tuple[pathlib.Path, ...]:

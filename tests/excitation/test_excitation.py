@@ -1,6 +1,7 @@
 """Line grids, phases, orthogonal multisines and references, against closed forms and sums written out."""
 
 import dataclasses
+import re
 
 import jax
 import jax.random as jr
@@ -264,14 +265,26 @@ def test_levels_of_a_known_signal():
     assert 10 / (2 * np.pi) - 2 / (10 * np.pi) < level.position.item() <= 10 / (2 * np.pi) + 2 / (10 * np.pi)
 
 
-def test_velocity_limit():
-    design = ex.Multisine(1000.0, 1000, ex.odd_lines(9, 99), rms=[1.0, 2.0], velocity_limit=[50.0, 50.0])
-    peak = np.max(np.abs(ex.reference(design).r), axis=(0, 1))
-    assert ex.reference(dataclasses.replace(design, velocity_limit=peak)).n_exp == 2
+@pytest.mark.parametrize(
+    ("name", "of", "unit"),
+    [
+        ("velocity_limit", lambda x: x.r, "rad/s"),
+        ("travel_limit", lambda x: x.position, "rad"),
+        ("acceleration_limit", lambda x: np.gradient(x.r, 1 / x.fs, axis=1)[:, 1:-1], "rad/s^2"),
+    ],
+)
+def test_limits(name, of, unit):
+    design = ex.Multisine(1000.0, 1000, ex.odd_lines(1, 9), rms=[1.0, 2.0], **{name: [500.0, 500.0]})
+    peak = 1.001 * np.max(np.abs(of(ex.reference(design))), axis=(0, 1))
+    assert ex.reference(dataclasses.replace(design, **{name: peak})).n_exp == 2
+    less = dataclasses.replace(design, **{name: peak * [1.0, 0.8]})
     with pytest.raises(
-        InputError, match=rf"velocity_limit: found a peak of {peak[1]:.4g} rad/s in experiment \d, channel 1"
-    ):
-        ex.reference(dataclasses.replace(design, velocity_limit=peak * [1.0, 0.99]))
+        InputError, match=rf"{name}: found a peak of .* {re.escape(unit)} in .*, channel 1; "
+    ) as refused:
+        ex.reference(less)
+    share = float(re.search(r"to ([\d.]+) of what they are", str(refused.value))[1])
+    assert 0.79 < share <= 0.801
+    ex.reference(dataclasses.replace(less, amplitude=share * less.amplitude))
 
 
 BAD_DESIGNS = [

@@ -26,6 +26,7 @@ periods = 2
 transient_periods = 1
 ramp = 1.5
 velocity_limit = 30.0
+travel_limit = [9.0, 8.0]
 
 [lines]
 grid = "random-odd"
@@ -77,7 +78,7 @@ def test_small_design(design_file):
     odd = ex.odd_lines(8, 80)
     assert len(design.lines) == len(odd) - len(odd) // 3
     assert (design.seed, design.periods, design.transient_periods, design.ramp) == (7, 2, 1, 1.5)
-    assert design.velocity_limit.tolist() == [30.0, 30.0]
+    assert design.velocity_limit.tolist() == [30.0, 30.0] and design.travel_limit.tolist() == [9.0, 8.0]
     assert np.allclose(design.rms, [1.0, 2.0])
     slope = np.diff(np.log(design.amplitude), axis=0) / np.diff(np.log(design.frequency))[:, None]
     assert np.allclose(slope, -1.0)
@@ -120,7 +121,7 @@ BAD = [
     (
         "inputs = 2",
         "inputs = 3",
-        "channels: found 3 in n_in, 2 in rms, 2 in slow; expected the same number everywhere",
+        "channels: found 3 in n_in, 2 in rms, 2 in slow, 2 in travel_limit; expected the same number everywhere",
     ),
     ("blocks = 2", "block = 2", r"found the key 'block'; .* Did you mean 'blocks'\?"),
     ("seed = 7", "seed = -1", "seed: found -1; expected a whole number, 0 or more"),
