@@ -174,7 +174,8 @@ def _check_peak(name: str, peak, limit) -> None:
             name,
             f"a peak of {number(peak[exp, channel], 4)} {LIMITS[name]} in experiment {exp}, channel {channel}",
             f"at most {number(limit[channel], 4)} {LIMITS[name]}",
-            f"Lower rms and slow sine (both, to {share:g} of what they are), try another seed or crest-optimised phases.",
+            f"Lower both rms and slow sine (to {share:g} of what they are), or try another seed, or crest-optimised "
+            "phases.",
         )
 
 
