@@ -20,7 +20,7 @@ def add(commands) -> None:
         default="200",
         metavar="N|FILE",
         help="to choose from: a file of arm angles that you know to be free (rad, a row each, as -o writes), or so "
-        "many random ones, which know neither joint limits nor the cell (default 200)",
+        "many random ones, between the joint limits where the robot's file states any (default 200)",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the candidates (default 0)")
     parser.add_argument(
@@ -47,7 +47,7 @@ def run(given) -> dict:
         check_picture(given.plot)
     robot, design = own_effects.robot_of(given), read_design(given.design)
     model = RobotModel(robot, slow_amplitude=None if design.slow is None else design.slow.amplitude)
-    candidates, drawn = _candidates(given, robot)
+    candidates, drawn = _candidates(given, robot, _travel(design, robot))
     plan = plan_positions(model, design.frequency, candidates, given.positions, noise=given.relative_noise)
     about = (
         f"{robot.name}: {given.positions} of {len(candidates)} positions ({drawn}), D-optimal for springs and dampers "
@@ -68,7 +68,7 @@ def run(given) -> dict:
             "expected standard deviation (at random positions):",
             *(f"  {plan.names[i]}: {percent(plan.optimal[at, i])} ({percent(plan.random[at, i])})" for i in rows),
             f"wrote {', '.join(written)}",
-            "look at every one before you drive there: nothing here knows joint limits, the floor or the cell",
+            f"look at every one before you drive there: nothing here knows {_unknown(robot)}the floor or the cell",
             f"next: measure there, or jaxfrf simulate {given.robot} {given.design} --configurations {given.output} ...",
         ],
         "json": {
@@ -85,14 +85,35 @@ def run(given) -> dict:
     }
 
 
-def _candidates(given, robot):
+def _candidates(given, robot, travel):
     """Arm angles to choose from, (pos, axis), and where they come from."""
     import jax.random as jr
 
-    from ..simulation import positions_of, read_positions
+    from ..simulation.positions import check_within, positions_of, read_positions
 
     if not given.candidates.isdecimal():
-        return read_positions(given.candidates, robot.n_axes), f"from {given.candidates}"
+        q = read_positions(given.candidates, robot.n_axes)
+        check_within(given.candidates, q, robot, travel)
+        return q, f"from {given.candidates}"
     if not 1 <= int(given.candidates) <= 100_000:
         raise input_error("--candidates", given.candidates, "1 to 100000, or a file", "Some hundreds are enough.")
-    return positions_of(robot, int(given.candidates), jr.key(given.seed)), f"seed {given.seed}"
+    return positions_of(robot, int(given.candidates), jr.key(given.seed), travel), f"seed {given.seed}"
+
+
+def _travel(design, robot):
+    """How far the design moves every axis from where it stands, arm side; 0 where no limit asks."""
+    import numpy as np
+
+    from ..excitation import reference, reference_levels
+
+    if not robot.limits or design.n_in != robot.n_axes:
+        return np.zeros(robot.n_axes)
+    motors = reference_levels(reference(design)).position.max(axis=0)
+    return motors / np.abs(np.asarray(robot.drives.gear_ratio))
+
+
+def _unknown(robot) -> str:
+    without = [name for name, limits in zip(robot.axis_names, robot.limits, strict=False) if limits[0] == -float("inf")]
+    if not robot.limits:
+        return "joint limits, "
+    return f"the limits of {', '.join(without)}, " if without else ""

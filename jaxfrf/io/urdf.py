@@ -28,7 +28,7 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike, own: Sequence[
     joint of the URDF, under its name there, with gear, motor, spring and friction; `type` is `driven` where
     it is left out, `gravity` [0, 0, -9.81]. Fixed joints join their links. `<dynamics damping friction>` of a
     joint is its motor's friction where the TOML file states none of that kind, over the gear ratio n: damping/n^2,
-    friction/|n|. Limits, meshes and transmissions of the URDF are not read.
+    friction/|n|; `<limit lower upper>` its `limits` likewise. Meshes and transmissions of the URDF are not read.
 
     **Arguments:** `urdf`, `drives`: paths of both files, in SI units. `own`: effects of your own that the TOML file may
     name.
@@ -65,8 +65,8 @@ def read_urdf(urdf: str | os.PathLike, drives: str | os.PathLike, own: Sequence[
                 "one for every moving joint of the URDF",
                 "Add it.",
             )
-    friction = {name: _friction(root, name, trains[name], urdf.name) for name in names}
-    table["joint"] = [{"type": "driven", **link, **friction[link["name"]], **trains[link["name"]]} for link in links]
+    told = {name: _friction(root, name, trains[name], urdf.name) | _limits(root, name, urdf.name) for name in names}
+    table["joint"] = [{"type": "driven", **link, **told[link["name"]], **trains[link["name"]]} for link in links]
     return robot_from_table(table, drives.name, own)
 
 
@@ -112,7 +112,7 @@ def _drive_trains(table: Mapping[str, Any], source: str) -> dict[str, Mapping[st
 
 def _friction(root: ET.Element, name: str, train: Mapping[str, Any], source: str) -> dict[str, float]:
     """Friction of a joint as its motor feels it."""
-    dynamics = next(joint.find("dynamics") for joint in root.findall("joint") if joint.get("name") == name)
+    dynamics = _part(root, name, "dynamics")
     gear = train.get("gear_ratio")
     if dynamics is None or not isinstance(gear, int | float) or gear == 0:
         return {}
@@ -128,6 +128,30 @@ def _friction(root: ET.Element, name: str, train: Mapping[str, Any], source: str
             )
         found |= {kind: value / by} if value else {}
     return found
+
+
+def _limits(root: ET.Element, name: str, source: str) -> dict[str, list[float]]:
+    """Of a joint that has some: equal ones, as 0 and 0 of many exporters, state none."""
+    limit = _part(root, name, "limit")
+    if limit is None or not {"lower", "upper"} <= set(limit.keys()):
+        return {}
+    try:
+        low, high = (float(limit.get(key, "")) for key in ("lower", "upper"))
+    except ValueError:
+        low, high = np.inf, -np.inf
+    if not low <= high:
+        raise input_error(
+            f"{source}: joint {name!r}: limit",
+            f"lower {limit.get('lower')!r}, upper {limit.get('upper')!r}",
+            "two numbers, the lower one first",
+            "Correct them there.",
+        )
+    return {"limits": [low, high]} if low < high else {}
+
+
+def _part(root: ET.Element, name: str, tag: str) -> ET.Element | None:
+    """What a joint has of this kind."""
+    return next(joint.find(tag) for joint in root.findall("joint") if joint.get("name") == name)
 
 
 def _links(root: ET.Element, source: str) -> list[dict[str, Any]]:

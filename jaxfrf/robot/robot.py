@@ -31,6 +31,8 @@ class Robot(eqx.Module):
     - `controller`, `sampling_frequency` (Hz): for the simulation.
     - `effects`: that act beside the robot's own laws; see `with_effects`.
     - `name`: in messages and reports. `tolerances`: how well its numbers are known.
+    - `limits`: lowest and highest angle of every axis, rad or m, infinite where unknown; () where all are. Positions
+      are chosen between them; the dynamics do not know them.
 
     **Raises:** `jaxfrf.InputError` where names, joints and motors differ in number.
 
@@ -49,6 +51,7 @@ class Robot(eqx.Module):
     name: str = eqx.field(static=True, default="robot")
     sampling_frequency: float = eqx.field(static=True, default=2000.0)
     tolerances: Tolerances = eqx.field(static=True, default=Tolerances())
+    limits: tuple[tuple[float, float], ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
         check_fields(self)
@@ -64,6 +67,9 @@ class Robot(eqx.Module):
         ):
             if np.shape(of) != (count,):
                 raise input_error(field, f"shape {np.shape(of)}", f"({count},)", "Give one for each axis or spring.")
+
+        if self.limits and (len(self.limits) != self.n_axes or not all(low < high for low, high in self.limits)):
+            raise input_error("limits", f"{self.limits}", "(lowest, highest) for each axis, or none", "Complete them.")
 
     def with_effects(self, *effects: AbstractEffect) -> "Robot":
         """The same robot with more effects (`jaxfrf.effects`), in the simulation and in the linearisation.

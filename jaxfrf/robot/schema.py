@@ -39,6 +39,7 @@ _DRIVE_KEYS = (
     "torque_limit",
     "velocity_gain",
     "zero",
+    "limits",
 )
 _CONTROLLER_KEYS = (
     "position_gain",
@@ -103,6 +104,7 @@ def robot_from_table(
         name=top.text("name", default="robot"),
         sampling_frequency=top.number("sampling_frequency", default=2000.0, positive=True),
         tolerances=_tolerances(top, names),
+        limits=tuple(map(_limits, drives)) if any("limits" in joint for joint in drives) else (),
     ).with_effects(*_effects(top, names, own))
 
 
@@ -245,6 +247,13 @@ def _drives(top: Table, joints: list[Table]) -> Drives:
     )
 
 
+def _limits(joint: Table) -> tuple[float, float]:
+    low, high = joint.vector("limits", 2) if "limits" in joint else (-math.inf, math.inf)
+    if not low < high:
+        raise joint.error("limits", "[lowest, highest] angle of the joint, rad", "Put the lower one first.")
+    return low, high
+
+
 def _controller(top: Table, joints: list[Table]) -> Controller | None:
     table = top.table("controller", _CONTROLLER_KEYS)
     if table is None:
@@ -316,6 +325,8 @@ def _drive_table(robot: Robot, friction: Friction, axis: int) -> dict[str, Any]:
     }
     if drives.zero is not None:
         table["zero"] = _plain(drives.zero[axis])
+    if robot.limits and np.isfinite(robot.limits[axis]).all():
+        table["limits"] = list(robot.limits[axis])
     if robot.controller is not None:
         table["velocity_gain"] = _plain(robot.controller.velocity_gain[axis])
     return table

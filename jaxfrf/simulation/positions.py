@@ -9,6 +9,7 @@ from jaxtyping import Float, PRNGKeyArray
 
 from .._arguments import as_key, expect_whole
 from .._errors import input_error
+from .._text import number
 from ..robot import Robot
 
 _LOW = np.array([-150.0, -60.0, 20.0, -150.0, 25.0, -150.0])  # degrees
@@ -43,25 +44,77 @@ def random_positions(n: int, key: PRNGKeyArray, axes: int = 6) -> Float[np.ndarr
     return np.deg2rad(q)
 
 
-def positions_of(robot: Robot, n: int, key: PRNGKeyArray) -> Float[np.ndarray, "pos axis"]:
-    """`random_positions` of this robot; what slides is drawn from half a metre on either side of its zero.
+def positions_of(
+    robot: Robot, n: int, key: PRNGKeyArray, margin: Float[np.ndarray, "axis"] | float = 0.0
+) -> Float[np.ndarray, "pos axis"]:
+    """`random_positions` of this robot; an axis with limits is drawn between them (at most half a turn from zero), one
+    that slides without limits from half a metre on either side of its zero.
 
-    **Arguments:** `n`: how many. `key`: of the draw.
+    **Arguments:** `n`: how many. `key`: of the draw. `margin`: that limits are kept away from, rad or m.
 
     **Returns:** (n, axis), rad or m.
 
-    **Raises:** `jaxfrf.InputError` if `n` is no whole number of 1 or more.
+    **Raises:** `jaxfrf.InputError` if `n` is no whole number of 1 or more, or limits leave no room within the margin.
 
     **Source:** this project's own.
     """
     q = random_positions(n, key, robot.n_axes)
-    slides = np.array(robot.axis_units) == "m"
-    if not slides.any():
+    slides, known = np.array(robot.axis_units) == "m", np.isfinite(limits_of(robot)).all(axis=1)
+    if not (slides | known).any():
         return q
+    low, high = _between(robot, np.broadcast_to(margin, q.shape[1:]))
     drawn = [
         np.asarray(jr.uniform(jr.fold_in(jr.fold_in(as_key("key", key), i), 1), (robot.n_axes,))) for i in range(n)
     ]
-    return np.where(slides, _TRAVEL * (2.0 * np.array(drawn) - 1.0), q)
+    return np.where(slides | known, low + (high - low) * np.array(drawn), q)
+
+
+def limits_of(robot: Robot) -> Float[np.ndarray, "axis 2"]:
+    """Lowest and highest angle of every axis, rad or m, infinite where unknown.
+
+    **Arguments:** `robot`: any.
+
+    **Returns:** (axis, 2).
+    """
+    return np.array(robot.limits or [(-np.inf, np.inf)] * robot.n_axes, float)
+
+
+def check_within(name: str, q: Float[np.ndarray, "pos axis"], robot: Robot, margin) -> None:
+    """Refuse positions beyond the robot's limits, or nearer to them than the motion takes.
+
+    **Arguments:** `name`: of the positions, for the message. `q`: (pos, axis), rad or m. `margin`: (axis,), rad or m.
+
+    **Raises:** `jaxfrf.InputError` for the first that is.
+    """
+    limits = limits_of(robot)
+    beyond = (q < limits[:, 0] + margin) | (q > limits[:, 1] - margin)
+    if beyond.any():
+        pos, axis = (int(i) for i in np.argwhere(beyond)[0])
+        unit, (low, high) = robot.axis_units[axis], limits[axis]
+        room = number(margin[axis], 2)
+        raise input_error(
+            f"{name}: position {pos}",
+            f"{robot.axis_names[axis]} at {number(q[pos, axis], 4)} {unit}",
+            f"{number(low, 4)} to {number(high, 4)} {unit} (its limits) with {room} {unit} for the motion",
+            "Leave it out, or excite less.",
+        )
+
+
+def _between(robot: Robot, margin) -> tuple[np.ndarray, np.ndarray]:
+    """Where axes are drawn between, those without limits that slide included."""
+    limits, slides = limits_of(robot), np.array(robot.axis_units) == "m"
+    most = np.where(slides, np.where(np.isfinite(limits).all(axis=1), np.inf, _TRAVEL), np.pi)
+    low, high = np.maximum(limits[:, 0] + margin, -most), np.minimum(limits[:, 1] - margin, most)
+    if not (low < high).all():
+        axis = int(np.argmin(high - low))
+        unit = robot.axis_units[axis]
+        raise input_error(
+            f"limits of {robot.axis_names[axis]}",
+            f"{number(limits[axis, 0], 4)} to {number(limits[axis, 1], 4)} {unit}",
+            f"more than the {number(margin[axis], 2)} {unit} that the motion takes to either side",
+            "Excite less, or correct the limits.",
+        )
+    return low, high
 
 
 def read_positions(path: str | os.PathLike, axes: int) -> Float[np.ndarray, "pos axis"]:

@@ -263,6 +263,7 @@ class TestURDF:
             ('<mass value="4"/>', '<mass value="four"/>', "link 'upper': mass: found 'four'"),
             ('xyz="0 0 0.3"', 'xyz="0 0"', "xyz: found '0 0'; expected 3 finite numbers"),
             ("</robot>", "", "two.urdf: found .*expected an XML file"),
+            ("</joint>", '<limit lower="2" upper="1"/></joint>', "limit: found lower '2', upper '1'"),
             ('name="elbow"', 'name="knee"', "joint 'elbow': found a joint that the URDF does not move"),
         ],
     )
@@ -281,6 +282,13 @@ class TestURDF:
         np.testing.assert_allclose(power, [0.0, (1.6 * 0.3 + 4.0) * 0.3], rtol=1e-9)
         files[1].write_text(DRIVES + "coulomb_friction = 0.2\n")
         assert read_urdf(*files).drives.friction.coulomb[1] == 0.2
+
+    def test_limits(self, files):
+        limited = '<axis xyz="0 0.6 0.8"/><limit lower="-1" upper="2" effort="9" velocity="1"/>'
+        files[0].write_text(URDF.replace('<axis xyz="0 0.6 0.8"/>', limited))
+        assert read_urdf(*files).limits == ((-np.inf, np.inf), (-1.0, 2.0))
+        files[1].write_text(DRIVES + "limits = [-0.5, 0.5]\n")
+        assert read_urdf(*files).limits[1] == (-0.5, 0.5)
 
     def test_wrong_drives(self, files):
         files[1].write_text(DRIVES.split('[[joint]]\nname = "elbow"')[0])

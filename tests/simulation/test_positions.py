@@ -13,7 +13,7 @@ import jaxfrf as jf
 from jaxfrf.graybox.positions import d_optimal, expected_accuracy, plan_positions, position_information
 from jaxfrf.io.positions import write_positions
 from jaxfrf.plot.plan import plan as draw_plan
-from jaxfrf.simulation.positions import positions_of, read_positions
+from jaxfrf.simulation.positions import check_within, positions_of, read_positions
 
 FREQUENCY = np.geomspace(1.0, 12.0, 20)
 NAMES = ("a.stiffness", "a.damping", "b.stiffness", "b.damping", "f")
@@ -201,6 +201,27 @@ def test_files_of_positions(tmp_path):
         write_positions(tmp_path / "none" / "a.csv", POINTS)
     assert [p.name for p in tmp_path.iterdir()] == ["positions.csv"]
     np.testing.assert_array_equal(read_positions(path, 2), POINTS)
+
+
+def test_positions_between_limits(tmp_path):
+    robot = jf.robot.r3x()
+    limits = ((-0.5, 0.5), (-np.inf, np.inf), (0.2, 9.0), *((-np.inf, np.inf),) * 3)
+    robot = dataclasses.replace(robot, limits=limits)
+    jf.io.write_robot(robot, tmp_path / "r.toml")
+    assert jf.io.read_robot(tmp_path / "r.toml").limits == limits
+    margin = np.array([0.1, 0.0, 0.05, 0.0, 0.0, 0.0])
+    q = positions_of(robot, 200, jax.random.key(0), margin)
+    free = jf.random_positions(200, jax.random.key(0))
+    np.testing.assert_array_equal(q[:, [1, 3, 4, 5]], free[:, [1, 3, 4, 5]])
+    assert 0.38 < np.abs(q[:, 0]).max() <= 0.4
+    assert 0.25 <= q[:, 2].min() < 0.3 and 3.0 < q[:, 2].max() <= np.pi
+    check_within("q.csv", q, robot, margin)
+    with pytest.raises(jf.InputError, match=r"q.csv: position 0: found joint1 at 0.45 rad; expected -0.5 to 0.5 rad"):
+        check_within("q.csv", np.full((1, 6), 0.45), robot, margin)
+    with pytest.raises(jf.InputError, match=r"limits of joint1: .* more than the 0.6 rad"):
+        positions_of(robot, 2, jax.random.key(0), 0.6)
+    with pytest.raises(jf.InputError, match=r"limits: .* for each axis"):
+        dataclasses.replace(robot, limits=limits[:2])
 
 
 def test_what_slides_is_drawn_and_written_in_metres(tmp_path):
