@@ -103,10 +103,8 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
 
 def _scatter(frequency, G) -> np.ndarray:
     """Of every line with a number, by how the lines around it scatter; NaN elsewhere."""
-    found, finite = np.full(len(G), np.nan), np.isfinite(G)
-    if finite.sum() >= _ENOUGH:
-        found[finite] = np.maximum(scatter(frequency[finite], G[finite]), 1e-6 * np.abs(G[finite]))
-    return found
+    enough = np.isfinite(G).sum() >= _ENOUGH
+    return np.maximum(scatter(frequency, G), 1e-6 * np.abs(G)) if enough else np.full(len(G), np.nan)
 
 
 def _roughness(G) -> np.ndarray:

@@ -12,9 +12,9 @@ from .._errors import input_error
 from .._types import Array
 from ..frf import FRF, features
 from ..frf.overlap import Overlap, overlaps
+from ..frf.scatter import scatter
 
 _LEAST = 2.0  # degrees of freedom beyond the size of a covariance: with fewer, its inverse has no variance
-_NEIGHBOURS = 4  # lines on either side that a scatter is taken over
 _FLOOR = 1e-6  # a variance of zero has no weight
 
 
@@ -23,8 +23,8 @@ class Weights(eqx.Module):
 
     The weight of an element at a line is user weight / (var/|G|^2 + floor^2): the uncertainty of the FRF together with
     what the model (and the estimator's bias) can be trusted to. Elements more uncertain than `reject` are left out;
-    where the covariance is not known (NaN), var is the scatter of neighbouring lines about straight lines between them,
-    which counts a resonance between two lines as noise.
+    where the covariance is not known (NaN), var is how far lines scatter about fractions through eleven of them, which
+    takes a resonance of a line or two for noise (of fewer than eleven lines any).
 
     **Arguments:**
 
@@ -131,7 +131,9 @@ def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
     known = np.isfinite(cov).all(axis=(-1, -2), keepdims=True)
     relative = np.where(known, cov, 0) / (size[..., :, None] * size.conj()[..., None, :])
     variance = np.real(np.diagonal(relative, axis1=-2, axis2=-1))
-    variance = np.where(known[..., 0], variance, roughness(np.asarray(frf.frequency), size))
+    if not known.all():
+        off = [scatter(np.asarray(frf.frequency), x) for x in np.where(usable, g, np.nan)]
+        variance = np.where(known[..., 0], variance, np.nan_to_num(np.square(off / np.abs(size))))
     relative = np.where(known, relative, variance[..., None] * np.eye(size.shape[-1]))
     user = _user_weights(frf, weights)
     used = usable & ~worthless & (variance <= weights.reject) & (user > 0)
@@ -164,31 +166,6 @@ def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
         scatter=_scatter(frf, weights, variance, used, floor),
         fractions=frf.n_out if "LRM(" in frf.method else 0,
     )
-
-
-def roughness(
-    frequency: Float[np.ndarray, "freq"], g: Complex[np.ndarray, "pos freq vec"]
-) -> Float[np.ndarray, "pos freq vec"]:
-    """Relative variance of every element from how far lines are off the straight line between their neighbours, the
-    mean over some lines: a stand-in for a variance that is not known. 0 for fewer than three lines."""
-    if len(frequency) < 3:
-        return np.zeros(g.shape)
-    share = ((frequency[2:] - frequency[1:-1]) / (frequency[2:] - frequency[:-2]))[:, None]
-    off = np.abs(g[:, 1:-1] - share * g[:, :-2] - (1 - share) * g[:, 2:]) ** 2 / (1 + share**2 + (1 - share) ** 2)
-    return _running_mean(off, len(frequency), 1) / _running_mean(np.abs(g) ** 2, len(frequency), 0)
-
-
-def _running_mean(x, count: int, first: int) -> np.ndarray:
-    """Mean of x (pos, line, vec), which begins at line `first` of `count`, over the neighbours of every line."""
-    line = np.arange(count)
-    low = np.clip(line - _NEIGHBOURS - first, 0, x.shape[1])
-    high = np.clip(line + _NEIGHBOURS + 1 - first, 0, x.shape[1])
-    n = max(2 * _NEIGHBOURS + 1, 1)
-    index = np.minimum(low[:, None] + np.arange(n), x.shape[1] - 1)
-    inside = low[:, None] + np.arange(n) < high[:, None]
-    # Sums of differences of running totals would lose the small values behind a large one.
-    total = sum(x[:, index[:, k]] * inside[:, k, None] for k in range(n))
-    return total / (high - low)[:, None]
 
 
 def _user_weights(frf: FRF, weights: Weights) -> np.ndarray:
