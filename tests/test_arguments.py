@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxfrf as jf
+from jaxfrf.machine import Machine, fit_machine, rank_effects
 
 NAN = float("nan")
 U = np.tile(np.random.default_rng(0).standard_normal((50, 1)), (3, 1))
@@ -32,6 +33,15 @@ def information(frequency=(5.0, 6.0), points=None, **options):
     return jf.graybox.position_information(jf.RobotModel(ARM), np.asarray(frequency), points, **options)
 
 
+def own(omega, values):
+    return 1 / (values["m"] * 1j * omega + values["k"])
+
+
+def machine(matrices=lambda p: (np.eye(1), np.eye(1), p["k"] * np.eye(1)), **options):
+    return Machine(matrices, {"k": 1.0}, **({"inputs": [[1.0]], "outputs": [[1.0]]} | options))
+
+
+OWN = jf.GrayBox(own, {"k": 1.0, "m": 1.0})
 LONG = jf.Experiment(U, np.roll(U, 1, axis=0), 1000.0)
 
 WRONG = {
@@ -132,6 +142,37 @@ WRONG = {
     "segment_spectra with another window": lambda: jf.segment_spectra(LONG, 32, window="round"),
     "best_linear_approximation(None)": lambda: jf.best_linear_approximation(None),
     "RobotModel(None)": lambda: jf.RobotModel(None),
+    "RobotModel without a hold by its name": lambda: jf.RobotModel(ARM, hold="none"),
+    "RobotModel held for 5": lambda: jf.RobotModel(ARM, hold=5),
+    "RobotModel of a speed": lambda: jf.RobotModel(ARM, quantity="Velocity"),
+    "RobotModel of three amplitudes": lambda: jf.RobotModel(ARM, slow_amplitude=[1.0, 2.0, 3.0]),
+    "fix(None)": lambda: jf.graybox.fix(OWN, None),
+    "fix of a letter": lambda: jf.graybox.fix(OWN, "km"),
+    "share of none": lambda: jf.graybox.share(OWN, []),
+    "share of one": lambda: jf.graybox.share(OWN, "k"),
+    "GrayBox(5)": lambda: jf.GrayBox(5, {"k": 1.0}),
+    "GrayBox of a class": lambda: jf.GrayBox(jf.Weights, {"k": 1.0}),
+    "GrayBox of one argument": lambda: jf.GrayBox(lambda s: s, {"k": 1.0}),
+    "GrayBox of four arguments": lambda: jf.GrayBox(lambda s, p, q, x: s, {"k": 1.0}),
+    "GrayBox with a list": lambda: jf.GrayBox(own, ["k"]),
+    "GrayBox with three numbers": lambda: jf.GrayBox(own, {"k": np.ones(3)}),
+    "GrayBox with a number in quotes": lambda: jf.GrayBox(own, {"k": "1e3"}),
+    "GrayBox with a number as a name": lambda: jf.GrayBox(own, {1: 1.0}),
+    "Parameter with one bound": lambda: jf.Parameter(1.0, bounds=5),
+    "Parameter without bounds": lambda: jf.Parameter(1.0, bounds=[]),
+    "Parameter without a spread": lambda: jf.Parameter(1.0, spread=None),
+    "Machine driven by text": lambda: machine(inputs="abc"),
+    "Machine of place 5": lambda: machine(places=5),
+    "Machine of no effects": lambda: machine(effects=None),
+    "Machine of an effect's class": lambda: machine(effects=[jf.effects.CoulombFriction]),
+    "Machine of two matrices": lambda: machine(lambda p: (np.eye(1), np.eye(1))).response(FRF.frequency, {}, None),
+    "Machine of scalars": lambda: machine(lambda p: (1.0, 1.0, 1.0)).response(FRF.frequency, {}, None),
+    "Machine of a name that is none": lambda: machine(lambda p: p["d"]).response(FRF.frequency, {"k": 1.0}, None),
+    "rank_effects of a class": lambda: rank_effects(machine(), DATA, [jf.effects.CoulombFriction]),
+    "select_band from text": lambda: jf.select_band(jf.dft(DATA), "5", None),
+    "unexcited_spectra in one number": lambda: jf.unexcited_spectra(DATA, 5),
+    "record_spectra in no band": lambda: jf.record_spectra(LONG, []),
+    "fit_machine in text": lambda: fit_machine(machine(), DATA, band="ab"),
     "modal in one number": lambda: jf.modal(FRF, band=(10.0,)),
     "fit from 1.5 starts": lambda: jf.fit(jf.GrayBox(lambda s, p: p["g"] * FRF.G[0], {"g": 1.0}), FRF, starts=1.5),
     "position_information with noise 0": lambda: information(noise=0.0),

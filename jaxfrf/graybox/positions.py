@@ -13,6 +13,7 @@ from .._errors import input_error
 from .._types import Array
 from .cost import at_position
 from .model import AbstractModel
+from .own import response_shape
 from .parameter import Coordinates
 from .uncertainty import _correlation, _inverse
 
@@ -70,7 +71,7 @@ def position_information(
     points = jax.tree.map(jnp.asarray, points)
     first = jax.tree.map(lambda a: a[0], points)
     x = jnp.asarray(coordinates.start())
-    shape = jax.eval_shape(lambda p: model.response(frequency, coordinates.values(x), p), first).shape
+    shape = response_shape(model, coordinates, frequency, first)
     noise = _broadcast("noise", noise, shape)
     if np.any(noise <= 0):
         raise input_error("noise", f"{noise.min():g}", "a relative standard deviation above 0", "E.g. 0.05.")
