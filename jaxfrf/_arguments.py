@@ -40,13 +40,20 @@ def expect(name: str, value: Any, *kinds: type) -> None:
         raise wrong_kind(name, value, " or ".join(f"a jaxfrf.{k.__name__}" for k in kinds), *kinds)
 
 
-def expect_each(name: str, values: Any, kind: type, least: int = 1) -> None:
-    """Refuse what is no list of these, or one of fewer than `least`."""
+def expect_each(name: str, values: Any, *kinds: type, least: int = 1) -> None:
+    """Refuse what is no list of these kinds, or one of fewer than `least`."""
     if isinstance(values, str | bytes) or not isinstance(values, Sequence) or len(values) < least:
-        more = ", one or more" if least else ""
-        raise wrong_kind(name, values, f"a list of jaxfrf.{kind.__name__}{more}", kind)
+        more = f", {'one' if least == 1 else least} or more" if least else ""
+        listed = " or ".join(f"jaxfrf.{kind.__name__}" for kind in kinds)
+        raise wrong_kind(name, values, f"a list of {listed}{more}", *kinds)
     for value in values:
-        expect(name, value, kind)
+        expect(name, value, *kinds)
+
+
+def expect_callable(name: str, value: Any) -> None:
+    """Refuse what cannot be called; `None` is nothing to call."""
+    if value is not None and not callable(value):
+        raise input_error(name, said(value), "a function, or None", "Leave it out for none.")
 
 
 def expect_path(name: str, value: Any) -> None:

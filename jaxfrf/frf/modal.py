@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Complex, Float
 
-from .._arguments import expect
+from .._arguments import expect, expect_number, expect_whole
 from .._errors import input_error
 from .._text import NORMAL_95, number
 from .._threads import one_blas_thread
@@ -157,8 +157,8 @@ def modal(
     **Source:** Peeters, Van der Auweraer, Guillaume & Leuridan, Shock and Vibration 11 (2004) 395-409.
     """
     expect("frf", frf, FRF)
-    if delay is not None and not np.isfinite(delay):
-        raise input_error("delay", f"{delay}", "seconds", "Leave it out to have it found.")
+    if delay is not None:
+        expect_number("delay", delay)
     lines = chosen_lines(frf, position, band)
     order = _order(max_order, len(lines.s), frf.n_in)
 
@@ -220,6 +220,7 @@ def _order(asked: int | None, n_lines: int, n_in: int, usual: int = _USUAL) -> i
     most = max((n_lines - 4) // (1 + n_in) - 1, 2)
     if asked is None:
         return min(usual, most)
+    expect_whole("max_order", asked)
     if not 2 <= asked <= most:
         raise input_error("max_order", f"{asked}", f"2 to {most} with {n_lines} lines", "Choose another.")
     return int(asked)
@@ -284,7 +285,7 @@ def _turning(fitted: PoleFit, others: Sequence[PoleFit]) -> PoleFit:
 def _check_there(fitted: PoleFit, near: Sequence[float]) -> None:
     """Raise where a mode that was asked for went elsewhere, or to another's place."""
     ends = np.abs(fitted.poles[fitted.damping <= LARGEST_DAMPING]) / (2 * np.pi)
-    for f, end in zip(sorted(near), ends, strict=False):
+    for f, end in zip(np.sort(np.atleast_1d(near)), ends, strict=False):
         if abs(end - f) > _THERE * f:
             raise input_error(
                 "near",
