@@ -238,7 +238,5 @@ def test_a_wrong_argument_is_one_sentence(name):
 
 
 def test_diagnose_of_nothing_asks_for_records():
-    with pytest.raises(
-        jf.InputError, match=r"data: found .*; expected a list of jaxfrf\.Experiment or jaxfrf\.FRF"
-    ):
+    with pytest.raises(jf.InputError, match=r"data: found .*; expected a list of jaxfrf\.Experiment or jaxfrf\.FRF"):
         jf.diagnose(ARM, [])
