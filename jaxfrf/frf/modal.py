@@ -152,8 +152,8 @@ def modal(
 
     **Returns:** a `ModalModel`: frequencies in Hz, damping ratios, residues (out, in) of the unit of G rad/s.
 
-    **Raises:** `jaxfrf.InputError` if too few lines are left, and where no pole lies near one of `near` or the fit goes
-    elsewhere.
+    **Raises:** `jaxfrf.InputError` for a `band`, `delay` or order that is none, if too few lines are left, and where
+    no pole lies near one of `near` or the fit goes elsewhere.
 
     **Source:** Peeters, Van der Auweraer, Guillaume & Leuridan, Shock and Vibration 11 (2004) 395-409.
     """

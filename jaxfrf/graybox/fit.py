@@ -210,8 +210,8 @@ def fit(
 
     **Returns:** a `Fit`: values in the units of the parameters, their covariance, every start.
 
-    **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together, or no start gives a finite cost;
-    `ValueError` if JAX is set to 32 bit.
+    **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together, a model of your own is not written in
+    `jax.numpy` or asks for other parameters, or no start gives a finite cost; `ValueError` if JAX is set to 32 bit.
 
     **Source:** Zimmermann & Moberg, section III.B (the logarithmic cost, random starts); sandwich covariance: Huber,
     Proc. Fifth Berkeley Symposium 1 (1967) 221-233. The choice among starts is this project's own.

@@ -277,7 +277,8 @@ def plan_positions(
 
     - `model`: e.g. `jaxfrf.RobotModel(robot)`; fix what is not going to be fitted.
     - `frequency`: lines that the design excites, Hz.
-    - `candidates`: operating points with a leading axis (pos), e.g. `jaxfrf.random_positions(200, key)`.
+    - `candidates`: operating points with a leading axis (pos), e.g. `jaxfrf.random_positions(200, key)`, or a
+      list of rows.
     - `count`: how many to choose.
     - `noise`: relative standard deviation of the FRF from one block of experiments, a number or broadcastable to (freq,
       out, in), lines independent. `weights`: of the elements, see `position_information`.
@@ -286,7 +287,8 @@ def plan_positions(
 
     **Returns:** a `PositionPlan`: the chosen points, and standard deviations, relative for positive parameters.
 
-    **Raises:** `jaxfrf.InputError` for more positions than candidates, and for candidates without a finite response.
+    **Raises:** `jaxfrf.InputError` for more positions than candidates, for candidates that are no points or have no finite
+    response, and for numbers of blocks that are none.
 
     **Source:** Fedorov, Theory of Optimal Experiments, 1972, as of `jaxfrf.d_optimal`. The comparison with random
     choices is this project's own.
