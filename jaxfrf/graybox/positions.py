@@ -287,8 +287,8 @@ def plan_positions(
 
     **Returns:** a `PositionPlan`: the chosen points, and standard deviations, relative for positive parameters.
 
-    **Raises:** `jaxfrf.InputError` for more positions than candidates, for candidates that are no points or have no finite
-    response, and for numbers of blocks that are none.
+    **Raises:** `jaxfrf.InputError` for more positions than candidates, for candidates that are no points or have no
+    finite response, and for numbers of blocks that are none.
 
     **Source:** Fedorov, Theory of Optimal Experiments, 1972, as of `jaxfrf.d_optimal`. The comparison with random
     choices is this project's own.
