@@ -73,7 +73,7 @@ def _expected(kind: Any, value: Any, lengths: dict[str, int]) -> list[str]:
     if base is bool:
         shape, numbers = _shape(value)
         return [] if shape == () and numbers in "biu" else ["True or False"]
-    if not isinstance(base, type):
+    if base is Any or not isinstance(base, type):
         return []
     lies = base in (collections.abc.Iterable, collections.abc.Sequence) and isinstance(value, str | bytes)
     return [] if isinstance(value, base) and not lies else [_called(base)]

@@ -9,6 +9,7 @@ import numpy as np
 
 from ._errors import InputError, input_error
 from ._text import shortened
+from .units import QUANTITIES
 
 _LARGEST = 2**53  # whole numbers that a float holds
 
@@ -26,6 +27,7 @@ _MADE = {
     ("Multisine", "path"): "Read it first: jaxfrf.io.read_design({value}).",
     ("AbstractMethod", "path"): "Make one, e.g. jaxfrf.LRM(order=2). Names are for the command line (--method).",
     ("AbstractMethod", "class"): "Call it: {value}().",
+    ("AbstractEffect", "class"): "Make one, of a joint or place and its numbers: {value}(...).",
 }
 
 
@@ -38,12 +40,20 @@ def expect(name: str, value: Any, *kinds: type) -> None:
         raise wrong_kind(name, value, " or ".join(f"a jaxfrf.{k.__name__}" for k in kinds), *kinds)
 
 
-def expect_each(name: str, values: Any, kind: type) -> None:
-    """Refuse what is no list of these, or an empty one."""
-    if isinstance(values, str | bytes) or not isinstance(values, Sequence) or not values:
-        raise wrong_kind(name, values, f"a list of jaxfrf.{kind.__name__}, one or more", kind)
+def expect_each(name: str, values: Any, *kinds: type, least: int = 1) -> None:
+    """Refuse what is no list of these kinds, or one of fewer than `least`."""
+    if isinstance(values, str | bytes) or not isinstance(values, Sequence) or len(values) < least:
+        more = f", {'one' if least == 1 else least} or more" if least else ""
+        listed = " or ".join(f"jaxfrf.{kind.__name__}" for kind in kinds)
+        raise wrong_kind(name, values, f"a list of {listed}{more}", *kinds)
     for value in values:
-        expect(name, value, kind)
+        expect(name, value, *kinds)
+
+
+def expect_callable(name: str, value: Any) -> None:
+    """Refuse what cannot be called; `None` is nothing to call."""
+    if value is not None and not callable(value):
+        raise input_error(name, said(value), "a function, or None", "Leave it out for none.")
 
 
 def expect_path(name: str, value: Any) -> None:
@@ -70,13 +80,45 @@ def expect_whole(name: str, value: Any, least: int | None = 0) -> None:
 
 def expect_real(name: str, value: Any) -> None:
     """Refuse what is no finite real number, or are no such numbers."""
+    if not _is_real(value):
+        raise input_error(name, said(value), "finite real numbers", "Check it.")
+
+
+def _is_real(value: Any) -> bool:
     try:
         x = np.asarray(value)
-        real = x.dtype.kind in "iuf" and x.size > 0 and bool(np.all(np.isfinite(x)))
+        return x.dtype.kind in "iuf" and x.size > 0 and bool(np.all(np.isfinite(x)))
     except (TypeError, ValueError):
-        real = False
-    if not real:
-        raise input_error(name, said(value), "finite real numbers", "Check it.")
+        return False
+
+
+def expect_number(name: str, value: Any) -> None:
+    """Refuse what is not one finite real number."""
+    if not _is_real(value) or np.ndim(value):
+        raise input_error(name, said(value), "a finite real number", "Check it.")
+
+
+def expect_quantity(name: str, value: Any) -> None:
+    """Refuse what is no quantity of a motion."""
+    if not isinstance(value, str) or value not in QUANTITIES:
+        raise input_error(name, said(value), "position, velocity or acceleration", "Choose one of them.")
+
+
+def as_band(value: Any, highest: float = np.inf) -> tuple[float, float]:
+    """The lower and the upper end of a band, Hz; 0 and `highest` where one is `None`, an open end.
+
+    **Raises:** `jaxfrf.InputError` for what is no such pair.
+    """
+    try:
+        low, high = list(value) if not isinstance(value, str | bytes) else [value]
+        ends = np.asarray([0.0 if low is None else low, np.inf if high is None else high])
+        fits = ends.shape == (2,) and ends.dtype.kind in "iuf" and bool(ends[0] <= ends[1])
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        found = shortened(value) if isinstance(value, list | tuple) else said(value)
+        raise input_error("band", found, "the lower and the upper end, Hz", "E.g. band=(5.0, 80.0).")
+    return float(ends[0]), highest if high is None else float(ends[1])
 
 
 def expect_probability(name: str, value: Any) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Complex, Float
 
-from ._arguments import expect_real
+from ._arguments import expect_number, expect_real
 from ._types import Array
 from .excitation import Multisine, SlowSine, log_odd_lines, reference
 from .experiment import Experiment
@@ -35,11 +35,12 @@ def example(*, blocks: int = 2, periods: int = 2, noise: float = 2e-3, seed: int
 
     **Returns:** an `Experiment` at one position: `u` (N m), `y` and `r` (rad/s), each (1, 2 `blocks`, time, 2).
 
-    **Raises:** `jaxfrf.InputError` for `blocks` or `periods` below 1.
+    **Raises:** `jaxfrf.InputError` for `blocks` or `periods` below 1, and for `noise` or `seed` that is no number.
 
     **Source:** this project's own; held torques by the matrix exponential as in Van Loan, IEEE Trans. Automatic Control
     23 (1978) 395-404.
     """
+    expect_number("noise", noise)
     design = Multisine(
         FS,
         PERIOD,
@@ -69,7 +70,7 @@ def example(*, blocks: int = 2, periods: int = 2, noise: float = 2e-3, seed: int
 def example_response(frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "1 freq out in"]:
     """The true FRF of `example` from held torque to motor speed.
 
-    **Arguments:** `frequency`: (freq,), Hz.
+    **Arguments:** `frequency`: (freq,), Hz, or one.
 
     **Returns:** (1, freq, out, in), rad/s over N m.
 
@@ -79,7 +80,7 @@ def example_response(frequency: Float[Array, "freq"]) -> Complex[np.ndarray, "1 
     """
     expect_real("frequency", frequency)
     A, B, C = _discrete()
-    z = np.exp(2j * np.pi * np.asarray(frequency) / FS)
+    z = np.exp(2j * np.pi * np.atleast_1d(np.asarray(frequency)) / FS)
     return (C @ np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape))))[None]
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxfrf as jf
+from jaxfrf.machine import Machine, fit_machine, rank_effects
 
 NAN = float("nan")
 U = np.tile(np.random.default_rng(0).standard_normal((50, 1)), (3, 1))
@@ -32,6 +33,21 @@ def information(frequency=(5.0, 6.0), points=None, **options):
     return jf.graybox.position_information(jf.RobotModel(ARM), np.asarray(frequency), points, **options)
 
 
+def own(omega, values):
+    return 1 / (values["m"] * 1j * omega + values["k"])
+
+
+def machine(matrices=lambda p: (np.eye(1), np.eye(1), p["k"] * np.eye(1)), **options):
+    return Machine(matrices, {"k": 1.0}, **({"inputs": [[1.0]], "outputs": [[1.0]]} | options))
+
+
+def plan(candidates=None, **options):
+    candidates = [[0.0] * 6] * 2 if candidates is None else candidates
+    return jf.graybox.plan_positions(jf.RobotModel(ARM), FRF.frequency, candidates, 1, **options)
+
+
+ONE = jf.io.frf_from_arrays(np.ones((1, 3, 1, 1), complex), FRF.frequency)
+OWN = jf.GrayBox(own, {"k": 1.0, "m": 1.0})
 LONG = jf.Experiment(U, np.roll(U, 1, axis=0), 1000.0)
 
 WRONG = {
@@ -132,6 +148,73 @@ WRONG = {
     "segment_spectra with another window": lambda: jf.segment_spectra(LONG, 32, window="round"),
     "best_linear_approximation(None)": lambda: jf.best_linear_approximation(None),
     "RobotModel(None)": lambda: jf.RobotModel(None),
+    "RobotModel without a hold by its name": lambda: jf.RobotModel(ARM, hold="none"),
+    "RobotModel held for 5": lambda: jf.RobotModel(ARM, hold=5),
+    "RobotModel of a speed": lambda: jf.RobotModel(ARM, quantity="Velocity"),
+    "RobotModel of three amplitudes": lambda: jf.RobotModel(ARM, slow_amplitude=[1.0, 2.0, 3.0]),
+    "fix(None)": lambda: jf.graybox.fix(OWN, None),
+    "fix of a letter": lambda: jf.graybox.fix(OWN, "km"),
+    "share of none": lambda: jf.graybox.share(OWN, []),
+    "share of one": lambda: jf.graybox.share(OWN, "k"),
+    "GrayBox(5)": lambda: jf.GrayBox(5, {"k": 1.0}),
+    "GrayBox of a class": lambda: jf.GrayBox(jf.Weights, {"k": 1.0}),
+    "GrayBox of one argument": lambda: jf.GrayBox(lambda s: s, {"k": 1.0}),
+    "GrayBox of four arguments": lambda: jf.GrayBox(lambda s, p, q, x: s, {"k": 1.0}),
+    "GrayBox with a list": lambda: jf.GrayBox(own, ["k"]),
+    "GrayBox with three numbers": lambda: jf.GrayBox(own, {"k": np.ones(3)}),
+    "GrayBox with a number in quotes": lambda: jf.GrayBox(own, {"k": "1e3"}),
+    "GrayBox with a number as a name": lambda: jf.GrayBox(own, {1: 1.0}),
+    "Parameter with one bound": lambda: jf.Parameter(1.0, bounds=5),
+    "Parameter without bounds": lambda: jf.Parameter(1.0, bounds=[]),
+    "Parameter without a spread": lambda: jf.Parameter(1.0, spread=None),
+    "Machine driven by text": lambda: machine(inputs="abc"),
+    "Machine of place 5": lambda: machine(places=5),
+    "Machine of no effects": lambda: machine(effects=None),
+    "Machine of an effect's class": lambda: machine(effects=[jf.effects.CoulombFriction]),
+    "Machine of two matrices": lambda: machine(lambda p: (np.eye(1), np.eye(1))).response(FRF.frequency, {}, None),
+    "Machine of scalars": lambda: machine(lambda p: (1.0, 1.0, 1.0)).response(FRF.frequency, {}, None),
+    "Machine of a name that is none": lambda: machine(lambda p: p["d"]).response(FRF.frequency, {"k": 1.0}, None),
+    "rank_effects of a class": lambda: rank_effects(machine(), DATA, [jf.effects.CoulombFriction]),
+    "select_band from text": lambda: jf.select_band(jf.dft(DATA), "5", None),
+    "unexcited_spectra in one number": lambda: jf.unexcited_spectra(DATA, 5),
+    "record_spectra in no band": lambda: jf.record_spectra(LONG, []),
+    "plot.spectrum of a record": lambda: jf.plot.spectrum(DATA),
+    "plot.spectrum of channel '0'": lambda: jf.plot.spectrum(jf.dft(DATA), channels=["0"]),
+    "plot.distortion of an FRF": lambda: jf.plot.distortion(FRF),
+    "plot.stabilisation of an FRF": lambda: jf.plot.stabilisation(FRF),
+    "plot.multisine of a record": lambda: jf.plot.multisine(DATA),
+    "plot.plan(None)": lambda: jf.plot.plan(None),
+    "plot.numbers_found(None)": lambda: jf.plot.numbers_found(None),
+    "plot.start_paths of an FRF": lambda: jf.plot.start_paths(FRF),
+    "plot.residual_maps of an FRF": lambda: jf.plot.residual_maps(FRF),
+    "plot.correlation_map(None)": lambda: jf.plot.correlation_map(None),
+    "plot.confidence_radius(None)": lambda: jf.plot.confidence_radius(None),
+    "plot.gap_bode of one FRF": lambda: jf.plot.gap_bode([FRF], 0, 0),
+    "plot.save(None)": lambda: jf.plot.save(None, "x"),
+    "plot.bode of a file": lambda: jf.plot.bode("a.nc"),
+    "plot.bode at position '0'": lambda: jf.plot.bode([FRF], position="0"),
+    "plot.bode of half a pair": lambda: jf.plot.bode(FRF, elements=[0]),
+    "modal delayed by text": lambda: jf.modal(FRF, delay="0"),
+    "modal at two positions": lambda: jf.modal(FRF, position=[0, 1]),
+    "features of any height": lambda: jf.features(FRF, prominence_db=None),
+    "example without a number of noise": lambda: jf.example(noise=None),
+    "fit with weights in text": lambda: jf.fit(OWN, ONE, weights="abc"),
+    "fit that keeps text": lambda: jf.fit(OWN, ONE, keep="abc"),
+    "fit from no starts": lambda: jf.fit(OWN, ONE, starts=None),
+    "fit that reports to 5": lambda: jf.fit(OWN, ONE, progress=5),
+    "Weights with a focus in text": lambda: jf.Weights(focus="x"),
+    "Weights of one band": lambda: jf.Weights(bands=(1.0, 2.0, 0.5)),
+    "plan_positions of one number of blocks": lambda: plan(blocks=4),
+    "plan_positions of 1.5 blocks": lambda: plan(blocks=[1.5]),
+    "plan_positions of rows of other lengths": lambda: plan(candidates=[[0.0] * 6, [0.0]]),
+    "expected_accuracy without names": lambda: jf.graybox.expected_accuracy(np.ones((2, 1, 1)), None),
+    "expected_accuracy of fewer names": lambda: jf.graybox.expected_accuracy(np.ones((2, 2, 2)), ("k",)),
+    "select_periods to 1.5": lambda: jf.select_periods(DATA, 0, 1.5),
+    "differentiate abc times": lambda: jf.spectra.differentiate(np.ones((3, 1)), FRF.frequency, "abc"),
+    "with_output_quantity of a list": lambda: jf.with_output_quantity(jf.dft(DATA), ["velocity"]),
+    "estimate that reports to 5": lambda: jf.estimate(DATA, jf.H1(), progress=5),
+    "diagnose of a file": lambda: jf.diagnose(ARM, "run.nc"),
+    "fit_machine in text": lambda: fit_machine(machine(), DATA, band="ab"),
     "modal in one number": lambda: jf.modal(FRF, band=(10.0,)),
     "fit from 1.5 starts": lambda: jf.fit(jf.GrayBox(lambda s, p: p["g"] * FRF.G[0], {"g": 1.0}), FRF, starts=1.5),
     "position_information with noise 0": lambda: information(noise=0.0),
@@ -152,3 +235,8 @@ WRONG = {
 def test_a_wrong_argument_is_one_sentence(name):
     with pytest.raises(jf.InputError, match=r"found .+; expected .+\."):
         WRONG[name]()
+
+
+def test_diagnose_of_nothing_asks_for_records():
+    with pytest.raises(jf.InputError, match=r"data: found .*; expected a list of jaxfrf\.Experiment or jaxfrf\.FRF"):
+        jf.diagnose(ARM, [])

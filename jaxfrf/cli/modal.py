@@ -34,7 +34,7 @@ def run(given) -> dict:
     check_result(given.output, [given.frf], "FRF")
     if given.plot:
         check_picture(given.plot)
-    near, band = _frequencies(given.near), _band(given.band)
+    near, band = _frequencies(given.near), range_of("--band", given.band, float)
     frf = read_frf(given.frf)
     with naming([given.frf]):
         found = modal(frf, position=given.position, band=band, max_order=given.order, near=near, delay=given.delay)
@@ -103,8 +103,3 @@ def _frequencies(text: str | None) -> list[float] | None:
         return [float(x) for x in text.split(",")]
     except ValueError:
         raise input_error("--near", repr(text), "frequencies in Hz", "Write e.g. --near 12.5,31.") from None
-
-
-def _band(text: str | None) -> tuple[float, float] | None:
-    band = range_of("--band", text, float)
-    return None if band is None else (band[0] or 0.0, float("inf") if band[1] is None else band[1])

@@ -20,10 +20,13 @@ def select_periods(data: Experiment, start: int, stop: int | None = None) -> Exp
 
     **Returns:** the record of these periods, without transient ones.
 
-    **Raises:** `jaxfrf.InputError` if the record is not periodic or nothing is left.
+    **Raises:** `jaxfrf.InputError` if the record is not periodic, `start` or `stop` are no whole numbers, or nothing is
+    left.
     """
-    expect_whole("start", start, None)
     expect("data", data, Experiment)
+    expect_whole("start", start, None)
+    if stop is not None:
+        expect_whole("stop", stop, None)
     if not data.period:
         raise input_error(
             "period",
@@ -31,7 +34,7 @@ def select_periods(data: Experiment, start: int, stop: int | None = None) -> Exp
             "a periodic record",
             "Say how long a period is, e.g. --set period=2500.",
         )
-    chosen = range(data.n_periods)[start:stop]
+    chosen = range(data.n_periods)[int(start) : None if stop is None else int(stop)]
     if not chosen:
         raise input_error(
             "periods",

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from .. import __version__
-from .._arguments import wrong_kind
+from .._arguments import expect_callable, wrong_kind
 from .._compile import beside_others
 from .._device import on_accelerator
 from .._errors import input_error
@@ -67,6 +67,7 @@ def estimate(
         raise input_error("data", found, "jaxfrf.Spectra or a jaxfrf.Experiment", do)
     if not isinstance(method, AbstractMethod):
         raise wrong_kind("method", method, "a method, e.g. jaxfrf.LRM(order=2)", AbstractMethod)
+    expect_callable("progress", progress)
     spectra = _spectra(data, method)
     method = adapted(method, spectra)
     method.check(spectra)

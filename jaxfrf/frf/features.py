@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 import scipy.ndimage
 
-from .._arguments import expect, expect_index
+from .._arguments import expect, expect_index, expect_number
 from .._status import Status
 from .._threads import one_blas_thread
 from .overlap import Overlap, of_fractions, overlaps
@@ -70,6 +70,7 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
     expect("frf", frf, FRF)
     for name, chosen, count in (("position", position, frf.n_pos), ("out", out, frf.n_out), ("into", into, frf.n_in)):
         expect_index(name, chosen, count)
+    expect_number("prominence_db", prominence_db)
     G = np.asarray(frf.G)[position, :, out, into]
     std = np.asarray(frf.std)[position, :, out, into]
     window = np.nan_to_num(np.asarray(frf.window, float)[position], nan=1.0)

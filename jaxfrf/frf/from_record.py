@@ -1,5 +1,6 @@
 """Which spectra of a record a method needs."""
 
+from .._arguments import as_band
 from .._errors import input_error
 from ..experiment import Experiment, seen_period, select_periods
 from ..screening import screened
@@ -34,12 +35,10 @@ def spectra_of(
             data = select_periods(data, 0)
         spectra = segment_spectra(data, method.segment, overlap=method.overlap, window=method.window)
     elif not data.period and _taken_whole(data, method):
-        low, high = band or (None, None)
-        whole = None if band is None else (low or 0.0, high or data.fs / 2)
-        return record_spectra(data, whole)
+        return record_spectra(data, band)
     else:
         spectra = dft(data, robust=robust, silent=silent)
-    return spectra if band is None else select_band(spectra, band[0] or 0.0, band[1] or data.fs / 2)
+    return spectra if band is None else select_band(spectra, *as_band(band))
 
 
 def _taken_whole(data: Experiment, method: AbstractMethod) -> bool:

@@ -1,12 +1,13 @@
 """Modes of a machine from its FRF: poles, damping and residues, with intervals and a stabilisation diagram."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Complex, Float
 
-from .._arguments import expect
+from .._arguments import expect, expect_number, expect_whole
 from .._errors import input_error
 from .._text import NORMAL_95, number
 from .._threads import one_blas_thread
@@ -111,7 +112,7 @@ def modal(
     frf: FRF,
     *,
     position: int = 0,
-    band: tuple[float, float] | None = None,
+    band: tuple[float | None, float | None] | None = None,
     max_order: int | None = None,
     near: Sequence[float] | None = None,
     delay: float | None = None,
@@ -144,68 +145,98 @@ def modal(
 
     **Arguments:**
 
-    - `frf`: `position` chooses the operating point, `band` (low, high; Hz) a part.
+    - `frf`: `position` chooses the operating point, `band` (low, high; Hz; `None` at an end: open) a part.
     - `max_order`: of the denominator; by default 30, and 60 where that leaves much, or less where there are few lines.
     - `near`: frequencies, Hz, of the modes to take, where the automatic choice is not wanted.
     - `delay`: s, where it is known; by default found.
 
     **Returns:** a `ModalModel`: frequencies in Hz, damping ratios, residues (out, in) of the unit of G rad/s.
 
-    **Raises:** `jaxfrf.InputError` if too few lines are left, and where no pole lies near one of `near` or the fit goes
-    elsewhere.
+    **Raises:** `jaxfrf.InputError` for a `band`, `delay` or order that is none, if too few lines are left, and where
+    no pole lies near one of `near` or the fit goes elsewhere.
 
     **Source:** Peeters, Van der Auweraer, Guillaume & Leuridan, Shock and Vibration 11 (2004) 395-409.
     """
     expect("frf", frf, FRF)
-    if delay is not None and not np.isfinite(delay):
-        raise input_error("delay", f"{delay}", "seconds", "Leave it out to have it found.")
+    if delay is not None:
+        expect_number("delay", delay)
     lines = chosen_lines(frf, position, band)
-    order = _order(max_order, len(lines.s), frf.n_in)
-
-    higher = order if near is not None or max_order is not None else _order(None, len(lines.s), frf.n_in, _HIGHER)
-
-    def at(order: int, lines: Lines):
-        table = stabilisation(lines.frequency, lines.G, lines.std, order)
-        start = clusters(table) if near is None else nearest(table, near)
-        fit = lambda lags: _significant(lines, start, near is not None, delay, lags)
-        return table, fit, fit(())
-
-    def found(lines: Lines):
-        table, fit, plain = at(order, lines)
-        if plain[0].misfit <= _MISSED:
-            return table, *plain
-        tried = [(table, fit, plain), *([at(higher, lines)] if higher > order else [])]
-        table, fit, plain = min(tried, key=lambda x: x[2][0].misfit)
-        return table, *(plain if plain[0].misfit <= _MISSED else _with_lag(fit, lines.s, plain, near is not None))
-
-    even = lines.evenly_weighed()
-    table, fitted, dropped = found(even)
-    if not len(fitted.poles) and fitted.misfit > _HOPELESS:
-        table, fitted, dropped = found(even._replace(std=np.maximum(even.std, _LINEAR * np.abs(lines.G))))
-    elif even is not lines:
-        lag = fitted.damping > LARGEST_DAMPING
-        fitted, more = _significant(lines, fitted.poles[~lag], near is not None, delay, fitted.poles[lag])
-        dropped = np.append(dropped, more)
+    asked = _Asked(_orders(max_order, near, len(lines.s), frf.n_in), near, delay)
+    found = _fitted(lines, asked)
     if near is not None:
-        _check_there(fitted, near)
-    if delay is None and len(fitted.poles):
+        _check_there(found.fitted, near)
+    return _reported(found._replace(fitted=_with_intervals(found.fitted, lines, asked)), lines, frf)
+
+
+class _Asked(NamedTuple):
+    """Of `modal`: orders that are looked at, the latter where the former leave much; `near`, `delay`."""
+
+    orders: tuple[int, ...]
+    near: Sequence[float] | None
+    delay: float | None
+
+    def fit(self, lines: Lines, poles, lags=()) -> tuple[PoleFit, np.ndarray]:
+        """The significant ones of these poles, and those that were dropped."""
+        return _significant(lines, poles, self.near is not None, self.delay, lags)
+
+
+class _Found(NamedTuple):
+    """Poles of an order, rad/s: from where they were fitted, `start`; `fitted`; and those that were `dropped`."""
+
+    table: Stabilisation
+    start: Complex[np.ndarray, "mode"]
+    fitted: PoleFit
+    dropped: Complex[np.ndarray, "mode"]
+
+
+def _fitted(lines: Lines, asked: _Asked) -> _Found:
+    """What a search with even weights finds, fitted with those of the lines."""
+    even = lines.evenly_weighed()
+    found = _searched(even, asked)
+    fitted = found.fitted
+    if not len(fitted.poles) and fitted.misfit > _HOPELESS:
+        return _searched(even._replace(std=np.maximum(even.std, _LINEAR * np.abs(lines.G))), asked)
+    if even is lines:
+        return found
+    lag = fitted.damping > LARGEST_DAMPING
+    fitted, more = asked.fit(lines, fitted.poles[~lag], fitted.poles[lag])
+    return found._replace(fitted=fitted, dropped=np.append(found.dropped, more))
+
+
+def _searched(lines: Lines, asked: _Asked) -> _Found:
+    """The order that leaves least; beside a lag where all leave much."""
+    tried: list[_Found] = []
+    for order in asked.orders:
+        table = stabilisation(lines.frequency, lines.G, lines.std, order)
+        start = clusters(table) if asked.near is None else nearest(table, asked.near)
+        tried.append(_Found(table, start, *asked.fit(lines, start)))
+        if tried[-1].fitted.misfit <= _MISSED:
+            return tried[-1]
+    return _with_lag(min(tried, key=lambda x: x.fitted.misfit), lines, asked)
+
+
+def _with_intervals(fitted: PoleFit, lines: Lines, asked: _Asked) -> PoleFit:
+    """The fit with the interval of its delay, and with wider ones of its modes where much is left."""
+    if asked.delay is None and len(fitted.poles):
         fitted = _profiled(fitted, lines)
     lagging = np.any(fitted.damping > LARGEST_DAMPING)
-    if fitted.misfit > (_MISSED_BY_LAG if lagging else _MISSED):
-        fitted = _widened(fitted, lines)
-    n_out, n_in = lines.G.shape[1:]
+    much = fitted.misfit > (_MISSED_BY_LAG if lagging else _MISSED)
+    return _widened(fitted, lines) if much else fitted
+
+
+def _reported(found: _Found, lines: Lines, frf: FRF) -> ModalModel:
+    fitted, (n_out, n_in) = found.fitted, lines.G.shape[1:]
     every = _modes(fitted, n_out, n_in)
     modes = [x for x in every if x.damping <= LARGEST_DAMPING]
     inside = lambda mode: lines.frequency[0] <= mode.frequency <= lines.frequency[-1]
-    scale = fitted.misfit if np.isfinite(fitted.misfit) else 1.0
     return ModalModel(
         modes=tuple(x for x in modes if inside(x)),
         background=fitted.coefficients[:, 2 * len(fitted.poles) :].T.reshape(-1, n_out, n_in),
-        misfit=float(scale),
+        misfit=float(fitted.misfit) if np.isfinite(fitted.misfit) else 1.0,
         delay=fitted.delay,
         delay_std=fitted.delay_std,
-        stabilisation=table,
-        dropped=np.sort(np.abs(dropped)) / (2 * np.pi),
+        stabilisation=found.table,
+        dropped=np.sort(np.abs(found.dropped)) / (2 * np.pi),
         lags=tuple(x for x in every if x.damping > LARGEST_DAMPING),
         outside=tuple(x for x in modes if not inside(x)),
         frequency=lines.frequency,
@@ -216,13 +247,16 @@ def modal(
     )
 
 
-def _order(asked: int | None, n_lines: int, n_in: int, usual: int = _USUAL) -> int:
+def _orders(asked: int | None, near, n_lines: int, n_in: int) -> tuple[int, ...]:
+    """The usual order and, where nothing was asked for, a higher one, as far as there are lines."""
     most = max((n_lines - 4) // (1 + n_in) - 1, 2)
     if asked is None:
-        return min(usual, most)
+        orders = [min(order, most) for order in (_USUAL, _HIGHER)]
+        return tuple(dict.fromkeys(orders if near is None else orders[:1]))
+    expect_whole("max_order", asked)
     if not 2 <= asked <= most:
         raise input_error("max_order", f"{asked}", f"2 to {most} with {n_lines} lines", "Choose another.")
-    return int(asked)
+    return (int(asked),)
 
 
 def _significant(lines: Lines, poles, keep: bool, delay, lags=()) -> tuple[PoleFit, np.ndarray]:
@@ -284,7 +318,7 @@ def _turning(fitted: PoleFit, others: Sequence[PoleFit]) -> PoleFit:
 def _check_there(fitted: PoleFit, near: Sequence[float]) -> None:
     """Raise where a mode that was asked for went elsewhere, or to another's place."""
     ends = np.abs(fitted.poles[fitted.damping <= LARGEST_DAMPING]) / (2 * np.pi)
-    for f, end in zip(sorted(near), ends, strict=False):
+    for f, end in zip(np.sort(np.atleast_1d(near)), ends, strict=False):
         if abs(end - f) > _THERE * f:
             raise input_error(
                 "near",
@@ -294,16 +328,18 @@ def _check_there(fitted: PoleFit, near: Sequence[float]) -> None:
             )
 
 
-def _with_lag(fit, s, plain: tuple[PoleFit, np.ndarray], asked: bool) -> tuple[PoleFit, np.ndarray]:
-    """The same with a strongly damped pair of poles more, where that leaves nothing but noise, or finds the modes.
-    `asked`: of certain modes, beside which the pair may not become another."""
-    top = np.abs(s).max() / (2 * np.pi)
-    tried = [fit((pole(part * top, damping),)) for damping in _LAG_DAMPING for part in _LAG_AT]
-    modes = lambda found: np.count_nonzero(found[0].damping <= LARGEST_DAMPING)
-    tried = [x for x in tried if not asked or modes(x) == modes(plain)] or [plain]
-    best = min(tried, key=lambda found: found[0].misfit)
-    lost = not len(plain[0].poles) and best[0].misfit < plain[0].misfit / 2
-    return best if best[0].misfit < _LAG_EXPLAINS or lost else plain
+def _with_lag(plain: _Found, lines: Lines, asked: _Asked) -> _Found:
+    """The same with a strongly damped pair of poles more, where that leaves nothing but noise, or finds the modes;
+    beside certain modes that were asked for the pair may not become another."""
+    top = np.abs(lines.s).max() / (2 * np.pi)
+    lags = [pole(part * top, damping) for damping in _LAG_DAMPING for part in _LAG_AT]
+    fits = [asked.fit(lines, plain.start, (lag,)) for lag in lags]
+    tried = [plain._replace(fitted=fitted, dropped=dropped) for fitted, dropped in fits]
+    modes = lambda found: np.count_nonzero(found.fitted.damping <= LARGEST_DAMPING)
+    tried = [x for x in tried if asked.near is None or modes(x) == modes(plain)] or [plain]
+    best = min(tried, key=lambda found: found.fitted.misfit)
+    lost = not len(plain.fitted.poles) and best.fitted.misfit < plain.fitted.misfit / 2
+    return best if best.fitted.misfit < _LAG_EXPLAINS or lost else plain
 
 
 def _doubtful(fitted: PoleFit, lag: np.ndarray) -> np.ndarray:

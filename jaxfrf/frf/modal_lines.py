@@ -6,7 +6,7 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Complex, Float
 
-from .._arguments import expect_real
+from .._arguments import as_band, expect_index
 from .._errors import input_error
 from ..experiment import QUANTITIES
 from .overlap import Overlap, overlaps
@@ -64,9 +64,8 @@ class Lines(NamedTuple):
 
 
 def chosen_lines(frf: FRF, position: int, band) -> Lines:
-    if not -frf.n_pos <= position < frf.n_pos:
-        raise input_error("position", f"{position}", f"one of {frf.n_pos} (from 0)", "Choose another.")
-    low, high = (0.0, np.inf) if band is None else _band(band)
+    expect_index("position", position, frf.n_pos)
+    low, high = (0.0, np.inf) if band is None else as_band(band)
     frequency, G = np.asarray(frf.frequency, float), np.asarray(frf.G)[position]
     std = np.asarray(frf.std)[position]
     wanted = (frequency >= low) & (frequency <= high) & (frequency > 0) & np.isfinite(G).all(axis=(1, 2))
@@ -86,13 +85,6 @@ def chosen_lines(frf: FRF, position: int, band) -> Lines:
     floored = np.maximum(std, 1e-4 * np.maximum(np.abs(G), 1e-2 * level))
     errors = ElementErrors(frf, position, np.flatnonzero(wanted), std.reshape(len(std), -1)) if measured else None
     return Lines(s, G, floored, measured, background, overlap, errors)
-
-
-def _band(band) -> tuple[float, float]:
-    expect_real("band", band)
-    if np.shape(band) != (2,) or not band[0] < band[1]:
-        raise input_error("band", f"{band}", "the lower and the upper end, Hz", "E.g. band=(5.0, 80.0).")
-    return float(band[0]), float(band[1])
 
 
 def _steady(std, dof) -> Float[np.ndarray, "freq out in"]:

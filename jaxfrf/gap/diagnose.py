@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from .._arguments import expect
+from .._arguments import expect, expect_each, expect_whole
 from .._errors import input_error
 from .._threads import one_blas_thread
 from .._types import require_x64
@@ -89,7 +89,11 @@ def diagnose(
     """
     if robot is not None:
         expect("robot", robot, Robot)
-    records: list[Any] = list(data) if isinstance(data, Sequence) else [data]
+    if not isinstance(data, Experiment | FRF):
+        expect_each("data", data, Experiment, FRF)
+    if heldout_count is not None:
+        expect_whole("heldout_count", heldout_count)
+    records: list[Any] = [data] if isinstance(data, Experiment | FRF) else list(data)
     channel = channel_of(robot, records)
     if channel is not None:
         return _by_channel(channel, robot, records, own, heldout_count or 0, say or (lambda text: None))
@@ -124,7 +128,7 @@ def _by_channel(
     say: Say,
 ) -> Diagnosis:
     """One comparison without a simulation: the last so many of the data are held out."""
-    if not 0 <= heldout_count < len(data):
+    if not heldout_count < len(data):
         raise input_error(
             "held-out records", f"{heldout_count}", f"0 to {len(data) - 1} of {len(data)}", "Leave some to fit."
         )

@@ -15,6 +15,7 @@ from .._errors import input_error
 from .._types import Array, require_x64
 from ..frf import FRF
 from .model import AbstractModel
+from .own import response_shape
 from .parameter import Coordinates
 from .target import Target, Weights, target
 
@@ -174,13 +175,11 @@ def check_shape(model, coordinates, tg: Target, frf: FRF) -> None:
             "Give one point for every position.",
         )
     point = jax.tree.map(lambda a: jnp.asarray(a)[0], tg.points)
-    found = jax.eval_shape(
-        lambda x: model.response(jnp.asarray(tg.frequency), coordinates.values(x), point), jnp.zeros(coordinates.size)
-    )
-    if found.shape[1:] != (frf.n_out, frf.n_in):
+    n_out, n_in = response_shape(model, coordinates, tg.frequency, point)[1:]
+    if (n_out, n_in) != (frf.n_out, frf.n_in):
         raise input_error(
             "model",
-            f"a response of {found.shape[1]} outputs and {found.shape[2]} inputs",
+            f"a response of {n_out} outputs and {n_in} inputs",
             f"{frf.n_out} and {frf.n_in} as in the FRF",
             "Use the model of this machine, or records with the model's channels.",
         )

@@ -2,7 +2,7 @@
 
 import dataclasses
 import numbers
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -11,7 +11,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray, PyTree
 
-from .._arguments import as_key, expect, expect_probability, expect_whole
+from .._arguments import as_key, expect, expect_callable, expect_probability, expect_whole, said
 from .._errors import input_error
 from .._threads import one_blas_thread
 from .._types import require_x64
@@ -210,8 +210,8 @@ def fit(
 
     **Returns:** a `Fit`: values in the units of the parameters, their covariance, every start.
 
-    **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together, or no start gives a finite cost;
-    `ValueError` if JAX is set to 32 bit.
+    **Raises:** `jaxfrf.InputError` if FRF, model and weights do not fit together, a model of your own is not written in
+    `jax.numpy` or asks for other parameters, or no start gives a finite cost; `ValueError` if JAX is set to 32 bit.
 
     **Source:** Zimmermann & Moberg, section III.B (the logarithmic cost, random starts); sandwich covariance: Huber,
     Proc. Fifth Berkeley Symposium 1 (1967) 221-233. The choice among starts is this project's own.
@@ -219,6 +219,9 @@ def fit(
     expect("model", model, AbstractModel)
     expect("frf", frf, FRF)
     require_x64("fit")
+    expect_callable("progress", progress)
+    if keep is not None:
+        expect_whole("keep", keep)
     solver = LevenbergMarquardt() if solver is None else solver
     check_solver(solver)
     check_quantity(model, frf)
@@ -288,11 +291,13 @@ def _starts(coordinates: Coordinates, starts, key) -> list[np.ndarray]:
 
 
 def _named_starts(coordinates: Coordinates, starts) -> list[np.ndarray]:
-    starts = [starts] if isinstance(starts, Mapping) else list(starts)
+    listed = isinstance(starts, Iterable) and not isinstance(starts, str)
+    given, starts = starts, [starts] if isinstance(starts, Mapping) else list(starts) if listed else []
     if not starts or not all(isinstance(values, Mapping) for values in starts):
+        wrong = next((v for v in starts if not isinstance(v, Mapping)), None)
         raise input_error(
             "starts",
-            "an empty list" if not starts else f"a list with {next(v for v in starts if not isinstance(v, Mapping))!r}",
+            said(given) if not listed else "an empty list" if not starts else f"a list with {said(wrong)}",
             "a number, or dictionaries of values by name",
             "Give at least one; {} is the model's own start.",
         )

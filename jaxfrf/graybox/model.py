@@ -4,7 +4,7 @@ import abc
 import dataclasses
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float, PyTree
 
-from .._arguments import expect
+from .._arguments import expect, expect_number, expect_quantity, expect_real, said
 from .._errors import input_error
 from .._types import Array
 from ..robot import (
@@ -23,6 +23,7 @@ from ..robot import (
     parameters as robot_parameters,
     with_parameters,
 )
+from .own import as_response, check_callable
 from .parameter import Parameter, as_parameters, matching
 
 Values = Mapping[str, jax.Array]
@@ -65,8 +66,8 @@ class GrayBox(AbstractModel):
       must be differentiable.
     - `parameters`: name -> `Parameter` (or a number: a positive parameter that starts there).
 
-    **Raises:** `jaxfrf.InputError` for a start that is no positive number, and (in a fit) where the result has another
-    shape.
+    **Raises:** `jaxfrf.InputError` for what cannot be called so, a start that is no positive number, and (in a fit) for
+    names that are no parameters, NumPy or decisions in the model, and a result of another shape.
 
     **Source:** a definition: the model is yours.
     """
@@ -76,23 +77,16 @@ class GrayBox(AbstractModel):
     configured: bool = eqx.field(static=True)
 
     def __init__(self, model: Callable, parameters: Mapping[str, Parameter | float]):
+        check_callable("model", model, "(omega, values) or (omega, values, q)", 2, 3)
         self.model = model
         self.parameters = as_parameters(parameters)
         self.configured = _takes_configuration(model)
 
     def response(self, frequency, values, point):
         omega = 2.0 * jnp.pi * jnp.asarray(frequency)
-        G = jnp.asarray(self.model(omega, values, point) if self.configured else self.model(omega, values))
-        if G.ndim == 1:
-            G = G[:, None, None]
-        if G.ndim != 3 or G.shape[0] != omega.shape[0]:
-            raise input_error(
-                "result of the model",
-                f"an array of shape {G.shape} at {omega.shape[0]} frequencies",
-                "(freq, out, in)",
-                "Put the frequency axis first.",
-            )
-        return G.astype(complex)
+        G = self.model(omega, values, point) if self.configured else self.model(omega, values)
+        G = G[:, None, None] if getattr(G, "shape", None) == omega.shape else G
+        return as_response(G, len(omega)).astype(complex)
 
 
 def _takes_configuration(model: Callable) -> bool:
@@ -147,8 +141,8 @@ class RobotModel(AbstractModel):
     Biased where the motion is large: it is linear about rest, a nonlinear spring or friction has one mean value in it.
     `fit_indirectly` takes that out.
 
-    **Raises:** (in a fit) `jaxfrf.InputError` for an FRF without the arm configurations of the robot, or of another
-    quantity.
+    **Raises:** `jaxfrf.InputError` for another quantity or `hold`, an amplitude of another shape, and (in a fit) for an
+    FRF without the arm configurations of the robot, or of another quantity.
 
     **Source:** Zimmermann & Moberg, section III.A; effective friction by the describing function of Gelb & Vander
     Velde, Multiple-Input Describing Functions and Nonlinear System Design, 1968.
@@ -164,16 +158,15 @@ class RobotModel(AbstractModel):
         robot: Robot,
         *,
         quantity: str = "acceleration",
-        hold: ZeroOrderHold | str | None = "sampled",
+        hold: ZeroOrderHold | Literal["sampled"] | None = "sampled",
         slow_amplitude: Float[Array, "axis"] | None = None,
         stiffness_spread: float | None = None,
         damping_spread: float | None = None,
         friction_spread: float | None = None,
     ):
         expect("robot", robot, Robot)
-        self.robot, self.quantity = robot, quantity
-        sampled = ZeroOrderHold(robot.sampling_frequency, "velocity" if quantity == "velocity" else "position")
-        self.hold = sampled if isinstance(hold, str) else hold
+        expect_quantity("quantity", quantity)
+        self.robot, self.quantity, self.hold = robot, quantity, _hold(robot, quantity, hold)
         asked = {"stiffness": stiffness_spread, "damping": damping_spread, "coulomb_friction": friction_spread}
         spread = lambda name, value: _spread(robot, name, float(value), asked[name.rpartition(".")[2]])
         known = {
@@ -276,7 +269,20 @@ def _robot_response_slope(primals, tangents):
     return G, change
 
 
+def _hold(robot: Robot, quantity: str, hold: ZeroOrderHold | str | None) -> ZeroOrderHold | None:
+    if hold is None or isinstance(hold, ZeroOrderHold):
+        return hold
+    if not isinstance(hold, str) or hold != "sampled":
+        raise input_error("hold", said(hold), "'sampled', None or a ZeroOrderHold", "None is continuous time.")
+    return ZeroOrderHold(robot.sampling_frequency, "velocity" if quantity == "velocity" else "position")
+
+
 def _effective_friction(robot: Robot, amplitude) -> list[float]:
+    if amplitude is not None:
+        expect_real("slow_amplitude", amplitude)
+        if np.shape(amplitude) not in ((), (robot.n_axes,)) or not np.all(np.asarray(amplitude) > 0):
+            found = said(np.asarray(amplitude)) if np.ndim(amplitude) else said(amplitude)
+            raise input_error("slow_amplitude", found, f"{robot.n_axes} amplitudes above 0, rad/s", "Check it.")
     friction = robot.drives.friction
     viscous = np.asarray(friction.viscous, float)
     coulomb = np.asarray(getattr(friction, "coulomb", np.zeros_like(viscous)), float)
@@ -288,10 +294,10 @@ def _effective_friction(robot: Robot, amplitude) -> list[float]:
 Model = TypeVar("Model", bound=AbstractModel)
 
 
-def fix(model: Model, names: Iterable[str]) -> Model:
+def fix(model: Model, names: str | Iterable[str]) -> Model:
     """The same model with these parameters held at their start; `*` in a name stands for any text: `*.damping`.
 
-    **Arguments:** `model`: with `parameters`, one of `jaxfrf.AbstractModel`. `names`: of parameters, or patterns.
+    **Arguments:** `model`: with `parameters`, one of `jaxfrf.AbstractModel`. `names`: one or more, or patterns.
 
     **Returns:** the model with these parameters fixed.
 
@@ -300,29 +306,34 @@ def fix(model: Model, names: Iterable[str]) -> Model:
     return _changed(model, names, lambda p: dataclasses.replace(p, free=False))
 
 
-def free(model: Model, names: Iterable[str]) -> Model:
+def free(model: Model, names: str | Iterable[str]) -> Model:
     """The same model with these parameters fitted; `*` in a name stands for any text.
 
-    **Arguments:** `model`: with `parameters`, one of `jaxfrf.AbstractModel`. `names`: of parameters, or patterns.
+    **Arguments:** `model`: with `parameters`, one of `jaxfrf.AbstractModel`. `names`: one or more, or patterns.
 
     **Raises:** `jaxfrf.InputError` for a name that the model does not have.
     """
     return _changed(model, names, lambda p: dataclasses.replace(p, free=True))
 
 
-def share(model: Model, names: Iterable[str]) -> Model:
+def share(model: Model, names: str | Iterable[str]) -> Model:
     """The same model with one value for these parameters: that of the first one named.
 
     **Arguments:** `model`: with `parameters`, one of `jaxfrf.AbstractModel`. `names`: of parameters of one unit, or
     patterns.
 
-    **Raises:** `jaxfrf.InputError` for a name that the model does not have.
+    **Raises:** `jaxfrf.InputError` for a name that the model does not have, and for less than two.
     """
-    first, *others = matching(model.parameters, names)
+    expect("model", model, AbstractModel)
+    found = matching(model.parameters, names)
+    if len(found) < 2:
+        raise input_error("share", ", ".join(found) or "none", "two parameters or more", "Name others, or a pattern.")
+    first, *others = found
     return _changed(model, others, lambda p: dataclasses.replace(p, same_as=first))
 
 
-def _changed(model: Model, names: Iterable[str], change: Callable[[Parameter], Parameter]) -> Model:
+def _changed(model: Model, names: str | Iterable[str], change: Callable[[Parameter], Parameter]) -> Model:
+    expect("model", model, AbstractModel)
     chosen = matching(model.parameters, names)
     return _replaced(model, {n: change(p) if n in chosen else p for n, p in model.parameters.items()})
 
@@ -337,7 +348,12 @@ def starting_at(model: Model, values: Mapping[str, float]) -> Model:
 
     **Raises:** `jaxfrf.InputError` for a name that the model does not have.
     """
+    expect("model", model, AbstractModel)
+    if not isinstance(values, Mapping):
+        raise input_error("values", said(values), "a table {name: value}", 'E.g. {"k": 1e4}.')
     matching(model.parameters, values)
+    for name, value in values.items():
+        expect_number(f"start of {name}", value)
     new = {
         n: dataclasses.replace(p, start=np.float64(values[n])) if n in values else p
         for n, p in model.parameters.items()

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._arguments import expect, expect_number, expect_text, said
 from .._errors import input_error
 from .._text import nearest
 from .._types import Array
@@ -40,7 +41,7 @@ class Parameter(eqx.Module):
     - `same_as`: name of another parameter whose value this one takes (a shared parameter).
 
     **Raises:** `jaxfrf.InputError` for a start that is not finite (positive, where it should be) or outside the bounds,
-    and for a `scale` or `spread` of no sense.
+    for bounds that are no pair, and for a `scale` or `spread` of no sense.
     """
 
     start: Float[np.float64, ""]
@@ -66,11 +67,13 @@ class Parameter(eqx.Module):
         scale: float = 1.0,
         same_as: str | None = None,
     ):
+        for name, value in (("start of a parameter", start), ("spread", spread), ("scale", scale)):
+            expect_number(name, value)
         # Numbers are arrays: a fit from another start is not compiled again.
         self.start = np.float64(start)
         self.unit, self.positive, self.free, self.nuisance = unit, positive, free, nuisance
         self.spread, self.scale, self.same_as = float(spread), float(scale), same_as
-        self.bounds = None if bounds is None else (np.float64(bounds[0]), np.float64(bounds[1]))
+        self.bounds = None if bounds is None else _pair(bounds)
 
     def __check_init__(self):
         if not math.isfinite(self.start) or (self.positive and not self.start > 0):
@@ -145,14 +148,30 @@ class Parameter(eqx.Module):
         return (low, high), xp.minimum(_ROUND, _SHARE * (high - low))
 
 
+def _pair(bounds: tuple[float, float]) -> tuple[np.float64, np.float64]:
+    try:
+        both = np.asarray(bounds)
+    except ValueError:
+        both = np.zeros(0)  # of other lengths
+    if both.shape != (2,) or both.dtype.kind not in "iuf":
+        raise input_error("bounds of a parameter", said(bounds), "(lowest, highest)", "Leave them out for none.")
+    return np.float64(both[0]), np.float64(both[1])
+
+
 def _inverse_softplus(t: float) -> float:
     return t + math.log(-math.expm1(-t)) if t > 0 else -math.inf
 
 
 def as_parameters(given: Mapping[str, Parameter | float]) -> dict[str, Parameter]:
     """Parameters by name, where a number is a positive one that starts there."""
+    if not isinstance(given, Mapping):
+        raise input_error("parameters", said(given), "a table {name: start}", 'E.g. {"k": 1e4, "d": 10.0}.')
     for name, p in given.items():
-        if not isinstance(p, Parameter) and not (math.isfinite(float(p)) and float(p) > 0):
+        expect_text("name of a parameter", name)
+        if isinstance(p, Parameter):
+            continue
+        expect_number(f"start of {name}", p)
+        if not p > 0:
             raise input_error(
                 f"start of {name}",
                 f"{float(p):g}",
@@ -177,6 +196,8 @@ class Coordinates(eqx.Module):
 
     def __init__(self, parameters: Mapping[str, Parameter]):
         self.parameters = dict(parameters)
+        for name, p in self.parameters.items():
+            expect(name, p, Parameter)
         _check_shared(self.parameters)
         free = [n for n, p in self.parameters.items() if p.free and p.same_as is None]
         # The same order whatever was done to the model: JAX sorts dictionaries.
@@ -256,13 +277,17 @@ def _check_shared(parameters: Mapping[str, Parameter]) -> None:
             )
 
 
-def matching(parameters: Mapping[str, Parameter], names: Iterable[str]) -> tuple[str, ...]:
-    """Names of the parameters that are named, in which `*` may stand for any text: `*.damping`.
+def matching(parameters: Mapping[str, Parameter], names: str | Iterable[str]) -> tuple[str, ...]:
+    """Names of the parameters that are named (one, or several), in which `*` may stand for any text: `*.damping`.
 
     **Raises:** `jaxfrf.InputError` for a name that is not there, with the nearest one.
     """
+    names = [names] if isinstance(names, str) else names
+    if not isinstance(names, Iterable):
+        raise input_error("parameters", said(names), "a name, or a list of names", 'E.g. ["*.damping"].')
     found: dict[str, None] = {}
     for name in names:
+        expect_text("parameter", name)
         these = [n for n in parameters if n == name or fnmatch.fnmatchcase(n, name)]
         if not these:
             near = nearest(name, parameters)

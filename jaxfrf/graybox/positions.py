@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, PyTree
 
-from .._arguments import expect, expect_real, expect_whole
+from .._arguments import expect, expect_number, expect_real, expect_whole, said
 from .._errors import input_error
 from .._types import Array
 from .cost import at_position
 from .model import AbstractModel
+from .own import response_shape
 from .parameter import Coordinates
 from .uncertainty import _correlation, _inverse
 
@@ -64,13 +65,11 @@ def position_information(
     expect_real("frequency", frequency)
     coordinates = Coordinates(model.parameters)
     frequency = jnp.atleast_1d(jnp.asarray(frequency, float))
-    n_pos = len(jax.tree.leaves(points)[0]) if jax.tree.leaves(points) else 0
-    if not n_pos:
-        raise input_error("points", "none", "operating points, one or more", "Give arm angles, (pos, axis), rad.")
-    points = jax.tree.map(jnp.asarray, points)
+    points = _as_points(points)
+    n_pos = len(jax.tree.leaves(points)[0])
     first = jax.tree.map(lambda a: a[0], points)
     x = jnp.asarray(coordinates.start())
-    shape = jax.eval_shape(lambda p: model.response(frequency, coordinates.values(x), p), first).shape
+    shape = response_shape(model, coordinates, frequency, first)
     noise = _broadcast("noise", noise, shape)
     if np.any(noise <= 0):
         raise input_error("noise", f"{noise.min():g}", "a relative standard deviation above 0", "E.g. 0.05.")
@@ -86,6 +85,27 @@ def position_information(
             "Leave these points out.",
         )
     return found
+
+
+def _as_points(given: PyTree) -> PyTree:
+    """Operating points as arrays with a leading axis (pos); a list of rows becomes one array."""
+    try:
+        points = jax.tree.map(np.asarray, np.asarray(given) if isinstance(given, list) else given)
+        sizes = {len(leaf) for leaf in jax.tree.leaves(points) if leaf.dtype.kind in "iufc"}
+    except (TypeError, ValueError):  # rows of other lengths, single numbers
+        sizes = set()
+    if len(sizes) != 1 or not min(sizes):
+        raise input_error("points", said(given), "operating points, one or more", "Give arm angles, (pos, axis), rad.")
+    return jax.tree.map(jnp.asarray, points)
+
+
+def _as_information(given) -> np.ndarray:
+    """(pos, parameter, parameter)"""
+    information = np.asarray(given)
+    if information.ndim != 3 or information.shape[1] != information.shape[2] or information.dtype.kind not in "iuf":
+        expected = "an array (pos, parameter, parameter)"
+        raise input_error("information", said(given), expected, "Take what position_information gives.")
+    return information
 
 
 def _broadcast(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
@@ -128,7 +148,7 @@ def d_optimal(
 
     **Source:** Fedorov, Theory of Optimal Experiments, 1972 (the exchange).
     """
-    information = np.asarray(information)
+    information = _as_information(information)
     n = len(information)
     expect_whole("count of positions", count, None)
     if not 1 <= count or (count > n and not repeat):
@@ -196,9 +216,15 @@ def expected_accuracy(
 
     **Returns:** `Accuracy`: standard deviations, (parameter,), relative for positive parameters, and correlations.
 
+    **Raises:** `jaxfrf.InputError` for `information` of another shape, and for another number of names.
+
     **Source:** the Cramér-Rao bound, e.g. Ljung, System Identification, 2nd ed. 1999, section 7.4.
     """
-    total = blocks * np.asarray(information).sum(axis=0)
+    information = _as_information(information)
+    expect_number("blocks", blocks)
+    if isinstance(names, str) or not isinstance(names, Sequence) or len(names) != information.shape[1]:
+        raise input_error("names", said(names), f"{information.shape[1]}, one for each parameter", "See Coordinates.")
+    total = blocks * information.sum(axis=0)
     cov = _inverse(total)
     return Accuracy(tuple(names), np.sqrt(np.diagonal(cov)), _correlation(cov))
 
@@ -251,7 +277,8 @@ def plan_positions(
 
     - `model`: e.g. `jaxfrf.RobotModel(robot)`; fix what is not going to be fitted.
     - `frequency`: lines that the design excites, Hz.
-    - `candidates`: operating points with a leading axis (pos), e.g. `jaxfrf.random_positions(200, key)`.
+    - `candidates`: operating points with a leading axis (pos), e.g. `jaxfrf.random_positions(200, key)`, or a
+      list of rows.
     - `count`: how many to choose.
     - `noise`: relative standard deviation of the FRF from one block of experiments, a number or broadcastable to (freq,
       out, in), lines independent. `weights`: of the elements, see `position_information`.
@@ -260,21 +287,28 @@ def plan_positions(
 
     **Returns:** a `PositionPlan`: the chosen points, and standard deviations, relative for positive parameters.
 
-    **Raises:** `jaxfrf.InputError` for more positions than candidates, and for candidates without a finite response.
+    **Raises:** `jaxfrf.InputError` for more positions than candidates, for candidates that are no points or have no
+    finite response, and for numbers of blocks that are none.
 
     **Source:** Fedorov, Theory of Optimal Experiments, 1972, as of `jaxfrf.d_optimal`. The comparison with random
     choices is this project's own.
     """
+    candidates = _as_points(candidates)
     n = len(jax.tree.leaves(candidates)[0])
     expect_whole("count of positions", count, None)
     if not 1 <= count <= n:
         raise input_error("count of positions", f"{count}", f"1 to {n}, the candidates", "Offer more candidates.")
-    if not len(blocks) or min(blocks) < 1:
-        raise input_error("blocks", f"{tuple(blocks)}", "numbers of 1 or more", "Leave it out for 1 to 16.")
+    expect_whole("beyond", beyond)
+    expect_whole("seed", seed)
+    expect_real("blocks", blocks)
+    if np.ndim(blocks) != 1:
+        raise input_error("blocks", said(blocks), "a list of numbers of 1 or more", "Leave it out for 1 to 16.")
+    for several in blocks:
+        expect_whole("blocks", several, 1)
     information = position_information(model, frequency, candidates, noise, weights)
     coordinates = Coordinates(model.parameters)
     std = lambda chosen, blocks=1: expected_accuracy(information[list(chosen)], coordinates.names, blocks).std
-    counts = np.arange(1, min(count + max(beyond, 0), n) + 1)
+    counts = np.arange(1, min(count + beyond, n) + 1)
     best = {int(k): d_optimal(information, int(k)) for k in counts}
     rng = np.random.default_rng(seed)
     drawn = [[std(rng.choice(n, k, replace=False)) for _ in range(_DRAWS)] for k in counts]

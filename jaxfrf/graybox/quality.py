@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float, PyTree
 
-from .._arguments import expect
+from .._arguments import expect, expect_whole
 from .._errors import input_error
 from .._text import number
 from .._types import Array
@@ -297,10 +297,9 @@ def residual_quality(
 
 
 def _edges(frequency, bands: int) -> np.ndarray:
-    if bands < 1:
-        raise input_error("bands", f"{bands}", "1 or more", "8 are a good picture.")
+    expect_whole("bands", bands, 1)
     low, high = float(frequency.min()), float(frequency.max())
-    return np.geomspace(max(low, 1e-9), max(high, low * (1 + 1e-9), 1e-9), bands + 1)
+    return np.geomspace(max(low, 1e-9), max(high, low * (1 + 1e-9), 1e-9), int(bands) + 1)
 
 
 def _membership(frequency, edges) -> np.ndarray:

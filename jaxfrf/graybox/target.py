@@ -1,13 +1,14 @@
 """An FRF made ready for fitting: its logarithm, and what each element of it counts."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Bool, Complex, Float, PyTree
 
-from .._arguments import expect, expect_index
+from .._arguments import expect, expect_index, expect_number, expect_real, said
 from .._errors import input_error
 from .._types import Array
 from ..frf import FRF, features
@@ -38,7 +39,7 @@ class Weights(eqx.Module):
     - `correlated`: whiten with the full covariance of all elements of a line, instead of one by one:
       W = S D S, S the Hermitian root of (cov E + floor^2 I)^-1 and D the user weights.
 
-    **Raises:** `jaxfrf.InputError` for numbers below 0, and bands that are none.
+    **Raises:** `jaxfrf.InputError` for numbers below 0, or that are none, and for bands that are none.
 
     **Source:** Zimmermann & Moberg, section III.B (uncertainty and user choice; antiresonance and resonance weighted
     highest); they state no numbers, the defaults are this project's own.
@@ -53,6 +54,15 @@ class Weights(eqx.Module):
     correlated: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
+        given = {"floor": self.floor, "off_diagonal": self.off_diagonal, "focus": self.focus}
+        if np.ndim(self.reject) or self.reject != np.inf:  # rejects nothing
+            given["reject"] = self.reject
+        for name, value in given.items():
+            expect_number(f"weights.{name}", value)
+        if self.elements is not None:
+            expect_real("weights.elements", self.elements)
+        if isinstance(self.bands, str) or not isinstance(self.bands, Sequence):
+            raise input_error("weights.bands", said(self.bands), "a list of bands", "E.g. ((0.0, 5.0, 0.1),).")
         if not self.floor >= 0 or not self.off_diagonal >= 0 or not self.focus > 0 or not self.reject > 0:
             raise input_error(
                 "weights",
@@ -61,13 +71,22 @@ class Weights(eqx.Module):
                 "Correct them.",
             )
         for band in self.bands:
-            if len(band) != 3 or not band[0] <= band[1] or not 0 <= band[2] < np.inf:
+            if not _is_weighed(band):
                 raise input_error(
                     "weights.bands",
                     f"{band}",
                     "(lowest Hz, highest Hz, factor), the factor 0 or more",
                     "Correct the band.",
                 )
+
+
+def _is_weighed(band) -> bool:
+    """Whether it is a lower and an upper end, which may be infinite, and a factor."""
+    try:
+        low, high, factor = np.asarray(band, float)
+    except (TypeError, ValueError):
+        return False
+    return bool(low <= high and 0 <= factor < np.inf)
 
 
 class Target(eqx.Module):
@@ -118,8 +137,9 @@ def shifted(target: Target, shift: Complex[Array, "pos freq vec"], points: PyTre
 def target(frf: FRF, weights: Weights, points: PyTree) -> Target:
     """An FRF with weights, ready for `fit`.
 
-    **Raises:** `jaxfrf.InputError` if weights have another shape, or nothing is left to fit.
+    **Raises:** `jaxfrf.InputError` if weights are none or have another shape, or nothing is left to fit.
     """
+    expect("weights", weights, Weights)
     G = np.asarray(frf.G)
     g = G.swapaxes(-1, -2).reshape(*G.shape[:2], -1)
     usable = np.isfinite(g) & (np.abs(g) > 0)

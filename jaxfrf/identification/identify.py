@@ -7,7 +7,7 @@ from typing import Any
 import jax.random as jr
 import numpy as np
 
-from .._arguments import expect
+from .._arguments import as_band, expect
 from .._errors import input_error
 from .._types import require_x64
 from ..calibration.heldout import heldout_numbers
@@ -134,9 +134,7 @@ def identify_springs(
 def _within(weights: Weights, band) -> Weights:
     if band is None:
         return weights
-    low, high = band[0] or 0.0, np.inf if band[1] is None else band[1]
-    if not low < high:
-        raise input_error("band", f"{low:g} to {high:g} Hz", "a low end below the high one", "Correct it.")
+    low, high = as_band(band)
     outside: list[tuple[float, float, float]] = []
     if low > 0:
         outside.append((0.0, float(np.nextafter(low, 0)), 0.0))

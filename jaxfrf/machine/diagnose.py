@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
-from .._arguments import expect
+from .._arguments import expect, expect_each
 from .._errors import InputError, input_error
 from .._text import number, percent
 from ..effects import AbstractEffect, Swing, library
@@ -100,6 +100,8 @@ def diagnose_machine(
     """
     expect("machine", machine, Machine)
     expect("data", data, Experiment)
+    if candidates is not None:
+        expect_each("candidates", candidates, AbstractEffect, least=0)
     if not machine.places:
         raise input_error(
             "machine", "no places", "some, where effects can act", 'Name them: places={"spring": [1, -1]}.'
@@ -184,7 +186,7 @@ def _typical(machine: Machine, data: Experiment, hold: bool) -> list[AbstractEff
         x, v = (_rms(_seen(machine, p, kind), data, hold) for kind in ("position", "velocity"))
         force = _LEAST_FORCE * float(np.sqrt(np.mean(driving(data) ** 2))) * float(np.abs(machine.inputs).max())
         slow = max(machine.smoothing, _SLOW * v)
-        K = np.asarray(machine.matrices({n: p.start for n, p in machine.parameters.items()})[2], float)
+        K = np.asarray(machine.matrices_at({n: p.start for n, p in machine.parameters.items()})[2], float)
         swing = Swing(x, v, force, slow, sprung=bool(p @ K @ p > 0))
         each = (kind.of_swing(place, swing) for kind in kinds)
         found += [effect for effect in each if effect is not None]

@@ -14,7 +14,7 @@ import scipy.optimize
 import scipy.stats
 from jaxtyping import Bool, Complex, Float
 
-from .._arguments import expect
+from .._arguments import as_band, expect, expect_each, expect_number
 from .._errors import input_error
 from .._text import percent
 from .._threads import one_blas_thread
@@ -22,7 +22,7 @@ from .._types import require_x64
 from ..effects import AbstractEffect
 from ..experiment import QUANTITIES, Experiment
 from .model import Machine
-from .simulate import between, driving, motion, needed_steps, settling
+from .simulate import between, check_steps, driving, motion, needed_steps, settling
 
 FLOOR = 1e-3  # of the output's rms at a line: below it no model is right
 _REACH = np.log(1e4)  # that a positive parameter may move from its start
@@ -150,6 +150,8 @@ def fitted(
             f"{len(machine.outputs)} of {machine.inputs.shape[1]}",
             "Choose channels (names=), or correct inputs and outputs of the machine.",
         )
+    check_steps(settle, steps)
+    expect_number("floor", floor)
     lines, measured, sigma = measured_lines(machine, data, band, floor)
     used = np.ones(measured.shape[:2], bool) if used is None else np.asarray(used, bool)
     if used.shape != measured.shape[:2] or not used.any():
@@ -275,7 +277,9 @@ def measured_lines(machine: Machine, data: Experiment, band, floor: float):
     mean = Y.mean(axis=1) * factor
     power = np.abs(scipy.fft.rfft(driving(data), axis=1)) ** 2
     top = int(np.max(np.flatnonzero(power.sum(axis=(0, 2)) > 1e-4 * power.sum(axis=(0, 2)).max())))
-    low, high = band or ((0.0 if times > 0 else 1.0) * data.fs / data.period, _BEYOND * top * data.fs / data.period)
+    step = data.fs / data.period
+    usual = (0.0 if times > 0 else step, _BEYOND * top * step)
+    low, high = usual if band is None else as_band(band)
     lines = np.flatnonzero((omega >= 2 * np.pi * low) & (omega <= 2 * np.pi * high))
     lines = lines[lines > 0] if times <= 0 else lines
     if not lines.size:
@@ -343,6 +347,7 @@ def rank_effects(
     **Source:** F test between nested least-squares fits, (chi_0^2/chi_1^2 - 1) dof/more of the mean squares; this
     project's own order.
     """
+    expect_each("candidates", candidates, AbstractEffect, least=0)
     plain = fit_machine(machine, data, band=band, settle=settle, floor=floor, hold=hold)
     ranked = []
     for effect in candidates:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -10,10 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from .._arguments import expect, expect_number, expect_quantity, expect_real, said
 from .._errors import input_error
 from .._types import Array
 from ..effects import AbstractEffect
 from ..graybox import AbstractModel, Parameter
+from ..graybox.own import check_callable, told
 from ..graybox.parameter import as_parameters
 
 Values = Mapping[str, Array]
@@ -38,7 +40,8 @@ class Machine(AbstractModel):
     It is a gray-box model: `jaxfrf.fit` fits its linear part to an FRF; `jaxfrf.machine.fit_machine` all of it to the
     record.
 
-    **Raises:** `jaxfrf.InputError` for shapes that do not fit together, and effects at places that are not there.
+    **Raises:** `jaxfrf.InputError` for shapes that do not fit together, effects at places that are not there, and (in a
+    fit or simulation) for matrices of another shape, or names that are no parameters.
 
     **Source:** the equation above.
     """
@@ -64,6 +67,9 @@ class Machine(AbstractModel):
         effects: tuple[AbstractEffect, ...] = (),
         smoothing: float = 1e-2,
     ):
+        check_callable("matrices", matrices, "(values)", 1)
+        _check_kinds(inputs, outputs, {} if places is None else places, effects, smoothing)
+        expect_quantity("quantity", quantity)
         self.matrices = matrices
         self.parameters = as_parameters(parameters)
         self.inputs, self.outputs = np.atleast_2d(np.asarray(inputs, float)), np.atleast_2d(np.asarray(outputs, float))
@@ -83,10 +89,9 @@ class Machine(AbstractModel):
                 f"(dof, in), (out, dof) and (dof,) with {n} degrees of freedom",
                 "Correct the shapes.",
             )
-        if self.quantity not in ("position", "velocity", "acceleration"):
-            raise input_error("quantity", repr(self.quantity), "position, velocity or acceleration", "Choose one.")
 
     def _add(self, effect: AbstractEffect) -> None:
+        expect("effect", effect, AbstractEffect)
         if effect.joint not in self.places:
             known = ", ".join(self.places) or "none"
             raise input_error(
@@ -165,13 +170,39 @@ class Machine(AbstractModel):
             found.append(effect)
         return tuple(found)
 
+    def matrices_at(self, values: Mapping[str, Any]) -> tuple[Float[Array, "dof dof"], ...]:
+        """M, D and K at these values of its parameters.
+
+        **Raises:** `jaxfrf.InputError` where `matrices` gives anything else.
+        """
+        n, expected = len(self.inputs), "M, D and K, (dof, dof) each"
+        with told("matrices", values, expected):
+            made = tuple(jnp.asarray(x) for x in self.matrices(values))
+        if len(made) != 3 or any(x.shape != (n, n) for x in made):
+            shapes = ", ".join(str(x.shape) for x in made)
+            raise input_error("result of matrices", f"shapes {shapes}", f"{expected}: ({n}, {n})", "Return M, D, K.")
+        return made
+
     def response(self, frequency, values, point) -> Complex[Array, "freq out in"]:
         """G of the matrices alone, without the effects, under a held input's continuous equivalent: s^n C (M s^2 + D s
         + K)^-1 B."""
         s = 2j * jnp.pi * jnp.asarray(frequency)[:, None, None]
-        M, D, K = self.matrices(values)
+        M, D, K = self.matrices_at(values)
         G = self.outputs @ jnp.linalg.solve(M * s**2 + D * s + K, self.inputs + 0j)
         return G * s ** ("position", "velocity", "acceleration").index(self.quantity)
+
+
+def _check_kinds(inputs, outputs, places, effects, smoothing) -> None:
+    """Refuse arguments of a machine that are no numbers, or no such collections."""
+    expect_real("inputs", inputs)
+    expect_real("outputs", outputs)
+    expect_number("smoothing", smoothing)
+    if not isinstance(places, Mapping):
+        raise input_error("places", said(places), "a table {name: (dof,)}", 'E.g. {"spring": [1, -1]}.')
+    for name, place in places.items():
+        expect_real(f"place {name!r}", place)
+    if isinstance(effects, str) or not isinstance(effects, Iterable):
+        raise input_error("effects", said(effects), "a list of effects", "Leave it out for none.")
 
 
 def _with_numbers(effect: AbstractEffect, numbers: Mapping[str, Any]) -> AbstractEffect:

@@ -10,7 +10,7 @@ import scipy.interpolate
 import scipy.signal
 from jaxtyping import Float
 
-from .._arguments import expect
+from .._arguments import expect, expect_whole
 from .._errors import input_error
 from .._text import number
 from .._types import Array, require_x64
@@ -60,6 +60,7 @@ def simulate_machine(
     require_x64("A simulation")
     expect("machine", machine, Machine)
     expect("data", data, Experiment)
+    check_steps(settle, steps)
     values = {n: jnp.asarray(p.start) for n, p in machine.parameters.items()} if values is None else values
     before = 0
     if data.period:
@@ -67,6 +68,14 @@ def simulate_machine(
     steps = needed_steps(machine, values, data, before, hold) if steps is None else steps
     y = motion(machine, values, jnp.asarray(between(data, steps, hold)), data.fs, steps, before + 1)
     return y[:, -driving(data).shape[1] :]
+
+
+def check_steps(settle: int | None, steps: int | None) -> None:
+    """Refuse numbers of periods and steps that are none."""
+    if settle is not None:
+        expect_whole("settle", settle)
+    if steps is not None:
+        expect_whole("steps", steps, 1)
 
 
 def driving(data: Experiment) -> Float[np.ndarray, "exp time in"]:
@@ -94,7 +103,7 @@ def between(data: Experiment, steps: int, hold: bool) -> Float[np.ndarray, "exp 
 def settling(machine: Machine, values, duration: float, part: float) -> int:
     """Periods of `duration` s until the slowest mode of the matrices has fallen to `part`, from 1 to 50. Friction that
     an effect adds is not counted; what drifts (rigid motion without a damper) never settles and is not waited for."""
-    M, D, K = (np.asarray(x, float) for x in machine.matrices(values))
+    M, D, K = (np.asarray(x, float) for x in machine.matrices_at(values))
     n = len(M)
     state = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]])
     poles = np.linalg.eigvals(state)
@@ -144,7 +153,7 @@ def fine_steps(machine: Machine, values, fs: float, slopes=()) -> int:
 
     `slopes`: (effect, *run) of the effects' forces along a motion, whose rms is a spring to be followed, and the
     largest one that must not make it diverge."""
-    M, D, K = (np.asarray(x, float) for x in machine.matrices(values))
+    M, D, K = (np.asarray(x, float) for x in machine.matrices_at(values))
     usual, most = K, K
     for effect, slope in zip(machine.effects, slopes, strict=False):
         p = machine.places[str(effect.joint)]
@@ -182,14 +191,14 @@ def motion(machine: Machine, values, u: Float[Array, "exp time point in"], fs: f
 
 def _own(machine: Machine, values) -> list[Float[Array, ""]]:
     """Stiffness of the machine's own spring at the place of every effect."""
-    inverse = jnp.linalg.pinv(machine.matrices(values)[2])
+    inverse = jnp.linalg.pinv(machine.matrices_at(values)[2])
     places = (jnp.asarray(machine.places[str(e.joint)]) for e in machine.effects)
     return [1.0 / jnp.maximum(p @ inverse @ p, 1e-30) for p in places]
 
 
 def _run(machine: Machine, values, u, fs: float, steps: int, periods: int, seen):
     """What `seen(q, v, acceleration of q and v)` makes of the motion at every sample, (time, ..., exp)."""
-    M, D, K = machine.matrices(values)
+    M, D, K = machine.matrices_at(values)
     effects = [(e, jnp.asarray(machine.places[str(e.joint)])) for e in machine.effects_at(values)]
     own = _own(machine, values)
 

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool
 
+from .._arguments import expect_path, said
 from .._errors import input_error
 from .._files import replacing
 from .._types import Array, Frequency
@@ -36,8 +37,12 @@ def save(figure: Figure, path: str | os.PathLike) -> None:
 
     **Arguments:** `figure`: of matplotlib. `path`: of the file; pictures made of pixels have 200 of them an inch.
 
-    **Raises:** `jaxfrf.InputError` if matplotlib does not know the format, or the folder is not there.
+    **Raises:** `jaxfrf.InputError` if `figure` is none, matplotlib does not know the format, or the folder is not
+    there.
     """
+    expect_path("path", path)
+    if not hasattr(figure, "savefig"):
+        raise input_error("figure", said(figure), "a figure of matplotlib", "Functions of jaxfrf.plot give it first.")
     path = pathlib.Path(path)
     known = figure.canvas.get_supported_filetypes()
     if path.suffix.lower().lstrip(".") not in known:

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
-from .._arguments import expect, expect_probability
+from .._arguments import expect, expect_index, expect_probability
 from .._errors import input_error
 from .._status import SERIOUS
 from .._types import Array
@@ -48,8 +48,9 @@ def confidence_radius(frf: FRF, level: float = 0.95) -> Float[Array, "pos freq o
 
     **Source:** Pintelon & Schoukens 2012, System Identification, ch. 2.
 
-    **Raises:** `jaxfrf.InputError` for a level that is no probability.
+    **Raises:** `jaxfrf.InputError` if `frf` is none, and for a level that is no probability.
     """
+    expect("frf", frf, FRF)
     expect_probability("confidence", level)
     dof = np.asarray(frf.dof, float)
     quantile = scipy.stats.f.ppf(level, 2, 2 * np.where(dof > 0, dof, np.nan))
@@ -93,7 +94,7 @@ def bode(
     **Raises:** `jaxfrf.InputError` if an element or operating point does not exist, or the estimates do not
     fit together.
     """
-    frfs = list(frfs) if isinstance(frfs, Sequence) else [frfs]
+    frfs = list(frfs) if isinstance(frfs, Sequence) and not isinstance(frfs, str) else [frfs]
     for frf in frfs:
         expect("frfs", frf, FRF)
     labels = _labels(frfs) if labels is None else list(labels)
@@ -256,16 +257,20 @@ def _check(frfs: Sequence[FRF], labels: Sequence[str], elements, position: int) 
                 "estimates of the same outputs and inputs",
                 "Draw them in pictures of their own.",
             )
-        if not -f.n_pos <= position < f.n_pos:
-            raise input_error("position", f"{position}", f"one of {f.n_pos} (from 0)", "Choose another.")
-    for out, ref in elements or ():
-        if not (0 <= out < frfs[0].n_out and 0 <= ref < frfs[0].n_in):
+        expect_index("position", position, f.n_pos)
+    for element in () if elements is None else elements:
+        if not _is_element(element, frfs[0]):
             raise input_error(
                 "elements",
-                f"({out}, {ref})",
+                f"{element}",
                 f"(output, input), from (0, 0) to ({frfs[0].n_out - 1}, {frfs[0].n_in - 1})",
                 "Count from 0.",
             )
+
+
+def _is_element(element, frf: FRF) -> bool:
+    there = np.shape(element) == (2,) and zip(element, (frf.n_out, frf.n_in), strict=True)
+    return bool(there) and all(isinstance(k, int | np.integer) and 0 <= k < n for k, n in there)
 
 
 def _cells(frf: FRF, elements) -> list[list[tuple[int, int]]]:

@@ -4,6 +4,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from .._annotated import checked
 from ..calibration import Calibration, Number
 from ..io._optional import require
 from . import _style
@@ -13,6 +14,7 @@ _COLUMNS = 3
 _PER_CENT = 100.0
 
 
+@checked
 def numbers_found(found: Calibration, kinds: Sequence[str] | None = None, title: str = ""):
     """Draw every number as a change from what was given, per cent: grey what was known before (one and two standard
     deviations), a dot with its 95 % interval what is known now; hollow where the data did not tell it.
@@ -24,7 +26,7 @@ def numbers_found(found: Calibration, kinds: Sequence[str] | None = None, title:
 
     **Returns:** the figure, and its axes by kind.
 
-    **Raises:** `ImportError` without matplotlib.
+    **Raises:** `jaxfrf.InputError` if `found` is no calibration; `ImportError` without matplotlib.
     """
     determined = {n.name for n in found.numbers if found.determined_by(n.name) == "data"}
     return draw_numbers(found.numbers, found.x, found.half_width, determined, kinds=kinds, title=title)

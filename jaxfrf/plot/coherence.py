@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from .._arguments import expect_index
 from .._errors import input_error
 from .._types import Array, Frequency
 from ..io._optional import require
@@ -78,8 +79,7 @@ def _values(coherence, n_freq: int, position: int) -> np.ndarray:
             "(position, frequency, output)",
             "Transpose it.",
         )
-    if not -len(x) <= position < len(x):
-        raise input_error("position", f"{position}", f"one of {len(x)} (from 0)", "Choose another.")
+    expect_index("position", position, len(x))
     return x[position]
 
 

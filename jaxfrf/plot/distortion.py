@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from .._errors import input_error
+from .._annotated import checked
+from .._arguments import expect_index
 from ..frf import Distortion
 from ..io._optional import require
 from . import _style
@@ -11,6 +12,7 @@ _WIDTH, _HEIGHT, _GAP = 6.2, 2.1, 0.2  # inches of the axes
 _LEFT, _RIGHT, _BOTTOM = 0.62, 0.14, 0.46
 
 
+@checked
 def distortion(found: Distortion, *, position: int = 0, axes: _style.Axes | None = None, title: str = ""):
     """Draw the level of every output at one operating point, decibels, against frequency.
 
@@ -22,11 +24,10 @@ def distortion(found: Distortion, *, position: int = 0, axes: _style.Axes | None
 
     **Returns:** the figure, and its axes (out,).
 
-    **Raises:** `jaxfrf.InputError` if there is no such operating point.
+    **Raises:** `jaxfrf.InputError` if `found` is no distortion, or there is no such operating point.
     """
     n_pos, _, n_out = found.output.shape
-    if not -n_pos <= position < n_pos:
-        raise input_error("position", f"{position}", f"one of {n_pos} (from 0)", "Choose another.")
+    expect_index("position", position, n_pos)
     lines = require("matplotlib.lines", "plot")
     series = _series(found, position)
     handles = [lines.Line2D([], [], label=name, **{"ms": 3.4} | look) for name, _, _, look in series]

@@ -3,15 +3,24 @@
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Int
 
+from .._annotated import checked
+from .._arguments import expect_index, expect_whole
 from .._errors import input_error
 from .._text import number
+from .._types import Array
 from ..excitation import Reference, detection_lines, reference_levels
 from . import _style
 
 
+@checked
 def multisine(
-    reference: Reference, *, experiment: int = 0, channels: Sequence[int] | None = None, axes: _style.Axes | None = None
+    reference: Reference,
+    *,
+    experiment: int = 0,
+    channels: Sequence[int] | Int[Array, "channel"] | None = None,
+    axes: _style.Axes | None = None,
 ):
     """Speed over one steady period, and amplitude per line with the excited, slow and detection lines.
 
@@ -25,7 +34,8 @@ def multisine(
 
     **Returns:** the two axes; `axes[0].figure.savefig("design.png")` saves the picture.
 
-    **Raises:** `jaxfrf.InputError` if there is no such experiment or channel; `ImportError` without matplotlib.
+    **Raises:** `jaxfrf.InputError` if `reference` is none, or has no such experiment or channel; `ImportError` without
+    matplotlib.
     """
     channels = list(range(reference.n_in) if channels is None else channels)
     _check(reference, experiment, channels)
@@ -36,12 +46,12 @@ def multisine(
 
 
 def _check(reference: Reference, experiment: int, channels) -> None:
-    if not 0 <= experiment < reference.n_exp:
-        raise input_error("experiment", f"{experiment}", f"0 to {reference.n_exp - 1}", "Choose one that is there.")
+    expect_index("experiment", experiment, reference.n_exp)
     if not channels:
         raise input_error("channels", "none", "at least one input", "Leave it out to see all.")
     for channel in channels:
-        if not 0 <= channel < reference.n_in:
+        expect_whole("channels", channel)
+        if not channel < reference.n_in:
             raise input_error("channels", f"{channel}", f"0 to {reference.n_in - 1}", "Choose inputs that are there.")
 
 

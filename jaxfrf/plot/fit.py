@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Complex
 
-from .._arguments import expect
+from .._annotated import checked
+from .._arguments import expect, said
 from .._errors import input_error
 from .._text import number
 from .._types import Array
@@ -46,6 +47,8 @@ def fit_bode(
     """
     expect("measured", measured, FRF)
     _check([measured], ["measured"], elements, position)
+    if not isinstance(models, Mapping):
+        raise input_error("models", said(models), "a table {name: G}", "Name them, e.g. {'fit': G}.")
     for name, G in models.items():
         if np.shape(G) != np.shape(measured.G):
             raise input_error(
@@ -93,6 +96,7 @@ def _model_line(pair, frequency, g, colour: str) -> None:
     pair[1].plot(x, y, color=colour, lw=0.9, alpha=0.9, zorder=4)
 
 
+@checked
 def residual_maps(quality: Quality, positions: Sequence[int] | None = None):
     """Residuals over the noise, sqrt(chi-square), element by band and position by band; the errors in dB where the
     covariance is unknown.
@@ -102,7 +106,7 @@ def residual_maps(quality: Quality, positions: Sequence[int] | None = None):
 
     **Returns:** the figure and its two axes.
 
-    **Raises:** `ImportError` without matplotlib.
+    **Raises:** `jaxfrf.InputError` if `quality` is none; `ImportError` without matplotlib.
     """
     positions = range(len(quality.weighted)) if positions is None else positions
     return draw_residual_maps(
@@ -159,6 +163,7 @@ def _map(axis, values, edges, labels, name: str):
     return image
 
 
+@checked
 def start_paths(fitted: Fit):
     """Cost of every start over its steps, and where it ended beside the best.
 
@@ -166,7 +171,7 @@ def start_paths(fitted: Fit):
 
     **Returns:** the figure and its axes.
 
-    **Raises:** `ImportError` without matplotlib.
+    **Raises:** `jaxfrf.InputError` if `fitted` is none; `ImportError` without matplotlib.
     """
     return draw_start_paths([s.cost for s in fitted.starts], [s.path_cost for s in fitted.starts])
 
@@ -188,6 +193,7 @@ def draw_start_paths(costs: Sequence[float], paths: Sequence[Sequence[float] | n
     return figure, axis
 
 
+@checked
 def correlation_map(fitted: Fit):
     """Correlations of the fitted parameters.
 
@@ -195,7 +201,7 @@ def correlation_map(fitted: Fit):
 
     **Returns:** the figure and its axes.
 
-    **Raises:** `ImportError` without matplotlib.
+    **Raises:** `jaxfrf.InputError` if `fitted` is none; `ImportError` without matplotlib.
     """
     return draw_correlation_map(fitted.coordinates.names, fitted.uncertainty.correlation)
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from .._arguments import expect
+from .._arguments import expect_each
 from .._errors import input_error
 from .._text import number
 from ..frf import FRF
@@ -237,9 +237,9 @@ def gap_bode(frfs: Sequence[FRF], axis: int, position: int):
     **Raises:** `jaxfrf.InputError` where the measured FRF has no such axis or position, or a model is not of its lines
     and elements; `ImportError` without matplotlib.
     """
+    expect_each("frfs", frfs, FRF, least=2)
     measured, *models = frfs
     for name, model in zip(("before", "after"), models, strict=False):
-        expect(name, model, FRF)
         if np.shape(model.G) != np.shape(measured.G):
             raise input_error(
                 f"FRF {name}", f"shape {np.shape(model.G)}", f"{np.shape(measured.G)} as measured", "Take its lines."

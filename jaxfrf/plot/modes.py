@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from .._annotated import checked
 from .._text import NORMAL_95
 from ..frf import ModalModel
 from ..io._optional import require
@@ -12,6 +13,7 @@ _SIZE = (6.4, 4.2)  # inches
 _LEFT, _RIGHT, _BOTTOM = 0.62, 0.6, 0.46
 
 
+@checked
 def stabilisation(model: ModalModel, *, axes: _style.Axes | None = None, title: str = ""):
     """Draw the poles of every order at their frequency (filled: the order below had them), over the root of the sum of
     squares of all elements, measured and of the modes; the modes that were taken as lines, with their 95 % intervals.
@@ -21,7 +23,7 @@ def stabilisation(model: ModalModel, *, axes: _style.Axes | None = None, title: 
 
     **Returns:** the figure and its two axes (magnitude, order).
 
-    **Raises:** `ImportError` without matplotlib.
+    **Raises:** `jaxfrf.InputError` if `model` is none; `ImportError` without matplotlib.
     """
     handles = _legend()
     if axes is None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from .._annotated import checked
 from .._errors import input_error
 from ..graybox.positions import PositionPlan
 from ..io._optional import require
@@ -11,6 +12,7 @@ _WIDTH, _HEIGHT = 3.2, 2.9  # inches of an axes
 _LEFT, _BETWEEN, _RIGHT, _BOTTOM = 0.62, 0.62, 0.14, 0.46
 
 
+@checked
 def plan(plan: PositionPlan, *, axes: _style.Axes | None = None, title: str = ""):
     """Draw the expected standard deviation against the number of positions, one axes for each kind of parameter.
 
@@ -22,7 +24,7 @@ def plan(plan: PositionPlan, *, axes: _style.Axes | None = None, title: str = ""
 
     **Returns:** the figure, and its axes.
 
-    **Raises:** `jaxfrf.InputError` for another number of axes.
+    **Raises:** `jaxfrf.InputError` if `plan` is none, and for another number of axes.
     """
     kinds = _kinds(plan)
     owners = list(dict.fromkeys(owner for rows in kinds.values() for owner, _ in rows))

@@ -4,8 +4,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
+from .._annotated import checked
+from .._arguments import expect_index, expect_whole
 from .._errors import input_error
+from .._types import Array
 from ..io._optional import require
 from ..spectra import Spectra
 from ..units import input_unit, output_unit
@@ -29,12 +33,13 @@ _ODD = _Look("unexcited odd lines", _style.COLOURS[1], "^")
 _NOISE = _Look("noise (std of the mean)", "#777777", ".")
 
 
+@checked
 def spectrum(
     spectra: Spectra,
     unexcited: Spectra | None = None,
     *,
     position: int = 0,
-    channels: Sequence[int] | None = None,
+    channels: Sequence[int] | Int[Array, "channel"] | None = None,
     axes: _style.Axes | None = None,
     title: str = "",
 ):
@@ -57,14 +62,15 @@ def spectrum(
     **Returns:** the figure, and its axes (signal, channel); panels of channels that a signal does not have
     are hidden.
 
-    **Raises:** `jaxfrf.InputError` if a channel or operating point does not exist.
+    **Raises:** `jaxfrf.InputError` if `spectra` are none, and if a channel or operating point does not exist.
     """
-    if not -spectra.n_pos <= position < spectra.n_pos:
-        raise input_error("position", f"{position}", f"one of {spectra.n_pos} (from 0)", "Choose another.")
+    expect_index("position", position, spectra.n_pos)
     signals = [name for name in ("R", "U", "Y") if getattr(spectra, name) is not None]
     most = max(getattr(spectra, name).shape[-1] for name in signals)
     channels = list(range(most)) if channels is None else list(channels)
-    if not channels or min(channels) < 0 or max(channels) >= most:
+    for channel in channels:
+        expect_whole("channels", channel)
+    if not channels or max(channels) >= most:
         raise input_error("channels", f"{channels}", f"some of 0 to {most - 1}", "Count from 0.")
     panels = [[_levels(spectra, unexcited, s, c, position) for c in channels] for s in signals]
     looks = [look for look in (_EXCITED, _ODD, _EVEN, _NOISE) if any(look in p for row in panels for p in row if p)]

@@ -1,8 +1,7 @@
 """The quantities that a motor's motion can be stated as."""
 
-from .._errors import input_error
-
-_DERIVATIVES = {"position": 0, "velocity": 1, "acceleration": 2}
+from .._arguments import expect_quantity
+from ..units import QUANTITIES
 
 
 def derivatives(quantity: str) -> int:
@@ -10,6 +9,5 @@ def derivatives(quantity: str) -> int:
 
     **Raises:** `jaxfrf.InputError` for another name than position, velocity or acceleration.
     """
-    if quantity not in _DERIVATIVES:
-        raise input_error("quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them.")
-    return _DERIVATIVES[quantity]
+    expect_quantity("quantity", quantity)
+    return QUANTITIES[quantity]

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import scipy  # its modules load when they are used: scipy.signal alone takes a second
 
-from .._arguments import expect, expect_real, expect_whole
+from .._arguments import as_band, expect, expect_real, expect_whole
 from .._errors import input_error
 from .._text import number, percent
 from ..experiment import Experiment, rebuilt
@@ -20,7 +20,7 @@ _AT_ENDS = 0.01  # power left by the taper, over that of the whole record, below
 _BESIDE = 20  # lines on either side, over which that is looked at
 
 
-def record_spectra(data: Experiment, band: tuple[float, float] | None = None) -> Spectra:
+def record_spectra(data: Experiment, band: tuple[float | None, float | None] | None = None) -> Spectra:
     """Spectra of the whole record, for data that are not periodic: all DFT lines of the record in `band` (Hz).
 
     Leakage makes Y = G U + T with a transient T that is smooth in frequency: only estimators with a transient term
@@ -35,7 +35,7 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     (1e-24).
 
     **Arguments:** `data`: of any kind; its period and transient periods are not used. `band`: lowest and highest
-    frequency, Hz, both included; the whole range by default.
+    frequency, Hz, both included, `None` at an end: open; the whole range by default.
 
     **Returns:** `Spectra` at multiples of fs/n_time Hz, with `periodic` false and without noise covariance.
 
@@ -53,12 +53,12 @@ def record_spectra(data: Experiment, band: tuple[float, float] | None = None) ->
     if band is None:
         k = k[strong & ~_ends_alone(whole, k)]
     else:
-        f = k * data.fs / n
-        k = k[(f >= band[0]) & (f <= band[1]) & strong]
+        f, (low, high) = k * data.fs / n, as_band(band, data.fs / 2)
+        k = k[(f >= low) & (f <= high) & strong]
         if k.size == 0:
             raise input_error(
                 "band",
-                f"{band[0]:g} to {band[1]:g} Hz",
+                f"{low:g} to {high:g} Hz",
                 f"a band that holds excited lines between {number(data.fs / n, 4)} and {data.fs / 2:g} Hz",
                 "Widen the band.",
             )

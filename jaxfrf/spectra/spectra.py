@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from .._arguments import expect
+from .._arguments import as_band, expect, expect_quantity, expect_whole
 from .._errors import input_error
 from .._text import number
 from .._types import Array
@@ -85,16 +85,17 @@ class Spectra(eqx.Module):
         return self.n_exp // self.n_in
 
 
-def select_band(spectra: Spectra, low: float, high: float) -> Spectra:
+def select_band(spectra: Spectra, low: float | None, high: float | None) -> Spectra:
     """The same spectra at the lines from `low` to `high` (Hz) only.
 
-    **Arguments:** `spectra`: (pos, exp, freq, channel). `low`, `high`: Hz, both included.
+    **Arguments:** `spectra`: (pos, exp, freq, channel). `low`, `high`: Hz, both included; `None`: open.
 
     **Returns:** `Spectra` with fewer lines, and nothing else changed.
 
-    **Raises:** `jaxfrf.InputError` if `spectra` are none, or no line is left.
+    **Raises:** `jaxfrf.InputError` if `spectra` are none, for ends that are no numbers, or if no line is left.
     """
     expect("spectra", spectra, Spectra)
+    low, high = as_band((low, high))
     inside = (spectra.frequency >= low) & (spectra.frequency <= high)
     if not inside.any():
         raise input_error(
@@ -151,8 +152,11 @@ def differentiate(
 
     **Returns:** (*batch, freq, channel), unit of `X` by s^-`times`.
 
+    **Raises:** `jaxfrf.InputError` for `times` that are no whole number.
+
     **Source:** closed form.
     """
+    expect_whole("times", times, None)
     return X * ((1j * np.asarray(omega)) ** times)[:, None]
 
 
@@ -169,8 +173,7 @@ def with_output_quantity(spectra: Spectra, quantity: str) -> Spectra:
     **Source:** closed form.
     """
     expect("spectra", spectra, Spectra)
-    if quantity not in QUANTITIES:
-        raise input_error("quantity", repr(quantity), "position, velocity or acceleration", "Choose one of them.")
+    expect_quantity("quantity", quantity)
     times = QUANTITIES[quantity] - QUANTITIES[spectra.y_quantity]
     factor = (2j * np.pi * np.asarray(spectra.frequency)) ** times
     noise = spectra.noise

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .._arguments import expect
+from .._arguments import as_band, expect
 from .._errors import input_error
 from .._text import counted, number
 from ..experiment import Experiment, how_to_set, seen_period
@@ -74,14 +74,14 @@ def period_advice(data: Experiment) -> str:
     return f"{seen[0]} repeats every {seen[1].period} samples: {how_to_set(data.n_time, seen[1].period)}."
 
 
-def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None) -> Spectra:
+def unexcited_spectra(data: Experiment, band: tuple[float | None, float | None] | None = None) -> Spectra:
     """Spectra of the mean steady period at the *unexcited* lines (detection lines) of the excited band, or `band` (Hz).
 
     What stands there is noise and nonlinear distortion: even lines show even, odd lines odd nonlinearity.
     In closed loop it is the loop's reaction too; `jaxfrf.distortion` subtracts G U first.
 
-    **Arguments:** `data`: periodic. `band`: lowest and highest frequency, Hz, both included; by default from the first
-    to the last excited line.
+    **Arguments:** `data`: periodic. `band`: lowest and highest frequency, Hz, both included, `None` at an end: open; by
+    default from the first to the last excited line.
 
     **Returns:** `Spectra` at these lines, coefficients in the units of `data`, with the noise between periods where
     there are two.
@@ -93,7 +93,8 @@ def unexcited_spectra(data: Experiment, band: tuple[float, float] | None = None)
     expect("data", data, Experiment)
     _check_periodic(data)
     excited = known_lines(data)
-    low, high = np.asarray(excited)[[0, -1]] * data.fs / data.period if band is None else band
+    usual = np.asarray(excited)[[0, -1]] * data.fs / data.period
+    low, high = usual if band is None else as_band(band, data.fs / 2)
     k = np.arange(1, (data.period - 1) // 2 + 1)
     f = k * data.fs / data.period
     k = k[(f >= low) & (f <= high) & ~np.isin(k, excited)]

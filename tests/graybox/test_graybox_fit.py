@@ -568,6 +568,11 @@ class TestFit:
         assert set(found.coordinates.names) == {"k", "d", "tau"} and set(found.std) == {"k", "d", "tau"}
         np.testing.assert_allclose([found.values[n] for n in ("k", "k2", "f", "d")], [120, 120, 0.6, 0.4], rtol=1e-8)
 
+    def test_one_name_is_no_list_of_letters(self):
+        model = jf.GrayBox(lambda w, v: w, {"k": 1.0, "d": 1.0, "kd": 1.0})
+        assert Coordinates(jf.graybox.fix(model, "kd").parameters).names == ("d", "k")
+        assert Coordinates(jf.graybox.fix(model, "k*").parameters).names == ("d",)
+
     def test_slope_of_a_shared_parameter(self, measured):
         """Both places where the value stands count in the Jacobian."""
 
@@ -729,6 +734,22 @@ class TestBadInput:
     def test_model_without_a_frequency_axis(self, measured):
         with pytest.raises(jf.InputError, match="freq, out, in"):
             jf.fit(jf.GrayBox(lambda w, v, q: jnp.ones((2, 2)) * v["k"], drive().parameters), measured)
+
+    @pytest.mark.parametrize(
+        ("wrong", "says", "cause"),
+        [
+            (lambda w, v: np.exp(v["k"]) * w, "written in jax.numpy", jax.errors.TracerArrayConversionError),
+            (lambda w, v: w if v["k"] > 1.0 else -w, "jnp.where", jax.errors.TracerBoolConversionError),
+            (lambda w, v: w * float(v["k"]), "Leave float", jax.errors.ConcretizationTypeError),
+            (lambda w, v: w * v["kk"], "'kk'; expected one of .*Did you mean 'k'", KeyError),
+            (lambda w, v: w @ jnp.ones(3), "model: found TypeError: ", TypeError),
+            (lambda w, v: None, "result of the model: found None", type(None)),
+        ],
+    )
+    def test_a_mistake_in_a_model_of_ones_own(self, measured, wrong, says, cause):
+        with pytest.raises(jf.InputError, match=says) as caught:
+            jf.fit(jf.GrayBox(wrong, drive().parameters), measured)
+        assert isinstance(caught.value.__cause__, cause)
 
     def test_solver_by_name(self, measured):
         with pytest.raises(jf.InputError, match="solver"):

@@ -133,6 +133,11 @@ def test_without_covariance(fitted):
     assert len(found.worst()) == 5 and "noise" not in found.worst()[0]
 
 
+def test_bands_are_whole(fitted):
+    with pytest.raises(jf.InputError, match=r"bands: found 1\.5; expected a whole number, 1 or more"):
+        quality(fitted, noisy(), bands=1.5)
+
+
 def test_other_lines_are_refused(fitted):
     with pytest.raises(jf.InputError, match=r"G: found shape .*expected .*as the FRF"):
         response_quality(TRUTH[:-1], noisy())

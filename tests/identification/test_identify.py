@@ -244,7 +244,7 @@ REFUSED = {
     "heldout": (["--heldout", "0,9"], r"heldout: found positions 0, 9 of 3; expected some of 0 to 2"),
     "all held": (["--heldout", "0,1,2"], r"heldout: found positions 0, 1, 2 of 3"),
     "no number": (["--heldout", "two"], r"--heldout: found 'two'; expected numbers"),
-    "band": (["--band", "50:20"], r"band: found 50 to 20 Hz; expected a low end below"),
+    "band": (["--band", "50:20"], r"band: found \(50.0, 20.0\); expected the lower and the upper end"),
     "not simulated": (["--free", "elbow.torque_gain"], r"parameters to fit: found elbow\.torque_gain"),
     "method": (["--method", "h3"], r"method: found 'h3'"),
     "starts": (["--starts", "0"], r"starts and rounds: found 0 and 12"),
