@@ -49,7 +49,7 @@ def expect_each(name: str, values: Any, kind: type) -> None:
 def expect_path(name: str, value: Any) -> None:
     """Refuse what names no file."""
     if not isinstance(value, str | os.PathLike):
-        raise input_error(name, said(value), "the name of a file", "Give it as text or a pathlib.Path.")
+        raise input_error(name, said(value), "the name of a file", "Give text or a pathlib.Path; check the order.")
 
 
 def expect_text(name: str, value: Any) -> None:

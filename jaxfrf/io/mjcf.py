@@ -45,15 +45,15 @@ def mjcf(robot: Robot, friction: bool = False, timestep: float = 1e-4) -> str:
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def write_mjcf(robot: Robot, path: str | os.PathLike, friction: bool = False, timestep: float = 1e-4) -> None:
+def write_mjcf(path: str | os.PathLike, robot: Robot, friction: bool = False, timestep: float = 1e-4) -> None:
     """Write `mjcf(robot)` to a file. Nothing half written is left.
 
-    **Arguments:** `path`: of the XML file. `friction`, `timestep` (s): as of `mjcf`.
+    **Arguments:** `path`: of the XML file. `robot`, `friction`, `timestep` (s): as of `mjcf`.
 
     **Raises:** as `mjcf`, and `jaxfrf.InputError` if the folder is not there.
     """
-    expect("robot", robot, Robot)
     expect_path("path", path)
+    expect("robot", robot, Robot)
     with replacing(pathlib.Path(path)) as draft:
         draft.write_text(mjcf(robot, friction, timestep), encoding="utf-8")
 

@@ -61,9 +61,9 @@ class TestToml:
         robot = jr.robot_from_table(table)
         assert robot.effects[0].name == "torque_ripple" and robot.effects[0].order == (1, 2)
         assert robot.effects[1].delay == 3e-4 and robot.springs.backlash[3] == 1e-4
-        write_robot(robot, tmp_path / "robot.toml")
+        write_robot(tmp_path / "robot.toml", robot)
         assert same(read_robot(tmp_path / "robot.toml"), robot)
-        write_robot(jr.r3x(), tmp_path / "robot.toml")
+        write_robot(tmp_path / "robot.toml", jr.r3x())
         assert same(read_robot(tmp_path / "robot.toml"), jr.r3x())
         assert [path.name for path in tmp_path.iterdir()] == ["robot.toml"]
 
@@ -72,7 +72,7 @@ class TestToml:
         path.write_text("kept")
         monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
         with pytest.raises(OSError, match="disk full"):
-            write_robot(jr.r3x(), path)
+            write_robot(path, jr.r3x())
         assert [p.name for p in tmp_path.iterdir()] == ["robot.toml"] and path.read_text() == "kept"
 
     def test_one_joint_and_no_controller(self, table):
@@ -297,7 +297,7 @@ class TestURDF:
 class TestMJCF:
     def test_file(self, tmp_path):
         robot = jr.with_parameters(jr.r3x(), {n: 1.0 for n in jr.parameters(jr.r3x(), ["stiffness_ratio"])})
-        write_mjcf(robot, tmp_path / "r3x.xml")
+        write_mjcf(tmp_path / "r3x.xml", robot)
         model = mujoco.MjModel.from_xml_path(str(tmp_path / "r3x.xml"))
         assert model.nq == 14 and model.nu == 6 and model.ntendon == 6
         np.testing.assert_allclose(model.actuator_ctrlrange[:, 1], robot.drives.torque_limit)
