@@ -136,7 +136,7 @@ def frf_from_uff(sets: Iterable[Mapping], *, sources: Sequence[Source] = (), whe
     )
 
 
-def _responses(sets: Sequence[Mapping]) -> Iterable[dict]:
+def _responses(sets: Sequence[Mapping]) -> Iterable[Mapping]:
     """The FRFs, each with what a length and a force of it are divided by: the dataset 164 before it says so, or the
     first of a file that begins without one."""
     units = next((s for s in sets if s.get("type") == 164), {})

@@ -13,6 +13,7 @@ from mujoco_reference import MuJoCoRobot
 
 import jaxfrf.robot as jr
 from jaxfrf import InputError
+from jaxfrf.effects import Backlash, TorqueDelay
 from jaxfrf.io.mjcf import mjcf, write_mjcf
 from jaxfrf.io.robots import read_robot, toml_text, write_robot
 from jaxfrf.io.urdf import read_urdf
@@ -304,7 +305,7 @@ class TestMJCF:
 
     def test_friction(self):
         robot = jr.with_parameters(jr.r3x(), {n: 1.0 for n in jr.parameters(jr.r3x(), ["stiffness_ratio"])})
-        model = mujoco.MjModel.from_xml_string(mjcf(robot, friction=True))
+        model = mujoco.MjModel.from_xml_string(mjcf(robot))
         motors = [model.joint(f"motor:{name}").dofadr[0] for name in robot.axis_names]
         np.testing.assert_allclose(model.dof_frictionloss[motors], robot.drives.friction.coulomb)
         np.testing.assert_allclose(model.dof_damping[motors], robot.drives.friction.viscous)
@@ -330,6 +331,10 @@ class TestMJCF:
         with pytest.raises(InputError, match="springs: found nonlinear ones"):
             mjcf(jr.r3x())
         linear = jr.with_parameters(jr.r3x(), {n: 1.0 for n in jr.parameters(jr.r3x(), ["stiffness_ratio"])})
+        with pytest.raises(InputError, match=r"R3X: effects: found torque_delay; .* effects=\(\)\)"):
+            mjcf(linear.with_effects(TorqueDelay(0, 1e-4), TorqueDelay(1, 1e-4)))
+        with pytest.raises(InputError, match="springs: found play"):
+            mjcf(linear.with_effects(Backlash(0, 1e-4)))
         with pytest.raises(InputError, match="joint6: found a massless link at the tip"):
             mjcf(jr.with_parameters(linear, {"joint6.mass": 0.0, "joint6.inertia": jnp.zeros(6)}))
         with pytest.raises(InputError, match="joint6: found mass 10 kg and principal inertias"):
