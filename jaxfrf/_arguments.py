@@ -128,6 +128,7 @@ def _kind(value: Any) -> str:
 
 def said(value: Any) -> str:
     """A value in a message."""
+    value = value.item() if isinstance(value, np.generic) else value
     if hasattr(value, "shape") and hasattr(value, "dtype"):
         return f"an array of shape {value.shape}"
     if value is None or isinstance(value, str | int | float):
