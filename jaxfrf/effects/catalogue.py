@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from .._errors import input_error
+from .._errors import InputError, input_error
 from .._text import nearest, shortened
 from .effect import AbstractEffect
-
 
 _LARGEST = sys.float_info.max
 _EXPECTED = {None: "a number, or a list of numbers", "": "a number"}
@@ -61,7 +60,10 @@ def effect_from_table(
     joint = table.get("joint", "")
     if joint == "" and options["joint"].default is inspect.Parameter.empty:
         raise input_error(f"{where}: joint", "nothing", "the name of a driven joint", 'Add joint = "..." there.')
-    return kind(joint=joint, **arguments)
+    try:
+        return kind(joint=joint, **arguments)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
 
 
 def effect_to_table(effect: AbstractEffect, joint: str) -> dict[str, Any]:

@@ -70,8 +70,8 @@ class ResolverRipple(AbstractSensor):
 class EncoderQuantisation(AbstractSensor):
     """The encoder counts, round(theta/resolution) resolution.
 
-    **Arguments:** `joint`: a driven joint, name or number. `resolution`: rad, motor side, above 0; 2 pi/2^13 is visible. It has
-    no derivative.
+    **Arguments:** `joint`: a driven joint, name or number. `resolution`: rad, motor side, above 0; 2 pi/2^13 is
+    visible. It has no derivative.
 
     In data: noise that grows as f^2 in the acceleration, without structure in G. In the linearised robot: not at
     all.

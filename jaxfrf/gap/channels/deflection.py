@@ -27,8 +27,8 @@ from ...effects import (
 from ...effects._place import axis_of
 from ...experiment import Experiment
 from ...robot import Robot, parameters, robot_from_table
-from ...robot.parameters import with_values
 from ...robot.equations import arm_angles, gear_angles
+from ...robot.parameters import with_values
 from ...trajectory.rigid_motion import MeasuredMotion, held, smooth
 from ..settings import DEFLECTION, DEFLECTION_CUTOFF, DEFLECTION_DROP, SMALLEST
 from .channel import Rows
