@@ -3,7 +3,7 @@
 import re
 import typing
 
-from ._arguments import expect_text, expect_whole
+from . import _arguments
 
 QUANTITIES = {"position": 0, "velocity": 1, "acceleration": 2}
 """How many times each quantity is the time derivative of a position."""
@@ -70,7 +70,7 @@ def known_unit(text: str) -> tuple[str, float] | None:
 
     **Raises:** `jaxfrf.InputError` for what is no text.
     """
-    expect_text("unit", text)
+    _arguments.expect_text("unit", text)
     plain = text.replace("\u03bc", "\u00b5").strip().strip("[]()").strip()  # the Greek letter for the sign of micro
     if plain in _EITHER:
         return None
@@ -98,8 +98,8 @@ def differentiated(unit: str, times: int) -> str:
 
     **Raises:** `jaxfrf.InputError` for a unit that is no text, or `times` that is no whole number.
     """
-    expect_text("unit", unit)
-    expect_whole("times", times, None)
+    _arguments.expect_text("unit", unit)
+    _arguments.expect_whole("times", times, None)
     for ladder in _LADDERS:
         if unit in ladder and 0 <= ladder.index(unit) + times < len(ladder):
             return ladder[ladder.index(unit) + times]

@@ -31,7 +31,7 @@ import pathlib
 from typing import Any
 
 from .. import __version__
-from .._arguments import expect, expect_path
+from .._arguments import expect_path, said
 from .._errors import input_error
 from .._text import NORMAL_95
 from ..effects import AbstractEffect
@@ -48,10 +48,9 @@ def write_gap(path: str | os.PathLike, diagnosis: Any) -> None:
 
     **Raises:** `jaxfrf.InputError` if `diagnosis` is none, or the folder is not there.
     """
-    from ..gap import Diagnosis
-
     expect_path("path", path)
-    expect("diagnosis", diagnosis, Diagnosis)
+    if not all(hasattr(diagnosis, name) for name in _NEEDED):
+        raise input_error("diagnosis", said(diagnosis), "a jaxfrf.gap.Diagnosis", "Make one: jaxfrf.gap.diagnose(...).")
     write_json(path, gap_contents(diagnosis))
 
 
