@@ -95,7 +95,7 @@ def _as_array(kind: Any, value: Any) -> Any:
     if not arrays or any(one not in arrays and one not in (float, int, types.NoneType) for one in kinds):
         return value
     array = np.asarray(value)
-    whole = any(str(dtype).startswith(("int", "bool")) for one in arrays for dtype in one.dtypes)
+    whole = any(str(dtype).startswith(("int", "uint", "bool")) for one in arrays for dtype in one.dtypes)
     return array if whole or array.dtype.kind == "c" else array.astype(float)
 
 
