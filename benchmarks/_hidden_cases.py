@@ -63,7 +63,7 @@ def make(case: Case, folder, processes: int = 2, plant: Plant | None = None) -> 
     draft = pathlib.Path(tempfile.mkdtemp(prefix=f".{case.name}-", dir=place.parent))
     try:
         write(draft / "data.nc", data)
-        write_robot(known, draft / "robot.toml")
+        write_robot(draft / "robot.toml", known)
         draft.chmod(0o755)
         write_json(truth, described)
         if place.exists():

@@ -179,7 +179,7 @@ def _model(robot, step: float, integrator: str, stick: float) -> str:
     linear = dataclasses.replace(
         robot.springs, stiffness_ratio=np.ones_like(robot.springs.stiffness_ratio), backlash=None
     )
-    root = ET.fromstring(mjcf(dataclasses.replace(robot, springs=linear), friction=True, timestep=step))
+    root = ET.fromstring(mjcf(dataclasses.replace(robot, springs=linear, effects=()), timestep=step))
     option = root.find("option")
     # PGS: the friction of motors behind springs is uncoupled, so that two of its cheap sweeps are exact.
     for name, value in {"integrator": integrator, "solver": "PGS", "jacobian": "dense", "tolerance": "1e-10"}.items():

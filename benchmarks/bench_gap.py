@@ -221,7 +221,7 @@ def _diagnosed(case: Case, folder: pathlib.Path, result: pathlib.Path, refits: b
     found |= {"wall_s": time.monotonic() - start, "peak_mb": _peak_mb()}
     if diagnosed is not None and _names(found):
         (folder / "extended").mkdir(exist_ok=True)
-        write_robot(diagnosed.found.extended, folder / "extended" / f"{case.name}.toml")
+        write_robot(folder / "extended" / f"{case.name}.toml", diagnosed.found.extended)
     truth = json.loads((folder / "truth" / f"{case.name}.json").read_text())
     if refits and case.kind in ("single", "double") and diagnosed is not None:
         found["oracle"] = _oracle(diagnosed, truth["effects"])

@@ -68,8 +68,8 @@ def _run(given) -> int:
         check_alone(given)
         check_inputs(given)
         summary = given.run(given)
-    code = summary.pop("code", 0)
-    _print(_as_json(summary.pop("json", summary)) if given.json else "\n".join(summary["text"]))
+    code, text = summary.pop("code", 0), summary.pop("text")
+    _print(_as_json(summary.pop("json", summary)) if given.json else "\n".join(text))
     return code
 
 

@@ -24,19 +24,21 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
 
     Looked at are classes, texts, collections and arrays (jaxtyping): real or complex numbers, of as many axes, and axes
     of one name as long in all arguments. What has `axis_lengths` (a robot: its joints, axes, springs) says how long
-    axes of these names are. Arrays that JAX traces are looked at, too, while it traces.
+    axes of these names are. Arrays that JAX traces are looked at, too, while it traces; lists become arrays.
     """
     signature = inspect.signature(function)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
         try:
-            given = signature.bind(*args, **kwargs).arguments
+            bound = signature.bind(*args, **kwargs)
         except TypeError:
             return function(*args, **kwargs)  # Python says what is missing or too many
+        given = bound.arguments
         kinds = {name: signature.parameters[name].annotation for name in given}
         _check({name: (kinds[name], value) for name, value in given.items()})
-        return function(*args, **kwargs)
+        given |= {name: _as_array(kinds[name], x) for name, x in given.items() if isinstance(x, list | tuple)}
+        return function(*bound.args, **bound.kwargs)
 
     return call
 
@@ -84,6 +86,17 @@ def _called(base: type) -> str:
     listed = dict.fromkeys((collections.abc.Iterable, collections.abc.Sequence), "a list")
     room = ".".join(base.__module__.split(".")[:2])
     return (plain | listed).get(base, f"a {room}.{base.__name__}")
+
+
+def _as_array(kind: Any, value: Any) -> Any:
+    """A list where nothing but arrays and numbers are expected."""
+    kinds = typing.get_args(kind) if typing.get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
+    arrays = [one for one in kinds if hasattr(one, "dim_str")]
+    if not arrays or any(one not in arrays and one not in (float, int, types.NoneType) for one in kinds):
+        return value
+    array = np.asarray(value)
+    whole = any(str(dtype).startswith(("int", "uint", "bool")) for one in arrays for dtype in one.dtypes)
+    return array if whole or array.dtype.kind == "c" else array.astype(float)
 
 
 def _expected_array(kind: Any, value: Any, lengths: dict[str, int]) -> list[str]:

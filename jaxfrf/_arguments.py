@@ -9,7 +9,6 @@ import numpy as np
 
 from ._errors import InputError, input_error
 from ._text import shortened
-from .units import QUANTITIES
 
 _LARGEST = 2**53  # whole numbers that a float holds
 
@@ -59,7 +58,7 @@ def expect_callable(name: str, value: Any) -> None:
 def expect_path(name: str, value: Any) -> None:
     """Refuse what names no file."""
     if not isinstance(value, str | os.PathLike):
-        raise input_error(name, said(value), "the name of a file", "Give it as text or a pathlib.Path.")
+        raise input_error(name, said(value), "the name of a file", "Give text or a pathlib.Path; check the order.")
 
 
 def expect_text(name: str, value: Any) -> None:
@@ -96,12 +95,6 @@ def expect_number(name: str, value: Any) -> None:
     """Refuse what is not one finite real number."""
     if not _is_real(value) or np.ndim(value):
         raise input_error(name, said(value), "a finite real number", "Check it.")
-
-
-def expect_quantity(name: str, value: Any) -> None:
-    """Refuse what is no quantity of a motion."""
-    if not isinstance(value, str) or value not in QUANTITIES:
-        raise input_error(name, said(value), "position, velocity or acceleration", "Choose one of them.")
 
 
 def as_band(value: Any, highest: float = np.inf) -> tuple[float, float]:
@@ -170,6 +163,7 @@ def _kind(value: Any) -> str:
 
 def said(value: Any) -> str:
     """A value in a message."""
+    value = value.item() if isinstance(value, np.generic) else value
     if hasattr(value, "shape") and hasattr(value, "dtype"):
         return f"an array of shape {value.shape}"
     if value is None or isinstance(value, str | int | float):

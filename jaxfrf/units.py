@@ -3,6 +3,9 @@
 import re
 import typing
 
+from . import _arguments
+from ._errors import input_error
+
 QUANTITIES = {"position": 0, "velocity": 1, "acceleration": 2}
 """How many times each quantity is the time derivative of a position."""
 
@@ -65,11 +68,15 @@ def known_unit(text: str) -> tuple[str, float] | None:
     **Arguments:** `text`: e.g. `deg/s`, `[mA]`, `rpm`.
 
     **Returns:** e.g. (`rad/s`, 0.0174533).
+
+    **Raises:** `jaxfrf.InputError` for what is no text.
     """
+    _arguments.expect_text("unit", text)
     plain = text.replace("\u03bc", "\u00b5").strip().strip("[]()").strip()  # the Greek letter for the sign of micro
     if plain in _EITHER:
         return None
-    return _EXACT.get(plain) or _KNOWN.get(re.sub(r"\s+", "", plain).lower())
+    joined = re.sub(r"\s+", "", plain)
+    return _EXACT.get(joined) or _KNOWN.get(joined.lower())
 
 
 def quantity_of(unit: str) -> str | None:
@@ -83,18 +90,33 @@ def quantity_of(unit: str) -> str | None:
     return None
 
 
+def expect_quantity(name: str, value: typing.Any) -> None:
+    """Refuse what is no quantity of a motion.
+
+    **Arguments:** `name`: of the argument. `value`: its value.
+
+    **Raises:** `jaxfrf.InputError` for anything else than `position`, `velocity` or `acceleration`.
+    """
+    if not isinstance(value, str) or value not in QUANTITIES:
+        raise input_error(name, _arguments.said(value), "position, velocity or acceleration", "Choose one of them.")
+
+
 def differentiated(unit: str, times: int) -> str:
     """The unit of the `times`-th time derivative (negative: integral).
 
     **Arguments:** `unit`: in SI, as text. `times`: how often.
 
     **Returns:** e.g. `rad/s^2` of `rad` and 2.
+
+    **Raises:** `jaxfrf.InputError` for a unit that is no text, or `times` that is no whole number.
     """
+    _arguments.expect_text("unit", unit)
+    _arguments.expect_whole("times", times, None)
     for ladder in _LADDERS:
         if unit in ladder and 0 <= ladder.index(unit) + times < len(ladder):
             return ladder[ladder.index(unit) + times]
-    power = {1: " s", 2: " s^2", -1: "/s", -2: "/s^2"}
-    return f"{unit}{power[-times]}" if times else unit
+    power = f"^{abs(times)}" if abs(times) > 1 else ""
+    return f"{unit}{'/' if times > 0 else ' '}s{power}" if times else unit
 
 
 class _WithUnits(typing.Protocol):

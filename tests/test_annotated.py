@@ -77,6 +77,18 @@ def test_wrong_kinds_and_shapes(function):
                     function(**{**given, **({"names": ()} if function is R.tolerances_from else {}), name: wrong})
 
 
+def test_lists_are_arrays():
+    """Driven joints first, then elastic ones, each at its place in the chain; gravity's stiffness of two points."""
+    driven = [name for name, has_motor in zip(ARM.joint_names, ARM.driven, strict=True) if has_motor]
+    elastic = [name for name in ARM.joint_names if name not in driven]
+    angle = {name: i for i, name in enumerate(driven + elastic)}
+    found = R.chain_angles(ARM, list(range(len(ARM.arm_joints))))
+    np.testing.assert_array_equal(found, [angle[name] for name in ARM.joint_names])
+    n = len(ARM.arm_joints)
+    assert R.gravity_stiffness(ARM, [[0] * n, [1] * n]).shape == (2, n, n)
+    assert np.all(np.linalg.eigvalsh(R.arm_inertia(ARM, [0] * n)) > 0.0)
+
+
 def test_axes_of_one_name_are_as_long():
     @checked
     def product(a: Float[Array, "*batch row"], b: Float[Array, "row"] | float = 1.0) -> float:

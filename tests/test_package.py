@@ -295,8 +295,7 @@ WHOLE = IO | {"trajectory", "calibration", "pipeline"}
 MAY_IMPORT = {
     **{name: set() for name in LOWEST},
     **{name: LOWEST for name in BASE - LOWEST},
-    "annotated": LOWEST | {"arguments"},
-    "arguments": LOWEST | {"units"},
+    **{name: LOWEST | {"arguments"} for name in ("annotated", "units")},
     "parts": LOWEST | {"files", "parts"},
     "excitation": BASE | {"excitation"},
     "periodic": BASE | {"periodic"},

@@ -155,7 +155,7 @@ def _write_more(given, found, own) -> list[str]:
     if given.robot_out:
         from ..io.robots import write_robot
 
-        write_robot(found.extended, given.robot_out)
+        write_robot(given.robot_out, found.extended)
         written.append(given.robot_out)
         names = [x.name for x in found.extended.effects if type(x) in own]
         if names:

@@ -45,6 +45,7 @@ def run(given) -> dict:
             f"from rest and {number(about.acceleration[:, i].max())} rad/s^2"
             for i in range(made.n_in)
         ),
+        *_step(made),
         f"wrote {', '.join(str(path) for path in (*written, picture))}",
         "next: play it, log r, u and y, then jaxfrf estimate",
     ]
@@ -57,8 +58,21 @@ def run(given) -> dict:
             "lines": len(made.lines),
             "band_hz": [float(frequency[0]), float(frequency[-1])],
             "crest_factor": about.crest.max(axis=0).tolist(),
+            "first_speed": abs(made.r[:, 0]).max(axis=0).tolist(),
             "peak_speed": about.velocity.max(axis=0).tolist(),
             "peak_travel": about.position.max(axis=0).tolist(),
             "peak_acceleration": about.acceleration.max(axis=0).tolist(),
         },
     }
+
+
+def _step(made) -> list[str]:
+    """What a machine at rest is asked at once, where the design has no ramp."""
+    speed, position = (float(abs(x[:, 0]).max()) for x in (made.r, made.position))
+    if speed == 0.0 and position == 0.0:
+        return []
+    more = "" if made.transient_periods else " and transient_periods = 1"
+    return [
+        f"the reference begins with a step: up to {number(speed)} rad/s and {number(position)} rad at once; ramp = 2.0 "
+        f"(s){more} in the design lets it start from rest"
+    ]

@@ -256,7 +256,7 @@ def _write_more(given, found, whole: bool) -> list[str]:
     if given.robot_out:
         from ..io.robots import write_robot
 
-        write_robot(found.robot, given.robot_out)
+        write_robot(given.robot_out, found.robot)
         written.append(given.robot_out)
     if given.plot:
         from ..plot import save

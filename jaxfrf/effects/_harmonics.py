@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._arguments import expect_whole
 from .._errors import input_error
 from .._text import number
 from .effect import Candidate, Joint, Reach
@@ -38,6 +39,8 @@ def _wave(kind, joint: Joint, order: int, amplitude: float, c):
 
 def checked(name: str, amplitude, order, phase):
     """Amplitudes, whole orders and phases, as many of each."""
+    for h in np.atleast_1d(order):
+        expect_whole(f"{name}: order", h)
     order = tuple(int(h) for h in np.atleast_1d(order))
     amplitude = jnp.atleast_1d(jnp.asarray(amplitude, float))
     phase = jnp.zeros_like(amplitude) if phase is None else jnp.atleast_1d(jnp.asarray(phase, float))

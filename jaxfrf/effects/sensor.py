@@ -70,8 +70,8 @@ class ResolverRipple(AbstractSensor):
 class EncoderQuantisation(AbstractSensor):
     """The encoder counts, round(theta/resolution) resolution.
 
-    **Arguments:** `joint`: a driven joint, name or number. `resolution`: rad, motor side; 2 pi/2^13 is visible. It has
-    no derivative.
+    **Arguments:** `joint`: a driven joint, name or number. `resolution`: rad, motor side, above 0; 2 pi/2^13 is
+    visible. It has no derivative.
 
     In data: noise that grows as f^2 in the acceleration, without structure in G. In the linearised robot: not at
     all.
@@ -82,7 +82,7 @@ class EncoderQuantisation(AbstractSensor):
 
     name: ClassVar = "encoder_quantisation"
     units: ClassVar = {"resolution": "rad"}
-    bounds: ClassVar = {"resolution": (0.0, 1e-2)}
+    bounds: ClassVar = {"resolution": (1e-9, 1e-2)}
     signature: ClassVar = "noise that grows as f^2, no structure in G"
     confusable: ClassVar = {"noise": "its distribution at standstill"}
     differentiable: ClassVar = False

@@ -71,7 +71,7 @@ class TransmissionError(AbstractGearError):
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
         """Two errors a turn between motor and output, as of a strain-wave gear: 2 + 2/n per turn of the motor."""
-        return cls(joint, [3e-5], 2.0 * (robot.drives.gear_ratio[axis_of(robot, joint)] + 1.0), (1,))
+        return cls(joint, [3e-5], 2.0 * jnp.abs(robot.drives.gear_ratio[axis_of(robot, joint)] + 1.0), (1,))
 
     @classmethod
     def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:

@@ -77,7 +77,8 @@ class Multisine(eqx.Module):
     - `phases`: `RandomPhases()`, `SchroederPhases()` or `CrestOptimisedPhases()`.
     - `slow`: `SlowSine`, or `None`.
     - `periods`, `transient_periods`: steady periods to record, and leading ones to drop.
-    - `ramp`: seconds over which the motion fades in from rest; within the transient periods.
+    - `ramp`: seconds over which the motion fades in from rest, within the transient periods; 0: the reference
+      begins with a step.
     - `velocity_limit` (rad/s), `travel_limit` (rad from rest), `acceleration_limit` (rad/s^2): highest speed, way and
       acceleration of the motors that `jaxfrf.reference` lets pass, per channel or one for all.
     - `seed`: fixes the random phases where no key is given.
@@ -205,14 +206,16 @@ class Multisine(eqx.Module):
 
 
 @checked
-def reference_spectra(design: Multisine, *, key: PRNGKeyArray | None = None) -> Complex[np.ndarray, "exp freq in"]:
+def reference_spectra(
+    design: Multisine, *, key: PRNGKeyArray | int | None = None
+) -> Complex[np.ndarray, "exp freq in"]:
     """Fourier coefficients of the multisine references at the excited lines, block after block.
 
     Experiment e of block m is number m*n_in + e. A block does not depend on how many blocks there are, so
     that a design can be continued.
 
-    **Arguments:** `design`: with lines, amplitudes and phases. `key`: of the random phases;
-    `jax.random.key(design.seed)` by default.
+    **Arguments:** `design`: with lines, amplitudes and phases. `key`: of the random phases, or a whole
+    number, its seed; `jax.random.key(design.seed)` by default.
 
     **Returns:** (exp, freq, in), rad/s: half the peak amplitude of every sine, with its phase.
 

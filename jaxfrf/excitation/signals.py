@@ -14,7 +14,9 @@ from .multisine import LIMITS, Multisine, reference_spectra
 
 
 class Reference(eqx.Module):
-    """References of all experiments of a design, from rest through the transient periods to the steady ones.
+    """References of all experiments of a design, through the transient periods to the steady ones.
+
+    With a `ramp` they start from rest; without one they are periodic from the first sample on, which is a step.
 
     **Fields:**
 
@@ -81,14 +83,16 @@ class Reference(eqx.Module):
         return scipy.fft.rfft(steady, axis=1, workers=-1)[:, self.lines] / self.period
 
 
-def reference(design: Multisine, *, key: PRNGKeyArray | None = None) -> Reference:
+def reference(design: Multisine, *, key: PRNGKeyArray | int | None = None) -> Reference:
     """The references of a design, all periods of all experiments.
 
     The position is the integral by 1/(j omega) in frequency: exact, periodic, without the drift of a
     running sum. During the ramp it is w(t) q(t) and the speed its derivative w'(t) q(t) + w(t) v(t), w a
-    quintic from 0 to 1, so that position, speed and acceleration start from rest.
+    quintic from 0 to 1, so that position, speed and acceleration start from rest. Without a ramp (`ramp = 0`, the
+    default) the first sample is that of a period: a step for a machine at rest.
 
-    **Arguments:** `design`: a `Multisine`. `key`: for the random phases; by default `jax.random.key(design.seed)`.
+    **Arguments:** `design`: a `Multisine`. `key`: for the random phases, or a whole number, its seed; by default
+    `jax.random.key(design.seed)`.
 
     **Returns:** a `Reference`: speed, rad/s, and position, rad, each (exp, time, in).
 
@@ -144,7 +148,7 @@ def one_period(
 
 
 def _fade_in(design: Multisine, r, position) -> None:
-    """Start from rest, in place: q -> w q, v -> w' q + w v."""
+    """Start from rest, in place, where the design has a ramp: q -> w q, v -> w' q + w v."""
     n = int(np.ceil(design.ramp * design.fs))
     if n == 0:
         return

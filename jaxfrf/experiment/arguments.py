@@ -1,10 +1,13 @@
 """What a record is made of, as it is given, becomes arrays and numbers that can be relied on."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
+from .._arguments import expect_text, said
 from .._errors import input_error
 from .._text import number
-from ..units import QUANTITIES
+from ..units import QUANTITIES, known_unit
 
 _LARGEST = 1e100
 
@@ -123,3 +126,21 @@ def as_quantity(name: str, value) -> str:
     if value not in QUANTITIES:
         raise input_error(name, repr(value), "position, velocity or acceleration", f"Set it: --set {name}=velocity.")
     return value
+
+
+def as_unit(name: str, value) -> str:
+    """The unit as SI has it; one that nobody knows is a name."""
+    expect_text(name, value)
+    unit, factor = known_unit(value) or (value, 1.0)
+    if factor != 1.0:
+        do = f"Multiply the numbers by {number(factor, 6)} and give {unit!r}."
+        raise input_error(name, repr(value), "a unit of SI: numbers are not converted here", do)
+    return unit
+
+
+def as_each(name: str, values, kind: type) -> tuple:
+    given = tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else (None,)
+    if not all(isinstance(x, kind) for x in given):
+        each = "texts" if kind is str else f"jaxfrf.experiment.{kind.__name__}s"
+        raise input_error(name, said(values), f"a list of {each}", "Leave it out where there are none.")
+    return given

@@ -11,7 +11,16 @@ from .._text import counted, number
 from .._types import Array
 from ..periodic import FoundPeriod, find_period, mismatch
 from ..units import quantity_of
-from .arguments import as_configurations, as_count, as_line_numbers, as_positive, as_quantity, as_signal
+from .arguments import (
+    as_configurations,
+    as_count,
+    as_each,
+    as_line_numbers,
+    as_positive,
+    as_quantity,
+    as_signal,
+    as_unit,
+)
 
 _NOBODY_SAYS = (
     "nothing says what y is; it was taken as a velocity. Say it: y_quantity='position' (or velocity, acceleration), "
@@ -44,7 +53,8 @@ class Experiment(eqx.Module):
     - `r_quantity`, `y_quantity`: `position`, `velocity` or `acceleration`. Where neither `y_quantity` nor `y_unit` says
       what y is, it is taken as a velocity, and `warnings` say so, as for files.
     - `u_unit`, `y_unit`: SI units for pictures and files, where they are not those above (a force in N, a current in A,
-      a position in m). The numbers are not converted: `jaxfrf.io.read` does that.
+      a position in m). The numbers are not converted: `jaxfrf.io.read` does that, here units that are known and not SI
+      are refused. Where `y_unit` is that of another motion than `y_quantity`, `warnings` say so.
     - `sources`: `Source`s of the data. `warnings`: sentences on what the record is not good for.
 
     Fewer dimensions are accepted where the meaning is plain: (time, channel) is one operating point and one
@@ -95,12 +105,15 @@ class Experiment(eqx.Module):
         self.period = as_count("period", period)
         self.transient_periods = as_count("transient_periods", transient_periods)
         self.r_quantity = as_quantity("r_quantity", r_quantity)
-        stated = quantity_of(str(y_unit)) if y_quantity is None else y_quantity
+        self.u_unit = as_unit("u_unit", u_unit)
+        self.y_unit = as_unit("y_unit", y_unit)
+        by_unit = quantity_of(self.y_unit)
+        stated = by_unit if y_quantity is None else y_quantity
         self.y_quantity = as_quantity("y_quantity", "velocity" if stated is None else stated)
-        self.u_unit = str(u_unit)
-        self.y_unit = str(y_unit)
-        self.sources = tuple(sources)
-        self.warnings = (*warnings, *(() if stated is not None else (_NOBODY_SAYS,)))
+        self.sources = as_each("sources", sources, Source)
+        told = as_each("warnings", warnings, str)
+        doubt = _doubt(self.y_unit, by_unit, self.y_quantity if stated is not None else None)
+        self.warnings = told if not doubt or any(text.endswith(doubt) for text in told) else (*told, doubt)
 
     def __check_init__(self):
         for name in ("y", "r"):
@@ -149,6 +162,13 @@ class Experiment(eqx.Module):
     def n_periods(self) -> int:
         """Steady periods (transient ones not counted); 0 where the record is not periodic."""
         return self.n_time // self.period - self.transient_periods if self.period else 0
+
+
+def _doubt(unit: str, by_unit: str | None, stated: str | None) -> str:
+    """What is not sure about y; "" where nothing is."""
+    if stated is None:
+        return _NOBODY_SAYS
+    return "" if by_unit in (None, stated) else f"y: its unit {unit} is that of a {by_unit}, y_quantity says {stated}."
 
 
 def _check_periods(data: Experiment) -> None:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float, PyTree
 
-from .._arguments import expect, expect_number, expect_quantity, expect_real, said
+from .._arguments import expect, expect_number, expect_real, said
 from .._errors import input_error
 from .._types import Array
 from ..robot import (
@@ -23,6 +23,7 @@ from ..robot import (
     parameters as robot_parameters,
     with_parameters,
 )
+from ..units import expect_quantity
 from .own import as_response, check_callable
 from .parameter import Parameter, as_parameters, matching
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._arguments import expect
+from .._arguments import expect, expect_index
 from .._errors import input_error
 from .._types import Array
 from ..frf import FRF
@@ -27,9 +27,8 @@ def to_control(frf: FRF, pos: int = 0) -> Any:
     **Raises:** `jaxfrf.InputError` if there is no such operating point; `ImportError` without python-control.
     """
     expect("frf", frf, FRF)
+    expect_index("pos", pos, frf.n_pos)
     control = require("control", "control")
-    if not -frf.n_pos <= pos < frf.n_pos:
-        raise input_error("pos", f"{pos}", f"one of the {frf.n_pos} operating points (0 to {frf.n_pos - 1})", "Choose.")
     return control.FrequencyResponseData(
         np.moveaxis(np.asarray(frf.G[pos]), 0, -1),
         2 * np.pi * np.asarray(frf.frequency),

@@ -10,7 +10,7 @@ Every key, by example:
     seed = 0                         # of the random phases and lines; default 0
     periods = 1                      # steady periods to record; default 1
     transient_periods = 1            # leading periods to drop; default 0
-    ramp = 3.0                       # s, fade-in from rest within the transient periods; default 0
+    ramp = 3.0                       # s, fade-in from rest within the transient periods; default 0: a step
     velocity_limit = [400.0, ...]    # rad/s, highest |reference|, one number or one per input; optional
     travel_limit = 20.0              # rad, farthest from rest, and
     acceleration_limit = 3e4         # rad/s^2, likewise

@@ -31,7 +31,7 @@ import pathlib
 from typing import Any
 
 from .. import __version__
-from .._arguments import expect_path
+from .._arguments import expect_path, said
 from .._errors import input_error
 from .._text import NORMAL_95
 from ..effects import AbstractEffect
@@ -46,9 +46,11 @@ def write_gap(path: str | os.PathLike, diagnosis: Any) -> None:
 
     **Arguments:** `path`: of the file. `diagnosis`: a `jaxfrf.gap.Diagnosis`.
 
-    **Raises:** `jaxfrf.InputError` if the folder is not there.
+    **Raises:** `jaxfrf.InputError` if `diagnosis` is none, or the folder is not there.
     """
     expect_path("path", path)
+    if not all(hasattr(diagnosis, name) for name in _NEEDED):
+        raise input_error("diagnosis", said(diagnosis), "a jaxfrf.gap.Diagnosis", "Make one: jaxfrf.gap.diagnose(...).")
     write_json(path, gap_contents(diagnosis))
 
 

@@ -10,26 +10,27 @@ import numpy as np
 from .._arguments import expect, expect_path
 from .._errors import input_error
 from .._files import replacing
-from ..robot.drive import Friction, Spring
+from ..robot.drive import Friction, Spring, ViscousFrictionLaw
 from ..robot.robot import Robot
 
 
-def mjcf(robot: Robot, friction: bool = False, timestep: float = 1e-4) -> str:
+def mjcf(robot: Robot, friction: bool = True, timestep: float = 1e-4) -> str:
     """The flexible robot as MJCF text.
 
     Rotors are bodies of their own, transmissions tendons with spring and damper. A motor's joint is called
     `motor:` and the name of its axis, its actuator as the axis; the actuator's control is the motor torque. A
     massless link shares a body with the next one. A rigid transmission becomes armature and a geared
-    actuator. The springs must be linear: MuJoCo's are.
+    actuator. The springs must be linear: MuJoCo's are. Effects that became numbers of the robot (a payload) go along;
+    those that stand in `robot.effects` have no place there.
 
     **Arguments:** `friction`: include viscous friction as damping and Coulomb friction as frictionloss (which
     is not smoothed there). `timestep`: s.
 
-    **Raises:** `jaxfrf.InputError` for what MuJoCo cannot do: nonlinear springs, a massless last link, a link
-    with mass whose inertia no body can have.
+    **Raises:** `jaxfrf.InputError` for what MuJoCo cannot do: effects, nonlinear springs, play, a law of friction of
+    your own, a massless last link, a link with mass whose inertia no body can have.
     """
     expect("robot", robot, Robot)
-    _check_springs(robot)
+    _check_laws(robot, friction)
     root = ET.Element("mujoco", model=robot.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     option = ET.SubElement(
@@ -45,20 +46,37 @@ def mjcf(robot: Robot, friction: bool = False, timestep: float = 1e-4) -> str:
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def write_mjcf(robot: Robot, path: str | os.PathLike, friction: bool = False, timestep: float = 1e-4) -> None:
+def write_mjcf(path: str | os.PathLike, robot: Robot, friction: bool = True, timestep: float = 1e-4) -> None:
     """Write `mjcf(robot)` to a file. Nothing half written is left.
 
-    **Arguments:** `path`: of the XML file. `friction`, `timestep` (s): as of `mjcf`.
+    **Arguments:** `path`: of the XML file. `robot`, `friction`, `timestep` (s): as of `mjcf`.
 
     **Raises:** as `mjcf`, and `jaxfrf.InputError` if the folder is not there.
     """
-    expect("robot", robot, Robot)
     expect_path("path", path)
+    expect("robot", robot, Robot)
     with replacing(pathlib.Path(path)) as draft:
         draft.write_text(mjcf(robot, friction, timestep), encoding="utf-8")
 
 
-def _check_springs(robot: Robot) -> None:
+def _check_laws(robot: Robot, friction: bool) -> None:
+    if robot.effects:
+        raise input_error(
+            f"{robot.name}: effects",
+            ", ".join(dict.fromkeys(effect.name for effect in robot.effects)),
+            "none: MuJoCo has no such laws",
+            "Write the robot without: dataclasses.replace(robot, effects=()).",
+        )
+    if friction and not isinstance(robot.drives.friction, Friction | ViscousFrictionLaw):
+        raise input_error(
+            f"{robot.name}: friction",
+            type(robot.drives.friction).__name__,
+            "Friction or ViscousFrictionLaw, which MuJoCo has",
+            "Write the robot without: friction=False.",
+        )
+    play = getattr(robot.springs, "backlash", None)
+    if play is not None and np.any(np.asarray(play) > 0.0):
+        raise input_error(f"{robot.name}: springs", "play", "none: MuJoCo has no such law", "Set backlash to None.")
     if not isinstance(robot.springs, Spring) or np.any(np.asarray(robot.springs.stiffness_ratio) != 1.0):
         raise input_error(
             f"{robot.name}: springs",
@@ -132,8 +150,10 @@ def _joint(body: ET.Element, robot: Robot, i: int, place, friction: bool) -> Non
 
 def _rub(joint: ET.Element, robot: Robot, axis: int, gear: float, friction: bool) -> None:
     law = robot.drives.friction
-    if friction and isinstance(law, Friction):
-        joint.set("damping", f"{gear**2 * float(law.viscous[axis])!r}")
+    if not friction:
+        return
+    joint.set("damping", f"{gear**2 * float(law.viscous[axis])!r}")
+    if isinstance(law, Friction):
         joint.set("frictionloss", f"{abs(gear) * float(law.coulomb[axis])!r}")
 
 

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from .._annotated import checked
 from .._errors import input_error
 from .._files import replacing
 from .._types import Array
 
 
+@checked
 def write_positions(
     path: str | os.PathLike,
     q: Float[Array, "pos axis"],

@@ -317,9 +317,9 @@ def _output_quantity(file: File) -> tuple[str, list[str]]:
         stated = text(file, "y_quantity", "")
         if by_unit in (None, stated):
             return stated, []
-        unit, _ = unit_of(file, "y")
-        told = f"its unit {unit} is that" if unit else "its units are those"
-        return stated, [f"{file.label('y')}: {told} of a {by_unit}, y_quantity says {stated}."]
+        if unit_of(file, "y")[0]:
+            return stated, []  # the record says so itself
+        return stated, [f"{file.label('y')}: its units are those of a {by_unit}, y_quantity says {stated}."]
     if by_unit is not None:
         return by_unit, []
     if NAMELESS in file.variables:

@@ -46,10 +46,10 @@ def read_robot(path: str | os.PathLike, own: Sequence[type[AbstractEffect]] = ()
     return robot_from_table(table, path.name, own)
 
 
-def write_robot(robot: Robot, path: str | os.PathLike) -> None:
+def write_robot(path: str | os.PathLike, robot: Robot) -> None:
     """Write a TOML file that `read_robot` reads back to the same robot. Nothing half written is left.
 
-    **Arguments:** `robot`: with its effects and tolerances, in SI units. `path`: of the TOML file.
+    **Arguments:** `path`: of the TOML file. `robot`: with its effects and tolerances, in SI units.
 
     **Raises:** `jaxfrf.InputError` if `robot` is none, a file cannot state it, or the folder is not there.
     """

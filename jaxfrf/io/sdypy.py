@@ -1,15 +1,16 @@
 """What the libraries of SDyPy pass around: FRFs of pyFRF and EMA, time series by SEP 5."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._arguments import said
 from .._errors import input_error
 from .._text import number
 from ..experiment import Experiment
 from ..frf import FRF
-from ..units import QUANTITIES, differentiated, known_unit
+from ..units import QUANTITIES, differentiated, known_unit, quantity_of
 from .responses import frf_from_arrays
 
 _FORMS = {"receptance": "position", "mobility": "velocity", "accelerance": "acceleration"}
@@ -85,12 +86,15 @@ def from_sep005(
     - `period`, `transient_periods`: as in `jaxfrf.Experiment`.
     - `y_quantity`: what the outputs are; by default what their `quantity` says.
 
-    Numbers are taken as they are, with `unit_str` as their unit where it is in SI; convert others first.
+    Numbers are converted to SI where `unit_str` says from what, as `jaxfrf.io.read` does, and `warnings` say so; a unit
+    that is not known is kept as a name. Where `quantity` says nothing, the unit of the outputs does.
 
-    **Raises:** `jaxfrf.InputError` if a channel is missing, lengths or sampling frequencies differ, or
-    `quantity` does not tell inputs from outputs.
+    **Raises:** `jaxfrf.InputError` if a channel is missing, lengths or sampling frequencies differ, the units of a
+    signal are of several quantities, or `quantity` does not tell inputs from outputs.
     """
-    channels = [channels] if isinstance(channels, Mapping) else list(channels)
+    channels = [channels] if isinstance(channels, Mapping) else channels
+    if not isinstance(channels, Sequence) or not all(isinstance(c, Mapping) for c in channels):
+        raise input_error("channels", said(channels), "dictionaries of SEP 5", "Give data, name, unit_str, fs of each.")
     by_name = {str(_named(c, "name")): c for c in channels}
     u = _of_quantity(by_name, "f") if u is None else u
     y = _of_quantity(by_name, "dva") if y is None else y
@@ -105,16 +109,20 @@ def from_sep005(
     rates = {_sampling_frequency(c) for c in used}
     if len(rates) > 1:
         raise input_error("fs", f"{sorted(rates)}", "one sampling frequency", "Resample the channels.")
+    signals = {key: _signal(by_name, names, key) for key, names in (("u", u), ("y", y), ("r", r)) if names}
+    unit = {key: signal.unit for key, signal in signals.items()}
     return Experiment(
-        _stack(by_name, u),
-        _stack(by_name, y),
+        signals["u"].x,
+        signals["y"].x,
         rates.pop(),
         period,
-        r=_stack(by_name, r) if r else None,
+        r=signals["r"].x if r else None,
         transient_periods=transient_periods,
-        y_quantity=_quantity(by_name, y) if y_quantity is None else y_quantity,
-        u_unit=_unit(by_name, u),
-        y_unit=_unit(by_name, y),
+        r_quantity=quantity_of(unit.get("r", "")) or "velocity",
+        y_quantity=_quantity(by_name, y, unit["y"]) if y_quantity is None else y_quantity,
+        u_unit=unit["u"],
+        y_unit=unit["y"],
+        warnings=[text for signal in signals.values() for text in signal.remarks],
     )
 
 
@@ -183,15 +191,39 @@ def _of_quantity(by_name: Mapping[str, Mapping], quantities: str) -> list[str]:
     return [name for name, channel in by_name.items() if str(channel.get("quantity", "?")) in tuple(quantities)]
 
 
-def _unit(by_name: Mapping[str, Mapping], names: Sequence[str]) -> str:
-    """The SI unit that all these channels state; "" where they state none, or another."""
-    found = {known_unit(str(by_name[name].get("unit_str", ""))) for name in names}
-    unit, factor = found.pop() or ("", 1.0) if len(found) == 1 else ("", 1.0)
-    return unit if factor == 1.0 else ""
+class _Signal(NamedTuple):
+    """Numbers (time, channel) in SI units, their unit ("": none, or several), and what is said of the conversion."""
+
+    x: np.ndarray
+    unit: str
+    remarks: list[str]
 
 
-def _quantity(by_name: Mapping[str, Mapping], names: Sequence[str]) -> str:
+def _signal(by_name: Mapping[str, Mapping], names: Sequence[str], key: str) -> _Signal:
+    stated = [str(by_name[name].get("unit_str") or "").strip().replace("?", "") for name in names]
+    found = [known_unit(text) or (text, 1.0) for text in stated]
+    units = sorted({unit for unit, _ in found})
+    if len({quantity_of(unit) for unit in units} - {None}) > 1:
+        raise input_error(
+            f"unit_str of {key}", ", ".join(stated), "one quantity in all channels", "Make an experiment of each."
+        )
+    unknown = sorted({text for text in stated if text and known_unit(text) is None})
+    remarks = [f"{key}: {text!r} is no unit that is known here; its numbers are as they were." for text in unknown]
+    x, factors = _stack(by_name, names), [factor for _, factor in found]
+    if len(units) > 1:
+        written = ", ".join(unit or "none" for unit in units)
+        remarks.append(f"{key}: its channels are of several units ({written}), and none is kept.")
+    if set(factors) != {1.0}:
+        each = ", ".join(number(factor, 6) for factor in factors)
+        remarks.append(f"{key}: converted to SI, as unit_str states the units (factors {each}).")
+        x = x * np.array(factors)
+    return _Signal(x, units[0] if len(units) == 1 else "", remarks)
+
+
+def _quantity(by_name: Mapping[str, Mapping], names: Sequence[str], unit: str) -> str:
     found = {str(by_name[name].get("quantity", "unknown")) for name in names}
+    if found == {"unknown"} and (by_unit := quantity_of(unit)) is not None:
+        return by_unit
     if len(found) != 1 or not found <= set(_MEASURED):
         raise input_error(
             "quantity of the outputs",

@@ -6,8 +6,9 @@ import pathlib
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Complex
 
-from .._arguments import expect, expect_path
+from .._arguments import expect, expect_path, said
 from .._errors import input_error
 from .._files import replacing
 from .._text import number
@@ -82,8 +83,8 @@ def frf_from_uff(sets: Iterable[Mapping], *, sources: Sequence[Source] = (), whe
 
     Response (node, direction) pairs become outputs, reference pairs inputs, in ascending order. Datasets of
     the same element are told apart by their version number, which then counts operating points. Directions along axes
-    are motions in m and forces in N, those about axes in rad and N m; where a dataset 164 states units of the file, G
-    is converted to SI by its factors.
+    are motions in m and forces in N, those about axes in rad and N m; where a dataset 164 states units, G of the sets
+    that follow it, up to the next one, is converted to SI by its factors.
 
     **Arguments:** `sets`: dictionaries, of which those of type 58 and function type 4 count, `x` in Hz. `sources`: of
     the FRF. `where`: what errors call the sets.
@@ -93,8 +94,10 @@ def frf_from_uff(sets: Iterable[Mapping], *, sources: Sequence[Source] = (), whe
     **Raises:** `jaxfrf.InputError` if there is no FRF, the matrix has holes, frequencies or quantities differ, and
     where the reference is a motion, or forces and torques (translations and rotations) are mixed.
     """
-    sets = list(sets)
-    records = [s for s in sets if s.get("type") == 58 and s.get("func_type") == _RESPONSE]
+    given, sets = sets, list(sets) if isinstance(sets, Iterable) else [sets]
+    if not all(isinstance(s, Mapping) for s in sets):
+        raise input_error("sets", said(given), "a list of dataset dictionaries", "Of a file: jaxfrf.io.read_uff(path).")
+    records = list(_responses(sets))
     if not records:
         raise input_error(where, "no FRF", "datasets 58 of function type 4", "Export frequency responses.")
     elements = collections.Counter((_response(s), _reference(s)) for s in records)
@@ -120,10 +123,10 @@ def frf_from_uff(sets: Iterable[Mapping], *, sources: Sequence[Source] = (), whe
     linear = [
         _linear({d for _, d in pairs}, what, where) for pairs, what in ((outputs, "responses"), (inputs, "references"))
     ]
-    G = np.array([[[found[p, o, i]["data"] for i in inputs] for o in outputs] for p in places], complex)
+    G = np.array([[[_in_si(found[p, o, i], *linear) for i in inputs] for o in outputs] for p in places])
     quantity = _quantity(records, where)
     return frf_from_arrays(
-        np.moveaxis(G, -1, 1) * _to_si(sets, *linear),
+        np.moveaxis(G, -1, 1),
         frequency,
         y_quantity=quantity,
         u_unit="N" if linear[1] else "",
@@ -131,6 +134,16 @@ def frf_from_uff(sets: Iterable[Mapping], *, sources: Sequence[Source] = (), whe
         method=str(records[0].get("id2", "")).strip().removesuffix("NONE"),
         sources=sources,
     )
+
+
+def _responses(sets: Sequence[Mapping]) -> Iterable[Mapping]:
+    """The FRFs, each with what a length and a force of it are divided by: the dataset 164 before it says so, or the
+    first of a file that begins without one."""
+    units = next((s for s in sets if s.get("type") == 164), {})
+    for s in sets:
+        units = s if s.get("type") == 164 else units
+        if s.get("type") == 58 and s.get("func_type") == _RESPONSE:
+            yield {**s, **{name: float(units.get(name) or 1.0) for name in ("length", "force")}}
 
 
 def _response(record: Mapping) -> tuple[int, int]:
@@ -151,11 +164,9 @@ def _linear(directions: set[int], what: str, where: str) -> bool:
     return kinds.pop()
 
 
-def _to_si(sets: Sequence[Mapping], of_response: bool, of_reference: bool) -> float:
-    """The factor from units of the file to SI: a dataset 164 holds what a length and a force are divided by."""
-    units = next((s for s in sets if s.get("type") == 164), {})
-    length, force = (float(units.get(name) or 1.0) for name in ("length", "force"))
-    return (force if of_reference else force * length) / (length if of_response else 1.0)
+def _in_si(record: Mapping, of_response: bool, of_reference: bool) -> Complex[np.ndarray, "freq"]:
+    force = record["force"] if of_reference else record["force"] * record["length"]
+    return np.asarray(record["data"], complex) * (force / (record["length"] if of_response else 1.0))
 
 
 def _quantity(records: list[Mapping], where: str) -> str:

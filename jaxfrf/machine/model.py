@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from .._arguments import expect, expect_number, expect_quantity, expect_real, said
+from .._arguments import expect, expect_number, expect_real, said
 from .._errors import input_error
 from .._types import Array
 from ..effects import AbstractEffect
 from ..graybox import AbstractModel, Parameter
 from ..graybox.own import check_callable, told
 from ..graybox.parameter import as_parameters
+from ..units import expect_quantity
 
 Values = Mapping[str, Array]
 

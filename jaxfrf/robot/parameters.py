@@ -1,12 +1,16 @@
 """Parameters of a robot by name: `joint1.stiffness`, `bearing2.damping`, `joint6.mass`."""
 
 from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
 
 from .._annotated import checked
+from .._arguments import said
 from .._errors import input_error
 from .._text import nearest
 from .drive import Friction, Spring
@@ -29,6 +33,16 @@ PARAMETER_UNITS: dict[str, str] = {
 }
 """Every kind of parameter that a joint can have, and its unit where the joint turns."""
 
+_LIMITS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    **dict.fromkeys(
+        ("stiffness", "stiffness_ratio", "stiffness_knee", "motor_inertia"), ("a positive number", lambda x: x > 0)
+    ),
+    **dict.fromkeys(
+        ("damping", "viscous_friction", "coulomb_friction", "mass"), ("a number, 0 or more", lambda x: x >= 0)
+    ),
+    "gear_ratio": ("a number, not 0", lambda x: x != 0),
+}
+_SIZES = {"com": 3, "offset": 3, "inertia": 6}
 _MOTOR_SIDE = ("motor_inertia", "viscous_friction", "coulomb_friction")
 _ARM_SIDE = ("stiffness", "damping", "stiffness_knee")
 
@@ -94,13 +108,22 @@ def with_parameters(robot: Robot, values: Mapping[str, jax.Array | float]) -> Ro
 
     **Returns:** the robot with these values.
 
-    **Raises:** `jaxfrf.InputError` for a name that the robot does not have, with the nearest one that it has.
+    **Raises:** `jaxfrf.InputError` for a name that the robot does not have, with the nearest one that it has, and for a
+    value that is of another shape, not finite, or none that a robot can have (a stiffness below 0); what JAX traces is
+    not looked at.
     """
+    _check_names(robot, values)
+    for name, value in values.items():
+        if not isinstance(value, jax.core.Tracer):
+            _check_value(f"{name} of {robot.name}", name.rpartition(".")[2], value)
+    return with_values(robot, values)
+
+
+def with_values(robot: Robot, values: Mapping[str, jax.Array | float]) -> Robot:
+    """`with_parameters` of a fit on its way, whose numbers may be of no robot: they are not looked at."""
     by_kind: dict[str, dict[str, jax.Array | float]] = {}
     for name, value in values.items():
         joint, _, kind = name.rpartition(".")
-        if kind not in PARAMETER_UNITS or joint not in parameter_field(robot, kind)[1]:
-            raise _unknown(name, robot)
         by_kind.setdefault(kind, {})[joint] = value
     for kind, changes in by_kind.items():
         where, joints = parameter_field(robot, kind)
@@ -109,6 +132,44 @@ def with_parameters(robot: Robot, values: Mapping[str, jax.Array | float]) -> Ro
         array = array.at[index].set(jnp.stack([jnp.asarray(x, array.dtype) for x in changes.values()]))
         robot = eqx.tree_at(where, robot, array)
     return robot
+
+
+def check_numbers(robot: Robot, source: str) -> None:
+    """**Raises:** `jaxfrf.InputError` where numbers of the robot, called `source` in messages, are of no robot."""
+    for kind in PARAMETER_UNITS:
+        where, joints = parameter_field(robot, kind)
+        for joint, value in zip(joints, np.asarray(where(robot)) if joints else (), strict=True):
+            _check_value(f"{source}: {joint}.{kind}", kind, value)
+            if kind == "inertia" and not is_positive_tensor(value):
+                raise input_error(f"{source}: {joint}.{kind}", f"{value.tolist()}", "a positive tensor", "Correct it.")
+
+
+def is_positive_tensor(inertia: Float[np.ndarray, "6"]) -> bool:
+    """Whether [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] has no negative moment, but for rounding."""
+    xx, yy, zz, xy, xz, yz = inertia
+    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    rounding = max(1e-9, 100.0 * np.finfo(moments.dtype).eps)
+    return bool(moments[0] >= -rounding * abs(moments[2]) - 1e-15)
+
+
+def _check_value(where: str, kind: str, value: Any) -> None:
+    """Refuse a value of a parameter of this kind that no robot has."""
+    size = _SIZES.get(kind)
+    try:
+        x = np.asarray(value)
+        plain = x.dtype.kind in "iuf" and x.shape == (() if size is None else (size,)) and bool(np.all(np.isfinite(x)))
+    except (TypeError, ValueError):
+        plain = False
+    expected, holds = _LIMITS.get(kind, (f"{size} finite numbers", lambda x: True))
+    if not plain or not holds(x):
+        raise input_error(where, said(x[()] if plain else value), expected, "Correct the value or its unit.")
+
+
+def _check_names(robot: Robot, names: Iterable[str]) -> None:
+    for name in names:
+        joint, _, kind = name.rpartition(".")
+        if kind not in PARAMETER_UNITS or joint not in parameter_field(robot, kind)[1]:
+            raise _unknown(name, robot)
 
 
 def parameter_field(robot: Robot, kind: str) -> tuple[Callable[[Robot], jax.Array], tuple[str, ...]]:

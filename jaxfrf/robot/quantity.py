@@ -1,7 +1,6 @@
 """The quantities that a motor's motion can be stated as."""
 
-from .._arguments import expect_quantity
-from ..units import QUANTITIES
+from ..units import QUANTITIES, expect_quantity
 
 
 def derivatives(quantity: str) -> int:

@@ -6,12 +6,15 @@ import equinox as eqx
 import numpy as np
 
 from .._annotated import check_fields
+from .._arguments import said
 from .._errors import input_error
 from ..effects import AbstractEffect, AbstractStructure
 from .chain import Chain
 from .controller import Controller
 from .drive import Drives, Spring
 from .tolerances import Tolerances
+
+_UNPACK = "Unpack a list: with_effects(*effects)."
 
 
 class Robot(eqx.Module):
@@ -77,11 +80,14 @@ class Robot(eqx.Module):
         An effect on the robot's own numbers or joints (`AbstractStructure`) becomes part of them; the others stand
         in `effects`.
 
-        **Raises:** `jaxfrf.InputError` where an effect names a joint that the robot does not have, or where it cannot
-        act.
+        **Raises:** `jaxfrf.InputError` for what is no effect, where one names a joint that the robot does not have, or
+        where it cannot act.
         """
         robot = self
         for effect in effects:
+            if not isinstance(effect, AbstractEffect):
+                do = "Call the class: TorqueDelay('joint1', 1e-3)." if isinstance(effect, type) else _UNPACK
+                raise input_error("effects", said(effect), "effects of jaxfrf.effects, one after the other", do)
             if isinstance(effect, AbstractStructure):
                 robot = effect.apply(robot)
             else:

@@ -15,11 +15,12 @@ import numpy as np
 from .._annotated import checked
 from .._errors import input_error
 from .._text import nearest
-from ..effects import AbstractEffect, Backlash, effect_from_table, effect_to_table
+from ..effects import AbstractEffect, AbstractStructure, Backlash, effect_from_table, effect_to_table
 from ..effects._place import axis_of
 from .chain import Chain
 from .controller import Controller
 from .drive import Drives, Friction, Spring
+from .parameters import check_numbers, is_positive_tensor
 from .robot import Robot
 from .table import Table
 from .tolerances import Tolerances, table_of, tolerances_from
@@ -93,7 +94,8 @@ def robot_from_table(
     elastic = [joint for joint, is_driven in zip(joints, driven, strict=True) if not is_driven]
     _check_inertia(joints)
     sprung = [joint for joint in (*drives, *elastic) if not math.isinf(joint["stiffness"])]
-    return Robot(
+    effects = _effects(top, names, own)
+    robot = Robot(
         chain=_chain(top, joints),
         drives=_drives(top, drives),
         springs=_springs(sprung),
@@ -105,7 +107,10 @@ def robot_from_table(
         sampling_frequency=top.number("sampling_frequency", default=2000.0, positive=True),
         tolerances=_tolerances(top, names),
         limits=tuple(map(_limits, drives)) if any("limits" in joint for joint in drives) else (),
-    ).with_effects(*_effects(top, names, own))
+    ).with_effects(*effects)
+    if any(isinstance(effect, AbstractStructure) for effect in effects):
+        check_numbers(robot, f"{source} with its effects")
+    return robot
 
 
 @checked
@@ -195,9 +200,7 @@ def _unit_axis(joint: Table) -> list[float]:
 
 def _physical_inertia(joint: Table) -> list[float]:
     elements = joint.vector("inertia", 6)
-    xx, yy, zz, xy, xz, yz = elements
-    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if moments[0] < -1e-9 * abs(moments[2]) - 1e-15:
+    if not is_positive_tensor(np.array(elements)):
         raise joint.error(
             "inertia",
             "[Ixx, Iyy, Izz, Ixy, Ixz, Iyz] of a positive tensor",

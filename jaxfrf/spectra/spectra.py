@@ -8,12 +8,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from .._arguments import as_band, expect, expect_quantity, expect_whole
+from .._arguments import as_band, expect, expect_whole
 from .._errors import input_error
 from .._text import number
 from .._types import Array
 from ..experiment import QUANTITIES, Source
-from ..units import differentiated
+from ..units import differentiated, expect_quantity
 
 
 class Spectra(eqx.Module):

@@ -499,7 +499,7 @@ def commanded(tmp_path_factory):
     out = tmp_path_factory.mktemp("whole")
     data = jf.simulate(machine(), design(1), Q[:3], key=jr.key(2), run_in=3.0, noise=2e-5)
     jf.io.write(out / "run.npz", data)
-    jf.io.write_robot(model(), out / "robot.toml")
+    jf.io.write_robot(out / "robot.toml", model())
     command = ["identify", str(out / "run.npz"), "--robot", str(out / "robot.toml"), "-o", str(out / "fit.json")]
     more = ["--report", str(out / "fit.html"), "--robot-out", str(out / "found.toml"), "--tolerance", "links=0.04"]
     assert main([*command, *more, "--rounds", "3"]) == 0

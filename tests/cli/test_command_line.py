@@ -775,6 +775,7 @@ def test_excite(tmp_path, capsys, design, suffix):
     assert main(["excite", design, "-o", str(target)]) == 0
     out = capsys.readouterr().out
     assert "4 experiments of 2 inputs, 6 s each; 48 lines from 2.5 to 49.5 Hz" in out
+    assert "the reference begins with a step" in out and "ramp = 2.0" in out
     assert f"wrote {target}, {tmp_path / 'reference.png'}" in out
     assert (tmp_path / "reference.png").read_bytes().startswith(b"\x89PNG")
     r = jf.io.read_reference(target).r

@@ -228,6 +228,7 @@ def test_blocks_are_independent_and_can_be_continued():
     R = ex.reference_spectra(more)
     assert np.array_equal(R[:2], ex.reference_spectra(design))
     assert np.array_equal(ex.reference_spectra(design, key=jr.key(5)), R[:2])
+    assert np.array_equal(ex.reference(design, key=6).r, ex.reference(dataclasses.replace(design, seed=6)).r)
     assert not np.allclose(ex.reference_spectra(design, key=jr.key(6)), R[:2])
     blocks = R.reshape(40, 2, -1) / np.abs(R).reshape(40, 2, -1)
     mean = blocks.mean(axis=0)  # unit phasors of independent, uniform phase

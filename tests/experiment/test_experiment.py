@@ -204,6 +204,10 @@ def test_a_quantity_that_nobody_states():
     assert jf.Experiment(x, x, 100.0, y_quantity="position").warnings == ()
     by_unit = jf.Experiment(x, x, 100.0, y_unit="m/s^2")
     assert by_unit.y_quantity == "acceleration" and by_unit.warnings == ()
+    odd = jf.Experiment(x, x, 100.0, y_quantity="velocity", y_unit="rad")
+    assert odd.warnings == ("y: its unit rad is that of a position, y_quantity says velocity.",)
+    assert dataclasses.replace(odd, fs=50.0).warnings == odd.warnings
+    assert jf.Experiment(x, x, 100.0, y_unit="rad/s2").y_quantity == "acceleration"
 
 
 @pytest.mark.parametrize("period", [1, 2, 3])

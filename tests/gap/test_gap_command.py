@@ -24,7 +24,7 @@ def folder(tmp_path_factory):
     for k, positions in enumerate((2, 1)):
         u, y, r = rng.standard_normal((3, positions, 2, 200, 2))
         jf.io.write(where / f"run{k}.npz", jf.Experiment(u, y, 500.0, 100, r=r, q=np.zeros((positions, 2))))
-    jf.io.write_robot(jf.robot.r3x(), where / "robot.toml")
+    jf.io.write_robot(where / "robot.toml", jf.robot.r3x())
     (where / "own.py").write_text(OWN)
     return where
 

@@ -82,7 +82,7 @@ def test_a_delay_is_still_found(quantity, tmp_path):
     assert found.gap.after < found.gap.floor < found.gap.before and found.gap.shrink == 1.0
     assert np.all(found.gap.torque_after < found.gap.torque_before)
 
-    jf.io.write_robot(found.extended, tmp_path / "extended.toml")
+    jf.io.write_robot(tmp_path / "extended.toml", found.extended)
     record = measured(data).at(found.heldout)
     evidence = Evidence(jf.io.read_robot(tmp_path / "extended.toml"), record)
     axes = over_floor(evidence.residual, Evidence(found.base, record).plain)
@@ -101,7 +101,7 @@ def test_an_encoder_that_counts_coarsely_is_written(tmp_path):
     found = diagnose(small_robot(), data)
     assert [(x.name, x.joint) for x in found.effects] == [("encoder_quantisation", "elbow")], found.says
     assert "leaves" not in found.says and "seen in their readings" in found.says
-    jf.io.write_robot(found.extended, tmp_path / "extended.toml")
+    jf.io.write_robot(tmp_path / "extended.toml", found.extended)
     again = diagnose(jf.io.read_robot(tmp_path / "extended.toml"), data)
     assert (again.verdict, again.effects) == ("sufficient", ()), again.says
 

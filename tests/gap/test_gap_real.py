@@ -63,7 +63,7 @@ def test_emps_names_its_friction(emps):
 def test_emps_by_the_command(measured, emps, emps_robot, tmp_path):
     """The same, from the files: `jaxfrf diagnose`, with the pulses held out and a page."""
     robot, gap, page = tmp_path / "emps.toml", tmp_path / "gap.json", tmp_path / "gap.html"
-    jf.io.write_robot(emps_robot, robot)
+    jf.io.write_robot(robot, emps_robot)
     files = [str(measured / "emps" / f"{name}.mat") for name in ("DATA_EMPS", "DATA_EMPS_PULSES")]
     options = ["--map", "u=vir,y=qm", "--set", "y_quantity=position", "--factor", f"u={NEWTON_PER_VOLT}"]
     written = ["-o", str(gap), "--report", str(page), "--heldout-count", "1"]

@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
     where = tmp_path_factory.mktemp("identify")
     (where / "true.toml").write_text(ROBOT)
     robot = read_robot(where / "true.toml")
-    jf.io.write_robot(jf.robot.with_parameters(robot, BEGIN), where / "start.toml")
+    jf.io.write_robot(where / "start.toml", jf.robot.with_parameters(robot, BEGIN))
     slow = jf.SlowSine([1, 2], [25.0, 25.0])
     design = jf.Multisine(500.0, 1000, np.arange(7, 121, 2), rms=np.array([4.0, 4.0]), slow=slow, blocks=2)
     positions = jf.random_positions(3, jr.key(0), 2)

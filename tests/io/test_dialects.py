@@ -152,6 +152,7 @@ def test_units_go_with_the_data(tmp_path):
 def test_known_units():
     assert known_unit("[N m]") == ("N m", 1.0) and known_unit("Deg/s")[0] == "rad/s" and known_unit("furlong") is None
     assert differentiated("m", 2) == "m/s^2" and differentiated("V", 1) == "V/s" and differentiated("V", -1) == "V s"
+    assert differentiated("rad", -5) == "rad s^5"
 
 
 def test_a_quantity_that_nobody_states(tmp_path):

@@ -297,6 +297,20 @@ def test_sep005_channels_by_name_and_with_time():
     np.testing.assert_array_equal(data.r[0, 0, :, 0], 0 * t)
 
 
+def test_sep005_units_are_converted():
+    """Degrees a second and kilonewtons; a unit that nobody knows is kept, and said."""
+    t = np.arange(8.0)
+    channels = [channel("f", t, quantity="f", unit_str="kN"), channel("v", t, unit_str="deg/s")]
+    data = from_sep005(channels, u=["f"], y=["v"])
+    assert (data.u_unit, data.y_unit, data.y_quantity) == ("N", "rad/s", "velocity") and len(data.warnings) == 2
+    np.testing.assert_allclose(data.u[0, 0, :, 0], 1000.0 * t)
+    np.testing.assert_allclose(data.y[0, 0, :, 0], np.pi / 180 * t)
+    odd = from_sep005([channels[0] | {"unit_str": "furlong"}, channels[1]], u=["f"], y=["v"])
+    assert odd.u_unit == "furlong" and "no unit that is known" in odd.warnings[0]
+    with pytest.raises(InputError, match=r"unit_str of y: found deg/s, deg; expected one quantity"):
+        from_sep005([*channels, channel("x", t, unit_str="deg")], u=["f"], y=["v", "x"])
+
+
 def test_sep005_channels_that_do_not_fit():
     t = np.arange(8.0)
     force, motion = channel("f", t, quantity="f"), channel("a", t, quantity="a")

@@ -13,6 +13,7 @@ from mujoco_reference import MuJoCoRobot
 
 import jaxfrf.robot as jr
 from jaxfrf import InputError
+from jaxfrf.effects import Backlash, TorqueDelay
 from jaxfrf.io.mjcf import mjcf, write_mjcf
 from jaxfrf.io.robots import read_robot, toml_text, write_robot
 from jaxfrf.io.urdf import read_urdf
@@ -61,9 +62,9 @@ class TestToml:
         robot = jr.robot_from_table(table)
         assert robot.effects[0].name == "torque_ripple" and robot.effects[0].order == (1, 2)
         assert robot.effects[1].delay == 3e-4 and robot.springs.backlash[3] == 1e-4
-        write_robot(robot, tmp_path / "robot.toml")
+        write_robot(tmp_path / "robot.toml", robot)
         assert same(read_robot(tmp_path / "robot.toml"), robot)
-        write_robot(jr.r3x(), tmp_path / "robot.toml")
+        write_robot(tmp_path / "robot.toml", jr.r3x())
         assert same(read_robot(tmp_path / "robot.toml"), jr.r3x())
         assert [path.name for path in tmp_path.iterdir()] == ["robot.toml"]
 
@@ -72,7 +73,7 @@ class TestToml:
         path.write_text("kept")
         monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
         with pytest.raises(OSError, match="disk full"):
-            write_robot(jr.r3x(), path)
+            write_robot(path, jr.r3x())
         assert [p.name for p in tmp_path.iterdir()] == ["robot.toml"] and path.read_text() == "kept"
 
     def test_one_joint_and_no_controller(self, table):
@@ -136,6 +137,14 @@ def changed(table, path, value):
         (("effect",), [{"name": "delay", "joint": "joint1"}], r"effect 1: name: found 'delay'.*'torque_delay'"),
         (("effect",), [{"name": "torque_delay", "joint": "joint1"}], r"effect 1: delay: found nothing"),
         (("effect",), [{"name": "torque_delay", "delay": 1e-4}], r"effect 1: joint: found nothing"),
+        (("effect",), [{"name": "torque_delay", "joint": "joint1", "delay": [1e-3]}], r"found \[0.001\]; .* a number"),
+        (("effect",), [{"name": "payload", "mass": 1.0, "place": 0.1}], r"effect 1: place: found 0.1; .*list of 3 num"),
+        (("effect",), [{"name": "sensor_delay", "joint": "joint3", "delay": -1}], r"delay: found -1; .*, 0 or more"),
+        (("effect",), [{"name": "encoder_quantisation", "joint": "joint3", "resolution": 0}], r"0; .* above 0 \(rad"),
+        (("effect",), [{"name": "torque_ripple", "joint": "joint3", "amplitude": 1, "order": 1.5}], r"1.5; .* whole"),
+        (("effect",), [{"name": "payload", "mass": -30.0}], r"with its effects: joint6.mass: found -20.0"),
+        (("effect",), [{"name": "viscous_friction", "joint": "joint3", "coefficient": -1}], r"friction: found -0.99"),
+        (("effect",), [{"name": "payload", "mass": -3.0, "place": [0.5] * 3}], r"joint6.inertia: .* a positive tensor"),
         (("effect",), [{"name": "payload", "mas": 1.0}], r"effect 1: found the unknown key 'mas'.*'mass'"),
     ],
 )  # fmt: skip
@@ -305,14 +314,14 @@ class TestURDF:
 class TestMJCF:
     def test_file(self, tmp_path):
         robot = jr.with_parameters(jr.r3x(), {n: 1.0 for n in jr.parameters(jr.r3x(), ["stiffness_ratio"])})
-        write_mjcf(robot, tmp_path / "r3x.xml")
+        write_mjcf(tmp_path / "r3x.xml", robot)
         model = mujoco.MjModel.from_xml_path(str(tmp_path / "r3x.xml"))
         assert model.nq == 14 and model.nu == 6 and model.ntendon == 6
         np.testing.assert_allclose(model.actuator_ctrlrange[:, 1], robot.drives.torque_limit)
 
     def test_friction(self):
         robot = jr.with_parameters(jr.r3x(), {n: 1.0 for n in jr.parameters(jr.r3x(), ["stiffness_ratio"])})
-        model = mujoco.MjModel.from_xml_string(mjcf(robot, friction=True))
+        model = mujoco.MjModel.from_xml_string(mjcf(robot))
         motors = [model.joint(f"motor:{name}").dofadr[0] for name in robot.axis_names]
         np.testing.assert_allclose(model.dof_frictionloss[motors], robot.drives.friction.coulomb)
         np.testing.assert_allclose(model.dof_damping[motors], robot.drives.friction.viscous)
@@ -338,6 +347,10 @@ class TestMJCF:
         with pytest.raises(InputError, match="springs: found nonlinear ones"):
             mjcf(jr.r3x())
         linear = jr.with_parameters(jr.r3x(), {n: 1.0 for n in jr.parameters(jr.r3x(), ["stiffness_ratio"])})
+        with pytest.raises(InputError, match=r"R3X: effects: found torque_delay; .* effects=\(\)\)"):
+            mjcf(linear.with_effects(TorqueDelay(0, 1e-4), TorqueDelay(1, 1e-4)))
+        with pytest.raises(InputError, match="springs: found play"):
+            mjcf(linear.with_effects(Backlash(0, 1e-4)))
         with pytest.raises(InputError, match="joint6: found a massless link at the tip"):
             mjcf(jr.with_parameters(linear, {"joint6.mass": 0.0, "joint6.inertia": jnp.zeros(6)}))
         with pytest.raises(InputError, match="joint6: found mass 10 kg and principal inertias"):

@@ -34,6 +34,8 @@ def test_units_that_a_file_states_beside_its_arrays(tmp_path):
         ("mN", ("N", 1e-3)),
         ("[MNm]", ("N m", 1e6)),
         ("mNm", ("N m", 1e-3)),
+        ("MN m", ("N m", 1e6)),
+        ("n m", ("N m", 1.0)),
         ("MV", ("V", 1e6)),
         ("N m", ("N m", 1.0)),
         ("NM", ("N m", 1.0)),
@@ -146,6 +148,9 @@ def test_units_of_universal_files(tmp_path):
         one["data"] = one["data"] * 1000
     pyuff.UFF(str(tmp_path / "mm.uff")).write_sets(sets, "overwrite")
     np.testing.assert_allclose(jf.io.read_frf(tmp_path / "mm.uff").G, frf.G, rtol=1e-6)
+    metres, first, second = {"type": 164, "length": 1.0, "force": 1.0}, sets[1], sets[1] | {"rsp_node": 2}
+    both = jf.io.frf_from_uff([sets[0], first, metres, second]).G[0, :, :, 0]  # units hold for the sets that follow
+    np.testing.assert_allclose(both, frf.G[0, :, 0] * [1.0, 1000.0], rtol=1e-6)
     jf.io.write_uff(tmp_path / "joint.uff", response())
     assert jf.io.read_frf(tmp_path / "joint.uff").y_unit == ""
     sets[1]["orddenom_spec_data_type"] = 12

@@ -10,7 +10,7 @@ class MuJoCoRobot:
     """The exported MJCF of a robot, evaluated in the coordinates z = [q_m, q_a, q_e] of jaxfrf."""
 
     def __init__(self, robot):
-        self.model = mujoco.MjModel.from_xml_string(mjcf(robot))
+        self.model = mujoco.MjModel.from_xml_string(mjcf(robot, friction=False))
         self.data = mujoco.MjData(self.model)
         motors = [f"motor:{robot.axis_names[axis]}" for axis in robot.flexible_axes]
         arm = [robot.joint_names[i] for i in robot.arm_joints]

@@ -52,7 +52,7 @@ def test_files_keep_them(tmp_path):
     robot = r3x().with_tolerances(
         tolerances_from({"links": 0.02, "joint6.mass": "0.1 kg", "joint2.stiffness": "unknown"}, NAMES)
     )
-    jf.io.write_robot(robot, tmp_path / "robot.toml")
+    jf.io.write_robot(tmp_path / "robot.toml", robot)
     assert jf.io.read_robot(tmp_path / "robot.toml").tolerances == robot.tolerances
 
     text = (tmp_path / "robot.toml").read_text().replace('"joint6.mass" = "0.1 kg"', 'joint6.mass = "0.2 kg"')

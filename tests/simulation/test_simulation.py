@@ -265,7 +265,7 @@ list = [9, 11, 13, 15]
 class TestCommand:
     @pytest.fixture
     def files(self, tmp_path):
-        jf.io.write_robot(jf.robot.r3x(), tmp_path / "robot.toml")
+        jf.io.write_robot(tmp_path / "robot.toml", jf.robot.r3x())
         (tmp_path / "design.toml").write_text(DESIGN)
         return tmp_path
 

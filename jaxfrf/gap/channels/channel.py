@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float, Int
 
 from ..._errors import InputError
 from ...effects import AbstractEffect, Candidate
-from ...robot import Robot, with_parameters
+from ...robot import Robot
+from ...robot.parameters import with_values
 from ..result import Cell, Diagnosis
 from ..settings import NEAR
 
@@ -31,7 +32,7 @@ class State(eqx.Module):
 
     def robot(self) -> Robot:
         effects = [candidate.make(np.array(values)) for candidate, values in self.chosen]
-        return with_parameters(self.given, self.own).with_effects(*effects)
+        return with_values(self.given, self.own).with_effects(*effects)
 
     @property
     def values(self) -> Float[np.ndarray, "free"]:

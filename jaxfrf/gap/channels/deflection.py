@@ -26,8 +26,9 @@ from ...effects import (
 )
 from ...effects._place import axis_of
 from ...experiment import Experiment
-from ...robot import Robot, parameters, robot_from_table, with_parameters
+from ...robot import Robot, parameters, robot_from_table
 from ...robot.equations import arm_angles, gear_angles
+from ...robot.parameters import with_values
 from ...trajectory.rigid_motion import MeasuredMotion, held, smooth
 from ..settings import DEFLECTION, DEFLECTION_CUTOFF, DEFLECTION_DROP, SMALLEST
 from .channel import Rows
@@ -229,4 +230,4 @@ def _springs_alone(n: int, smoothing: float) -> Robot:
     joints = [plain | {"name": f"axis{i + 1}", "stiffness": 1.0} for i in range(n)]
     table = {"name": "transmissions", "gravity": [0.0] * 3, "friction": {"smoothing": smoothing}, "joint": joints}
     robot = robot_from_table(table)
-    return with_parameters(robot, dict.fromkeys(parameters(robot, ("motor_inertia",)), 0.0))
+    return with_values(robot, dict.fromkeys(parameters(robot, ("motor_inertia",)), 0.0))
