@@ -3,8 +3,7 @@
 import re
 import typing
 
-from . import _arguments
-from ._errors import input_error
+from . import _arguments, _errors
 
 QUANTITIES = {"position": 0, "velocity": 1, "acceleration": 2}
 """How many times each quantity is the time derivative of a position."""
@@ -98,7 +97,9 @@ def expect_quantity(name: str, value: typing.Any) -> None:
     **Raises:** `jaxfrf.InputError` for anything else than `position`, `velocity` or `acceleration`.
     """
     if not isinstance(value, str) or value not in QUANTITIES:
-        raise input_error(name, _arguments.said(value), "position, velocity or acceleration", "Choose one of them.")
+        raise _errors.input_error(
+            name, _arguments.said(value), "position, velocity or acceleration", "Choose one of them."
+        )
 
 
 def differentiated(unit: str, times: int) -> str:

@@ -149,7 +149,7 @@ WITHOUT_SOURCE_BESIDE = {
     "simulation": "read_positions",
     "study": "Settings run_study",
     "trajectory": "fewer",
-    "units": "differentiated input_unit known_unit output_unit quantity_of response_unit",
+    "units": "differentiated expect_quantity input_unit known_unit output_unit quantity_of response_unit",
 }
 """Of each namespace, what only reads, writes, picks, renames or holds something. Records, whose docstrings list their
 fields, and bases need no source anywhere."""
