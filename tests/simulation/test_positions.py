@@ -207,7 +207,7 @@ def test_positions_between_limits(tmp_path):
     robot = jf.robot.r3x()
     limits = ((-0.5, 0.5), (-np.inf, np.inf), (0.2, 9.0), *((-np.inf, np.inf),) * 3)
     robot = dataclasses.replace(robot, limits=limits)
-    jf.io.write_robot(robot, tmp_path / "r.toml")
+    jf.io.write_robot(tmp_path / "r.toml", robot)
     assert jf.io.read_robot(tmp_path / "r.toml").limits == limits
     margin = np.array([0.1, 0.0, 0.05, 0.0, 0.0, 0.0])
     q = positions_of(robot, 200, jax.random.key(0), margin)
