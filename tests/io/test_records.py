@@ -426,6 +426,7 @@ def test_rate_from_a_time_vector(tmp_path):
     u, y = signals()
     path = saved(tmp_path / "a.npz", u=u, y=y, clock=2000.0 * np.arange(200) + 1e6)
     assert read(path, names={"t": "clock"}, factor={"t": 1e-6}).fs == FS
+    assert read(saved(tmp_path / "b.npz", u=u, y=y, Time=np.arange(200) / FS)).fs == FS
 
 
 @pytest.mark.parametrize(
@@ -437,7 +438,7 @@ def test_rate_from_a_time_vector(tmp_path):
         ({"fs": "fast"}, r"fs: found text; expected real numbers"),
         ({"fs": np.array([1.0, 2.0])}, r"fs: found an array of shape \(.*2.*\); expected one number"),
         ({}, r"fs: found neither fs nor a time vector; expected the sampling frequency"),
-        ({"time": np.arange(200) / FS}, r"fs: found no such variable.*--map t=time"),
+        ({"clock": np.arange(200) / FS}, r"fs: found no such variable.*--map t=clock"),
         ({"fs": 1000.0, "t": np.arange(200) / FS}, r"fs: found 1000 Hz against 500 Hz.*--set fs=500"),
         ({"fs": FS, "t": np.arange(200) * 2000.0}, r"against 0\.0005 Hz.*microseconds: --factor t=1e-06"),
         (
