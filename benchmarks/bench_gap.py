@@ -51,6 +51,7 @@ from _gap_score import NAMING, load, report, score
 from _hidden_cases import PARTS, Case, can_be_made, cases, class_of, make
 from _hidden_effects import MAIN, kind_of
 from _hidden_robots import PLANTS
+from _pinned import commit
 
 from jaxfrf.effects import AbstractEffect
 from jaxfrf.effects.catalogue import effect_from_table
@@ -113,7 +114,7 @@ def main() -> None:
     parser.add_argument("--no-refits", action="store_true", help="neither oracle nor placebo: a third of the time")
     parser.add_argument("--again", action="store_true", help="diagnose the robots that were written, too")
     parser.add_argument("--keep", type=pathlib.Path, metavar="FILE", help="add the finished cases to it, run nothing")
-    parser.add_argument("--commit", default="", help="that made them, for --keep")
+    parser.add_argument("--commit", default="", help="that made them, for --keep; this one by default")
     parser.add_argument("--kept", type=pathlib.Path, metavar="FILE", help="leave out the cases that it holds")
     parser.add_argument("--jobs", type=int, default=1, help="processes of MuJoCo")
     parser.add_argument("--cost", action="store_true", help="time and memory of one large case only")
@@ -122,7 +123,7 @@ def main() -> None:
     if options.cost:
         return cost(folder, options.jobs)
     if options.keep:
-        return print(f"{keep(options.keep, folder, options.commit)} cases in {options.keep}")
+        return print(f"{keep(options.keep, folder, options.commit or commit())} cases in {options.keep}")
     if not options.score:
         chosen = [c for c in cases(options.part) if c.robot in options.robots]
         chosen = [c for c in chosen if options.cases is None or c.number in options.cases]

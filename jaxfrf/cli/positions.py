@@ -113,7 +113,7 @@ def _travel(design, robot):
 
 
 def _unknown(robot) -> str:
-    without = [name for name, limits in zip(robot.axis_names, robot.limits, strict=False) if limits[0] == -float("inf")]
     if not robot.limits:
         return "joint limits, "
+    without = [name for name, limits in zip(robot.axis_names, robot.limits, strict=True) if limits[0] == -float("inf")]
     return f"the limits of {', '.join(without)}, " if without else ""

@@ -17,8 +17,8 @@ def scatter(frequency: Float[np.ndarray, "freq"], G: Complex[np.ndarray, "freq *
 
     A fraction B(r)/A(r) of second order goes through every eleven lines, r the distance from the middle one; what it
     leaves of A G is noise, which A weighs, averaged over as many windows: of the shape a + b |G|^2, as noise of the
-    output and of the input or the gain are. Too small (.96 of it) for white noise, some of which the fraction takes,
-    and for errors of lines that share data; too large where a resonance has but a line or two. Of fewer lines, how far
+    output and of the input or the gain are. A little too small for white noise, some of which the fraction takes, and
+    for errors of lines that share data; too large where a resonance has but a line or two. Of fewer lines, how far
     each is off the straight line between its neighbours, which takes a resonance for noise; 0 for fewer than three.
 
     **Source:** the local rational window (McKelvey & Guerin, SYSID 2012), of G itself.

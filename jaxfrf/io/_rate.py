@@ -23,7 +23,7 @@ _WHOLE = 1e-6  # a rate this close to a whole number of Hz is that number (time 
 def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
     """fs from the file, the caller or the time vector, and remarks on it; all that is known must agree."""
     fs = scalar(file, "fs", None)
-    file = _with_time(file) if fs is None else file
+    file = _with_time(file, n_time) if fs is None else file
     named = "t" in file.given.names
     time = None if fs is not None and not named and _is_closed(file, "t") else file.get("t")
     if fs is not None and not named and not _is_time(time, n_time):
@@ -51,9 +51,9 @@ def sampling_frequency(file: File, n_time: int) -> tuple[float, list[str]]:
     return fs, []
 
 
-def _with_time(file: File) -> File:
+def _with_time(file: File, n_time: int) -> File:
     """A column called `time` is `t`, where nothing else is and no rate is said."""
-    alike = [name for name in file.variables if name.lower() == "time"]
+    alike = [name for name in time_like(file.variables, n_time) if name.lower() == "time"]
     if len(alike) != 1 or "t" in {*file.given.names, *file.given.values, *file.variables}:
         return file
     return dataclasses.replace(file, given=dataclasses.replace(file.given, names={**file.given.names, "t": alike[0]}))

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from .._annotated import check_fields
-from .._arguments import said
+from .._arguments import expect, said
 from .._errors import input_error
 from ..effects import AbstractEffect, AbstractStructure
 from .chain import Chain
@@ -70,8 +70,8 @@ class Robot(eqx.Module):
         ):
             if np.shape(of) != (count,):
                 raise input_error(field, f"shape {np.shape(of)}", f"({count},)", "Give one for each axis or spring.")
-
-        if self.limits and (len(self.limits) != self.n_axes or not all(low < high for low, high in self.limits)):
+        pairs = [low < high and np.isfinite(low) == np.isfinite(high) for low, high in self.limits]
+        if self.limits and (len(pairs) != self.n_axes or not all(pairs)):
             raise input_error("limits", f"{self.limits}", "(lowest, highest) for each axis, or none", "Complete them.")
 
     def with_effects(self, *effects: AbstractEffect) -> "Robot":
@@ -85,9 +85,9 @@ class Robot(eqx.Module):
         """
         robot = self
         for effect in effects:
-            if not isinstance(effect, AbstractEffect):
-                do = "Call the class: TorqueDelay('joint1', 1e-3)." if isinstance(effect, type) else _UNPACK
-                raise input_error("effects", said(effect), "effects of jaxfrf.effects, one after the other", do)
+            if isinstance(effect, list | tuple):
+                raise input_error("effects", said(effect), "effects, one after the other", _UNPACK)
+            expect("effects", effect, AbstractEffect)
             if isinstance(effect, AbstractStructure):
                 robot = effect.apply(robot)
             else:

@@ -47,8 +47,8 @@ def random_positions(n: int, key: PRNGKeyArray, axes: int = 6) -> Float[np.ndarr
 def positions_of(
     robot: Robot, n: int, key: PRNGKeyArray, margin: Float[np.ndarray, "axis"] | float = 0.0
 ) -> Float[np.ndarray, "pos axis"]:
-    """`random_positions` of this robot; an axis with limits is drawn between them (at most half a turn from zero), one
-    that slides without limits from half a metre on either side of its zero.
+    """`random_positions` of this robot; an axis with limits is drawn between them (of more than a turn, half a turn
+    on either side of their middle), one that slides without limits from half a metre on either side of its zero.
 
     **Arguments:** `n`: how many. `key`: of the draw. `margin`: that limits are kept away from, rad or m.
 
@@ -103,8 +103,10 @@ def check_within(name: str, q: Float[np.ndarray, "pos axis"], robot: Robot, marg
 def _between(robot: Robot, margin) -> tuple[np.ndarray, np.ndarray]:
     """Where axes are drawn between, those without limits that slide included."""
     limits, slides = limits_of(robot), np.array(robot.axis_units) == "m"
-    most = np.where(slides, np.where(np.isfinite(limits).all(axis=1), np.inf, _TRAVEL), np.pi)
-    low, high = np.maximum(limits[:, 0] + margin, -most), np.minimum(limits[:, 1] - margin, most)
+    known = np.isfinite(limits).all(axis=1)
+    middle = np.where(known, np.where(known[:, None], limits, 0.0).mean(axis=1), 0.0)
+    most = np.where(slides, np.where(known, np.inf, _TRAVEL), np.pi)
+    low, high = np.maximum(limits[:, 0] + margin, middle - most), np.minimum(limits[:, 1] - margin, middle + most)
     if not (low < high).all():
         axis = int(np.argmin(high - low))
         unit = robot.axis_units[axis]

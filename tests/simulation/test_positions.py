@@ -205,16 +205,17 @@ def test_files_of_positions(tmp_path):
 
 def test_positions_between_limits(tmp_path):
     robot = jf.robot.r3x()
-    limits = ((-0.5, 0.5), (-np.inf, np.inf), (0.2, 9.0), *((-np.inf, np.inf),) * 3)
+    limits = ((-0.5, 0.5), (-np.inf, np.inf), (4.0, 6.0), (0.0, 9.0), *((-np.inf, np.inf),) * 2)
     robot = dataclasses.replace(robot, limits=limits)
     jf.io.write_robot(tmp_path / "r.toml", robot)
     assert jf.io.read_robot(tmp_path / "r.toml").limits == limits
-    margin = np.array([0.1, 0.0, 0.05, 0.0, 0.0, 0.0])
+    margin = np.array([0.1, 0.0, 0.05, 0.1, 0.0, 0.0])
     q = positions_of(robot, 200, jax.random.key(0), margin)
     free = jf.random_positions(200, jax.random.key(0))
-    np.testing.assert_array_equal(q[:, [1, 3, 4, 5]], free[:, [1, 3, 4, 5]])
+    np.testing.assert_array_equal(q[:, [1, 4, 5]], free[:, [1, 4, 5]])
     assert 0.38 < np.abs(q[:, 0]).max() <= 0.4
-    assert 0.25 <= q[:, 2].min() < 0.3 and 3.0 < q[:, 2].max() <= np.pi
+    assert 4.05 <= q[:, 2].min() < 4.1 and 5.9 < q[:, 2].max() <= 5.95
+    assert 3.0 < np.abs(q[:, 3] - 4.5).max() <= np.pi
     check_within("q.csv", q, robot, margin)
     with pytest.raises(jf.InputError, match=r"q.csv: position 0: found joint1 at 0.45 rad; expected -0.5 to 0.5 rad"):
         check_within("q.csv", np.full((1, 6), 0.45), robot, margin)
@@ -222,6 +223,8 @@ def test_positions_between_limits(tmp_path):
         positions_of(robot, 2, jax.random.key(0), 0.6)
     with pytest.raises(jf.InputError, match=r"limits: .* for each axis"):
         dataclasses.replace(robot, limits=limits[:2])
+    with pytest.raises(jf.InputError, match=r"limits: .* for each axis"):
+        dataclasses.replace(robot, limits=((0.0, np.inf), *limits[1:]))
 
 
 def test_what_slides_is_drawn_and_written_in_metres(tmp_path):
