@@ -4,7 +4,6 @@ import itertools
 
 import equinox as eqx
 import numpy as np
-import scipy.ndimage
 
 from .._arguments import expect, expect_index, expect_number
 from .._status import Status
@@ -19,7 +18,6 @@ _AROUND = 3.0  # half widths (3 dB) of lines on each side that tell frequency an
 _ENOUGH = 8  # lines, to see how they scatter
 _FEWEST = 4  # lines on each side, at least
 _SIGNIFICANT = 3.0  # standard deviations of the extremum itself, beside its surroundings
-_BESIDE = 10  # lines on either side, over which roughness is taken
 _NUMBERS = 8  # that a pole and a straight line are
 _SURE = 0.5  # relative standard deviation of a damping beyond which it is not told
 
@@ -80,7 +78,7 @@ def features(frf: FRF, out: int = 0, into: int = 0, *, position: int = 0, promin
     std = np.where(np.isfinite(std) & (std > 0), std, _scatter(frequency, G))
     magnitude = np.maximum(np.abs(G), 1e-300)
     status = np.asarray(frf.status)[position]
-    std = np.where(status & int(Status.NOISE_ONLY), np.maximum(std, _roughness(G)), std)
+    std = np.where(status & int(Status.NOISE_ONLY), np.fmax(std, _scatter(frequency, G)), std)
     at_end = ((status & int(Status.EDGE_WINDOW)) != 0) & (window < _FEWEST)
     level = 20 * np.log10(magnitude)
     doubt = 2 * np.nan_to_num(std) / magnitude
@@ -106,18 +104,6 @@ def _scatter(frequency, G) -> np.ndarray:
     """Of every line with a number, by how the lines around it scatter; NaN elsewhere."""
     enough = np.isfinite(G).sum() >= _ENOUGH
     return np.maximum(scatter(frequency, G), 1e-6 * np.abs(G)) if enough else np.full(len(G), np.nan)
-
-
-def _roughness(G) -> np.ndarray:
-    """Standard deviation of a line by how far it lies beside its neighbours, where the covariance holds no distortion:
-    the median over some lines, which one sharp resonance does not move."""
-    if len(G) < 3:
-        return np.zeros(len(G))
-    middle = np.maximum(np.abs(G[1:-1]), 1e-300)
-    beside = np.abs(G[:-2] - 2 * G[1:-1] + G[2:]) / np.sqrt(6) / middle
-    size = min(2 * _BESIDE + 1, len(beside))
-    usual = scipy.ndimage.median_filter(beside, size=size, mode="nearest") / np.sqrt(np.log(2))
-    return np.abs(G) * np.pad(usual, 1, mode="edge")
 
 
 def _peaks(level, prominence: float) -> list[tuple[int, int]]:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 from _gap_estimates import errors
+from _gap_kept import keep, kept
 from _gap_picture import draw
 from _gap_score import Judged, found, load, rate, report, score, summary
 from _hidden_cases import make
@@ -481,6 +482,10 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert verdicts() == ["sufficient", "failed", "sufficient"]
     bench_gap.run(chosen, tmp_path)
     assert len(seen) == 4 and seen[3] == seen[1] and verdicts() == ["sufficient"] * 3
+    file = tmp_path / "cases.json"
+    assert keep(file, tmp_path, "0123abc") == keep(file, tmp_path, "4567def") == 3  # as they were first kept
+    assert {case["commit"] for case in kept(file).values()} == {"0123abc"}
+    assert summary(load(file)) == summary(load(tmp_path))
 
 
 def test_numbers():

@@ -13,8 +13,9 @@ import scipy.signal
 
 import jaxfrf as jf
 from jaxfrf.frf.catalogue import METHODS, method
-from jaxfrf.frf.features import _peaks, _roughness
+from jaxfrf.frf.features import _peaks
 from jaxfrf.frf.from_record import spectra_of
+from jaxfrf.frf.scatter import scatter
 from jaxfrf.pipeline import summary
 
 
@@ -370,7 +371,7 @@ def test_scatter_that_the_noise_does_not_hold():
     f = np.arange(2.0, 40.0, 0.1)
     G, antiresonance, resonance = two_mass(f)
     smooth = G[:, 0, 0] * (1 + 0.02 * plants.circular(rng, (len(f),)))
-    rough = _roughness(smooth) / np.abs(smooth)
+    rough = scatter(f, smooth) / np.abs(smooth)
     assert np.all((rough > 0.01) & (rough < 0.06))  # at resonance and antiresonance, too
     frf = response(smooth[:, None, None], f, std=1e-3 * np.abs(smooth)[:, None])
     found = {
