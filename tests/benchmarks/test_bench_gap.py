@@ -485,7 +485,7 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     file = tmp_path / "cases.json"
     assert keep(file, tmp_path, "0123abc") == keep(file, tmp_path, "4567def") == 3  # as they were first kept
     assert {case["commit"] for case in kept(file).values()} == {"0123abc"}
-    assert summary(load(file)) == summary(load(tmp_path))
+    assert report(score(load(file))) == report(score(load(tmp_path)))
 
 
 def test_numbers():
