@@ -9,16 +9,13 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import threadpoolctl
 
+from ._environment import cores
+
 _CALLS = 8  # batched LAPACK calls of one program that may run at the same time: fewer do
 
 Given = ParamSpec("Given")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-
-def cores() -> int:
-    """That this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def lapack_threads() -> int:
