@@ -2,7 +2,7 @@
 
 import os
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,17 @@ def expect_path(name: str, value: Any) -> None:
 def expect_text(name: str, value: Any) -> None:
     if not isinstance(value, str):
         raise input_error(name, said(value), "text", "Give it in quotes.")
+
+
+def as_names(name: str, values: Any, count: int, things: str) -> list[str]:
+    """A text for each of `count` things."""
+    names = [] if isinstance(values, str | bytes) or not isinstance(values, Iterable) else list(values)
+    if len(names) != count:
+        found = f"{len(names)}" if names else said(values)
+        raise input_error(name, found, f"one for each of the {count} {things}", "Name them all.")
+    for each in names:
+        expect_text(name, each)
+    return names
 
 
 def expect_whole(name: str, value: Any, least: int | None = 0) -> None:

@@ -296,6 +296,7 @@ MAY_IMPORT = {
     **{name: set() for name in LOWEST},
     **{name: LOWEST for name in BASE - LOWEST},
     **{name: LOWEST | {"arguments"} for name in ("annotated", "units")},
+    "threads": LOWEST | {"environment"},
     "parts": LOWEST | {"files", "parts"},
     "excitation": BASE | {"excitation"},
     "periodic": BASE | {"periodic"},

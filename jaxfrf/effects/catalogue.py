@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from .._arguments import said
 from .._errors import InputError, input_error
 from .._text import nearest, shortened
 from .effect import AbstractEffect
@@ -29,6 +30,15 @@ def library() -> dict[str, type[AbstractEffect]]:
     return {kind.name: kind for kind in kinds}
 
 
+def check_own(own: Sequence[type[AbstractEffect]]) -> None:
+    """Refuse what is no list of classes of effects."""
+    kinds = own if isinstance(own, list | tuple) else [own]
+    wrong = [kind for kind in kinds if not (inspect.isclass(kind) and issubclass(kind, AbstractEffect))]
+    if wrong or kinds is not own:
+        found = said(wrong[0] if wrong else own)
+        raise input_error("own", found, "a list of classes of effects", "Give e.g. own=[MyEffect], not MyEffect(...).")
+
+
 def effect_from_table(
     table: Mapping[str, Any], where: str = "effect", own: Sequence[type[AbstractEffect]] = ()
 ) -> AbstractEffect:
@@ -39,6 +49,7 @@ def effect_from_table(
     **Raises:** `jaxfrf.InputError` for an unknown name or parameter, with the nearest known one, a parameter that
     is missing, and a value that is no number, of another shape than the parameter, or of a sign that it cannot have.
     """
+    check_own(own)
     name, known = table.get("name"), library() | {kind.name: kind for kind in own}
     if name not in known:
         near = nearest(name, known)

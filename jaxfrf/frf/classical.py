@@ -22,7 +22,26 @@ DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rou
 _AT_ONCE = 16  # lines whose rank is looked at together
 
 
-class H1(AbstractLeastSquares):
+class AbstractLineByLine(AbstractMethod):
+    """Estimators that know nothing of a line's neighbours."""
+
+    @property
+    def looks(self) -> bool:
+        return True
+
+    def block_size(self, spectra: Spectra | Signals) -> int:
+        return spectra.n_in
+
+    def check(self, spectra: Spectra) -> None:
+        check_periodic(spectra, H1())
+        check_experiments(spectra, spectra.n_in)
+        check_independent("u", spectra.U)
+
+    def residual_dof(self, signals: Signals) -> float:
+        return float(signals.n_exp - signals.n_in)
+
+
+class H1(AbstractLineByLine, AbstractLeastSquares):
     """G = Y U^H (U U^H)^-1 over all experiments: least squares with the noise in y.
 
     Biased low by noise in u; in closed loop biased by the noise that the controller feeds back, however many
@@ -55,18 +74,6 @@ class H1(AbstractLeastSquares):
         check_experiments(spectra, n_parameters)
         return windows(np.arange(len(spectra.frequency)), 1)
 
-    @property
-    def looks(self) -> bool:
-        return True
-
-    def block_size(self, spectra: Spectra | Signals) -> int:
-        return spectra.n_in
-
-    def check(self, spectra: Spectra) -> None:
-        check_periodic(spectra, self)
-        check_experiments(spectra, spectra.n_in)
-        check_independent("u", spectra.U)
-
     def regressed(self, signals: Signals, joint: bool, lines=None) -> Estimate:
         """Y Z^H (U Z^H)^-1, Z being U or R: for the latter that is the ratio of the two responses from R."""
         instrument = signals.R if joint else None
@@ -76,7 +83,7 @@ class H1(AbstractLeastSquares):
         return _with_noise(super().regressed(signals, joint, lines), signals, instrument, lines)
 
 
-class H2(AbstractMethod):
+class H2(AbstractLineByLine):
     """G = Y Y^H (U Y^H)^-1: least squares with the noise in u. As many outputs as inputs.
 
     Biased high by noise in y; better than `H1` at resonances, where y is large and u small. The covariance is H1's,
@@ -88,17 +95,8 @@ class H2(AbstractMethod):
     **Source:** Mitchell, J. Mechanical Design 104 (1982) 277-279.
     """
 
-    @property
-    def looks(self) -> bool:
-        return True
-
-    def block_size(self, spectra: Spectra | Signals) -> int:
-        return spectra.n_in
-
     def check(self, spectra: Spectra) -> None:
-        check_periodic(spectra, H1())
-        check_experiments(spectra, spectra.n_in)
-        check_independent("u", spectra.U)
+        super().check(spectra)
         if spectra.n_out != spectra.n_in:
             raise input_error(
                 "H2",
@@ -107,9 +105,6 @@ class H2(AbstractMethod):
                 "Use h1 or hv, or choose as many outputs as inputs.",
             )
 
-    def residual_dof(self, signals: Signals) -> float:
-        return float(signals.n_exp - signals.n_in)
-
     def at_point(self, signals: Signals, lines=None) -> Estimate:
         def response(U, Y):
             return Y @ adjoint(Y) @ inverse(U @ adjoint(Y))
@@ -117,7 +112,7 @@ class H2(AbstractMethod):
         return _line_by_line(signals, None, response, lines)[0]
 
 
-class Hv(AbstractMethod):
+class Hv(AbstractLineByLine):
     """Total least squares, one output at a time: noise in y and in every u, of equal power in the scaled signals.
 
     Between `H1` and `H2`: G_i from the eigenvector of the smallest eigenvalue of the cross-spectral matrix of [u; y_i],
@@ -129,21 +124,6 @@ class Hv(AbstractMethod):
 
     **Source:** Rocklin, Crowley & Vold, A comparison of H1, H2 and Hv frequency response functions, IMAC 1985.
     """
-
-    @property
-    def looks(self) -> bool:
-        return True
-
-    def block_size(self, spectra: Spectra | Signals) -> int:
-        return spectra.n_in
-
-    def check(self, spectra: Spectra) -> None:
-        check_periodic(spectra, H1())
-        check_experiments(spectra, spectra.n_in)
-        check_independent("u", spectra.U)
-
-    def residual_dof(self, signals: Signals) -> float:
-        return float(signals.n_exp - signals.n_in)
 
     def at_point(self, signals: Signals, lines=None) -> Estimate:
         def response(U, Y):

@@ -10,6 +10,7 @@ from .._threads import one_blas_thread
 from .._types import require_x64
 from ..calibration.alignment import aligned
 from ..effects import AbstractEffect, library
+from ..effects.catalogue import check_own
 from ..experiment import Experiment
 from ..frf import FRF
 from ..parts import Parts
@@ -91,6 +92,7 @@ def diagnose(
         expect("robot", robot, Robot)
     if not isinstance(data, Experiment | FRF):
         expect_each("data", data, Experiment, FRF)
+    check_own(own)
     if heldout_count is not None:
         expect_whole("heldout_count", heldout_count)
     records: list[Any] = [data] if isinstance(data, Experiment | FRF) else list(data)

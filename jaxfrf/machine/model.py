@@ -114,7 +114,11 @@ class Machine(AbstractModel):
         return self._changed(self.parameters, (*self.effects, *effects))
 
     def with_values(self, values: Mapping[str, float]) -> "Machine":
-        """The machine whose parameters start at these values."""
+        """The machine whose parameters start at these values.
+
+        **Raises:** `jaxfrf.InputError` for a name that it does not have.
+        """
+        self._check_names("values", values)
         moved = {
             n: dataclasses.replace(p, start=np.float64(values.get(n, p.start))) for n, p in self.parameters.items()
         }
@@ -128,11 +132,14 @@ class Machine(AbstractModel):
 
         **Raises:** `jaxfrf.InputError` for a name that it does not have.
         """
-        for name in names:
-            if name not in self.parameters:
-                raise input_error("held", repr(name), f"one of {', '.join(self.parameters)}", "Correct the name.")
+        self._check_names("held", names)
         fixed = {n: dataclasses.replace(p, free=False) if n in names else p for n, p in self.parameters.items()}
         return self._changed(fixed, self.effects)
+
+    def _check_names(self, argument: str, names: Iterable[str]) -> None:
+        for name in names:
+            if name not in self.parameters:
+                raise input_error(argument, repr(name), f"one of {', '.join(self.parameters)}", "Correct the name.")
 
     def with_smoothing(self, smoothing: float) -> "Machine":
         """The machine whose Coulomb friction turns within this speed, rad/s or m/s."""

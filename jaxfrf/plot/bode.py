@@ -8,7 +8,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
-from .._arguments import expect, expect_index, expect_probability
+from .._arguments import as_names, expect, expect_index, expect_probability
 from .._errors import input_error
 from .._status import SERIOUS
 from .._types import Array
@@ -97,8 +97,8 @@ def bode(
     frfs = list(frfs) if isinstance(frfs, Sequence) and not isinstance(frfs, str) else [frfs]
     for frf in frfs:
         expect("frfs", frf, FRF)
-    labels = _labels(frfs) if labels is None else list(labels)
-    _check(frfs, labels, elements, position)
+    _check(frfs, elements, position)
+    labels = _labels(frfs) if labels is None else as_names("labels", labels, len(frfs), "estimates")
     cells = _cells(frfs[0], elements)
     radii = [None if confidence is None else confidence_radius(f, confidence)[position] for f in frfs]
     handles = _legend(frfs, labels, radii, confidence, position)
@@ -243,11 +243,9 @@ def _labels(frfs: Sequence[FRF]) -> list[str]:
     return [f.method or f"estimate {k + 1}" for k, f in enumerate(frfs)]
 
 
-def _check(frfs: Sequence[FRF], labels: Sequence[str], elements, position: int) -> None:
+def _check(frfs: Sequence[FRF], elements, position: int) -> None:
     if not frfs:
         raise input_error("frfs", "none", "at least one FRF", "Estimate one first.")
-    if len(labels) != len(frfs):
-        raise input_error("labels", f"{len(labels)}", f"one for each of the {len(frfs)} estimates", "Name them all.")
     for f in frfs:
         if (f.n_out, f.n_in, f.y_quantity) != (frfs[0].n_out, frfs[0].n_in, frfs[0].y_quantity):
             raise input_error(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from .._arguments import expect_index
+from .._arguments import as_names, expect_index
 from .._errors import input_error
 from .._types import Array, Frequency
 from ..io._optional import require
@@ -42,9 +42,9 @@ def coherence(
     **Raises:** `jaxfrf.InputError` if shapes do not fit.
     """
     frequency, values = np.asarray(frequency), _values(coherence, len(frequency), position)
-    labels = [f"$y_{{{k + 1}}}$" for k in range(values.shape[1])] if labels is None else list(labels)
-    if len(labels) != values.shape[1]:
-        raise input_error("labels", f"{len(labels)}", f"one for each of the {values.shape[1]} outputs", "Name them.")
+    if labels is None:
+        labels = [f"$y_{{{k + 1}}}$" for k in range(values.shape[1])]
+    labels = as_names("labels", labels, values.shape[1], "outputs")
     if axes is None:
         handles = _legend(labels) if len(labels) > 1 else []
         axes = _new(handles, title)

@@ -46,7 +46,7 @@ def fit_bode(
     and elements.
     """
     expect("measured", measured, FRF)
-    _check([measured], ["measured"], elements, position)
+    _check([measured], elements, position)
     if not isinstance(models, Mapping):
         raise input_error("models", said(models), "a table {name: G}", "Name them, e.g. {'fit': G}.")
     for name, G in models.items():

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from .._arguments import expect_each
+from .._arguments import as_names, expect_each, wrong_kind
 from .._errors import input_error
 from .._text import number
 from ..frf import FRF
@@ -40,10 +40,13 @@ def gap_maps(
 
     **Returns:** the figure and its axes, one or two.
 
-    **Raises:** `ImportError` without matplotlib.
+    **Raises:** `jaxfrf.InputError` for shapes that do not fit each other; `ImportError` without matplotlib.
     """
-    panels = [np.asarray(x, float) for x in (before, after) if x is not None]
-    n_pos, n_axes, n_bands = np.shape(before)
+    panels = [_values("before", before, ("pos", "axis", "band"))]
+    n_pos, n_axes, n_bands = panels[0].shape
+    panels += [] if after is None else [_values("after", after, panels[0].shape)]
+    axis_names = as_names("axis_names", axis_names, n_axes, "axes")
+    bands = _values("bands", bands, (n_bands + 1,))
     block, gap = float(np.clip(0.1 * n_pos, 0.3, 0.8)), 0.07
     height, width, left, bottom = n_axes * (block + gap), 3.75 if len(panels) > 1 else 5.5, 1.0, 0.42
     figure = _style.new_figure(left + len(panels) * (width + 0.3) + 0.7, bottom + height + 0.3)
@@ -73,6 +76,19 @@ def gap_maps(
         axis.spines[:].set_visible(False)
     _bar(figure, image, left + len(panels) * (width + 0.3) - 0.1, bottom, min(height, 2.6), top)
     return figure, axes
+
+
+def _values(name: str, values, shape: tuple[int | str, ...]) -> np.ndarray:
+    """Numbers of this shape, of which axes that have a name may be of any length."""
+    try:
+        found = np.asarray(values, float)
+    except (TypeError, ValueError):
+        raise wrong_kind(name, values, "numbers") from None
+    lengths = [n if isinstance(n, int) else m for n, m in zip(shape, found.shape, strict=False)]
+    if found.ndim != len(shape) or list(found.shape) != lengths:
+        wanted = ", ".join(str(n) for n in shape) + ("," if len(shape) == 1 else "")
+        raise input_error(name, f"shape {found.shape}", f"({wanted})", "Check it and the order of the arguments.")
+    return found
 
 
 def _name_block(axis, name: str, top: float, block: float, n_pos: int, bold: bool, heldout: Sequence[int]) -> None:
@@ -113,8 +129,14 @@ def torque_courses(
 
     **Returns:** the figure and its axes, (row, signal).
 
-    **Raises:** `ImportError` without matplotlib.
+    **Raises:** `jaxfrf.InputError` for no courses, and for an axis that has no name; `ImportError` without matplotlib.
     """
+    if not isinstance(courses, Mapping) or not courses:
+        raise wrong_kind("courses", courses, "{signal: (values, before, after)}")
+    axis_names = list(axis_names)
+    for name in shown:
+        if name not in axis_names:
+            raise input_error("shown", repr(name), f"some of {', '.join(axis_names)}", "Correct the name.")
     signals = [s for s in (*_SIGNALS, *courses) if s in courses]
     signals = list(dict.fromkeys(signals))
     left = 0.6 + 0.08 * max((len(name) for name in shown), default=0)  # room for the name and for small numbers
@@ -188,14 +210,15 @@ def gap_dumbbells(
 
     **Returns:** the figure and its axes.
 
-    **Raises:** `ImportError` without matplotlib.
+    **Raises:** `jaxfrf.InputError` for shapes that do not fit each other; `ImportError` without matplotlib.
     """
+    changed, before = after is not None, 100 * _values("before", before, ("axis",))
+    after = 100 * _values("after", after, before.shape) if changed else before
+    axis_names = as_names("axis_names", axis_names, len(before), "axes")
     left, width, row = 0.8, 3.0, 0.27
     height = row * len(axis_names)
     figure = _style.new_figure(left + width + 1.15, height + 0.85)
     axis = _style.add_axes(figure, left, 0.45, width, height)
-    changed, before = after is not None, 100 * np.asarray(before, float)
-    after = 100 * np.asarray(after, float) if changed else before
     y = np.arange(len(axis_names))
     top = 1.08 * max(float(np.nanmax(np.stack([before, after]), initial=0.0)), 1e-3)
     axis.hlines(y, np.minimum(before, after), np.maximum(before, after), color="#B9C0C7", lw=3.2, zorder=1)

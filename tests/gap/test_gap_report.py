@@ -202,6 +202,14 @@ class TestPictures:
         assert len({a.get_ylim() for a in axes[0]}) == 1
         assert axes[1, 0].get_ylim()[1] >= 0.02 * 4.0  # noise of joint1 is drawn small
 
+    def test_what_does_not_fit(self):
+        with pytest.raises(jf.InputError, match=r"before: found shape \(2,\); expected \(pos, axis, band\)"):
+            gap_maps(np.ones(2), None, np.arange(3.0), AXES)
+        with pytest.raises(jf.InputError, match="axis_names: found 6; expected one for each of the 2 axes"):
+            gap_dumbbells(np.ones(2), None, AXES)
+        with pytest.raises(jf.InputError, match="courses: found 5"):
+            torque_courses(5, AXES, AXES)
+
     def test_unchanged(self):
         """One curve, one panel, one dot where nothing was added."""
         d = example("unexplained")

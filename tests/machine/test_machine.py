@@ -157,6 +157,8 @@ def test_names_of_effects():
     assert float(both.with_values({"k": 3.0}).parameters["k"].start) == 3.0
     with pytest.raises(jf.InputError, match="held: found 'x'"):
         both.held("x")
+    with pytest.raises(jf.InputError, match="values: found 'x'"):
+        both.with_values({"x": 1.0})
 
 
 @pytest.mark.slow

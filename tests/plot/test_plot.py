@@ -247,6 +247,7 @@ WRONG = {
     "element": (dict(elements=[(0, 1)]), r"\(0, 1\).*\(0, 0\) to \(1, 0\)"),
     "position": (dict(position=1), "position: found 1"),
     "labels": (dict(labels=["a", "b"]), "labels: found 2"),
+    "label": (dict(labels=5), "labels: found 5"),
     "confidence": (dict(confidence=1.0), "confidence"),
     "size": (dict(size=(0.5, 0.5)), "size"),
 }
