@@ -238,6 +238,7 @@ WRONG = {
     "with_output_quantity of a list": lambda: jf.with_output_quantity(jf.dft(DATA), ["velocity"]),
     "estimate that reports to 5": lambda: jf.estimate(DATA, jf.H1(), progress=5),
     "diagnose of a file": lambda: jf.diagnose(ARM, "run.nc"),
+    "diagnose with an effect 5": lambda: jf.diagnose(ARM, DATA, own=5),
     "fit_machine in text": lambda: fit_machine(machine(), DATA, band="ab"),
     "modal in one number": lambda: jf.modal(FRF, band=(10.0,)),
     "fit from 1.5 starts": lambda: jf.fit(jf.GrayBox(lambda s, p: p["g"] * FRF.G[0], {"g": 1.0}), FRF, starts=1.5),
