@@ -1,19 +1,22 @@
 """What the command line sets before it imports JAX, unless the user already did."""
 
 import ctypes
+import functools
 import gc
 import importlib.metadata
 import os
 import pathlib
 
 _THREADS = 64
-"""At least, of XLA's thread pool. In jaxlib 0.10 a batched LAPACK call (`jax::ParallelBatchMap`, lapack_kernels.cc)
-runs on one thread of the pool, hands its batch to the others and waits: with as many calls at a time as there are
-threads, each waits for the others for ever (PyAutoFit #1530 found the same of FFTs; jax 0.11.2 builds without it). So
-many calls are never ready together; threads that sleep cost nothing measurable.
+"""At least, of XLA's thread pool. Until jaxlib 0.11.2 a batched LAPACK call (`jax::ParallelBatchMap`,
+lapack_kernels.cc) runs on one thread of the pool, hands its batch to the others and waits: with as many calls at a time
+as there are threads, each waits for the others for ever (PyAutoFit #1530 found the same of FFTs). So many calls are
+never ready together; threads that sleep cost nothing measurable.
 
 On a single core the pool has one thread, on which such a call hands nothing over and waits for nobody: 4032 windows
 of JIO-LRM take 170 ms instead of 205."""
+
+_INLINE = 0, 11, 2  # jaxlib, from which on such a call does its batch by itself
 
 _POOLS = "1", str(max(_THREADS, os.cpu_count() or 1))  # on one core, on several
 
@@ -53,6 +56,13 @@ def prepare() -> None:
 def known_flags() -> list[str]:
     """Those of XLA that are wanted, as far as the installed version is known to have them."""
     return [f"{_LOOPS}=false"] if importlib.metadata.version("jaxlib").startswith("0.10.") else []
+
+
+@functools.cache
+def lapack_waits() -> bool:
+    """Whether a batched LAPACK call of this jaxlib hands its batch to the pool and waits."""
+    numbers = importlib.metadata.version("jaxlib").split(".")[: len(_INLINE)]
+    return not all(n.isdigit() for n in numbers) or tuple(map(int, numbers)) < _INLINE
 
 
 def cores() -> int:

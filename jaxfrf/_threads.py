@@ -9,7 +9,7 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import threadpoolctl
 
-from ._environment import cores
+from ._environment import cores, lapack_waits
 
 _CALLS = 8  # batched LAPACK calls of one program that may run at the same time: fewer do
 
@@ -22,8 +22,11 @@ def lapack_threads() -> int:
     """Programs with batched LAPACK calls that may run at the same time: one for every core, while XLA's pool has
     threads for all of their calls.
 
-    Such a call waits in a thread of the pool for others of the pool, and programs that run at the same time can have
-    some calls each: where there are as many as threads, they wait for ever (`jaxfrf._environment`)."""
+    Until jaxlib 0.11.2 such a call waits in a thread of the pool for others of the pool, and programs that run at the
+    same time can have some calls each: where there are as many as threads, they wait for ever
+    (`jaxfrf._environment`)."""
+    if not lapack_waits():
+        return cores()
     stated = os.environ.get("NPROC", "")
     pool = int(stated) if stated.isdigit() else os.cpu_count() or 1
     return max(1, min(cores(), pool // _CALLS))
