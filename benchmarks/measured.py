@@ -281,6 +281,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "kept": kept,
     "speed": speed,
     "two_cores": lambda: speed(2, ("local_two_cores.txt",)),
+    "jax12": lambda: speed(1, ("local_jax12.txt",)),
+    "jax12_two_cores": lambda: speed(2, ("local_jax12.txt",)),
     "xeon": lambda: speed(1, ("local_xeon.txt",)),
     "xeon_two_cores": lambda: speed(2, ("local_xeon.txt",)),
     "growth": growth,
