@@ -13,12 +13,9 @@ lapack_kernels.cc) runs on one thread of the pool, hands its batch to the others
 as there are threads, each waits for the others for ever (PyAutoFit #1530 found the same of FFTs). So many calls are
 never ready together; threads that sleep cost nothing measurable.
 
-On a single core the pool has one thread, on which such a call hands nothing over and waits for nobody: 4032 windows
-of JIO-LRM take 170 ms instead of 205."""
+On a single core the pool has one thread, on which such a call hands nothing over and waits for nobody."""
 
 _INLINE = 0, 11, 2  # jaxlib, from which on such a call does its batch by itself
-
-_POOLS = "1", str(max(_THREADS, os.cpu_count() or 1))  # on one core, on several
 
 _LOOPS = "--xla_cpu_use_fusion_emitters"
 """Loops by XLA's older code generator: two thirds of the processor time of compiling (a simulation 9.9 instead of
@@ -43,8 +40,7 @@ def prepare() -> None:
     cache = pathlib.Path(os.environ.get("XDG_CACHE_HOME", pathlib.Path.home() / ".cache")) / "jaxfrf"
     os.environ.setdefault("JAX_ENABLE_X64", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for many small matrices its threads cost more than they give
-    if os.environ.get("NPROC") in (None, *_POOLS):  # or what a process with other cores has set
-        os.environ["NPROC"] = _POOLS[min(cores(), 2) - 1]
+    os.environ.setdefault("NPROC", str(max(_THREADS, cores())) if cores() > 1 else "1")
     flags = os.environ.get("XLA_FLAGS", "")
     added = [flag for flag in known_flags() if flag.partition("=")[0] not in flags]
     if added:
@@ -83,13 +79,16 @@ def _give_memory_back() -> None:
 
 def take_cores(number: int, count: int) -> None:
     """Bind this process to its share of the cores, as number `number` of `count` alike; nothing where there are fewer
-    cores than processes, or the system has no such calls."""
+    cores than processes, or the system has no such calls. XLA's pool, whose size came from a process with all of them,
+    has one thread on one core: before JAX makes it."""
     if not hasattr(os, "sched_setaffinity"):
         return
-    cores = sorted(os.sched_getaffinity(0))
-    if count > len(cores):
+    every = sorted(os.sched_getaffinity(0))
+    if count > len(every):
         return
-    mine = cores[number % count :: count]
+    mine = every[number % count :: count]
+    if len(mine) == 1:
+        os.environ["NPROC"] = "1"
     for thread in os.listdir("/proc/self/task") if os.path.isdir("/proc/self/task") else ["0"]:
         try:
             os.sched_setaffinity(int(thread), mine)

@@ -1,11 +1,16 @@
-"""One thread of NumPy's BLAS while a verb runs, and its own number afterwards."""
+"""One thread of NumPy's BLAS while a verb runs, and its own number afterwards; XLA's pool."""
 
+import importlib.metadata
+import os
+import subprocess
+import sys
 import threading
 
 import numpy as np  # noqa: F401 - loads the BLAS
 import pytest
 import threadpoolctl
 
+from jaxfrf import _environment, _threads
 from jaxfrf._threads import one_blas_thread
 
 
@@ -47,3 +52,39 @@ def test_calls_in_several_threads():
     inside(first)
     may_end.set()
     other.join()
+
+
+@pytest.mark.parametrize(
+    ("version", "stated", "at_once"),
+    [("0.10.2", "64", 4), ("0.10.2", "16", 2), ("0.10.2", "1", 1), ("0.11.1rc1", "1", 1), ("0.12.0.1", "1", 4)],
+)
+def test_programs_at_once(monkeypatch, version, stated, at_once):
+    """Until jaxlib 0.11.2 as many as the pool has room for; on four cores."""
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: version)
+    monkeypatch.setattr(_threads, "cores", lambda: 4)
+    monkeypatch.setattr(_threads, "lapack_waits", _environment.lapack_waits.__wrapped__)
+    monkeypatch.setenv("NPROC", stated)
+    assert _threads.lapack_threads() == at_once
+
+
+ONE_CORE = """
+import os, sys
+from jaxfrf import _environment
+first = min(os.sched_getaffinity(0))
+if sys.argv[1] == "bound":
+    os.sched_setaffinity(0, [first])
+_environment.prepare()
+if sys.argv[1] == "worker":
+    _environment.take_cores(0, len(os.sched_getaffinity(0)))
+print(os.environ["NPROC"], len(os.sched_getaffinity(0)))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no such calls here")
+@pytest.mark.parametrize(("how", "stated", "pool"), [("bound", None, 1), ("bound", "8", 8), ("worker", None, 1)])
+def test_one_core_has_one_thread(how, stated, pool):
+    """Unless the user says otherwise; a worker has what its starter prepared for all cores."""
+    environment = {name: value for name, value in os.environ.items() if name != "NPROC"}
+    environment |= {} if stated is None else {"NPROC": stated}
+    done = subprocess.run([sys.executable, "-c", ONE_CORE, how], env=environment, capture_output=True, text=True)
+    assert done.stdout.split() == [str(pool), "1"], done.stderr

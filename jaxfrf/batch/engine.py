@@ -162,9 +162,9 @@ def _prepared(distributed, workers: int | None):
         def setup(self, worker):
             from jaxfrf import _environment
 
+            _environment.prepare()
             if workers is not None and isinstance(worker.name, int):
                 _environment.take_cores(worker.name, workers)
-            _environment.prepare()  # which looks at how many cores there are
             importlib.import_module("jaxfrf.frf")  # what every piece needs, while its giver prepares
 
     return Prepared()

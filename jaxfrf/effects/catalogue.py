@@ -26,17 +26,19 @@ def library() -> dict[str, type[AbstractEffect]]:
     It holds what `jaxfrf.effects` exports: the line that exports a class is all that lists it.
     """
     exported = vars(sys.modules[__package__]).values()
-    kinds = [x for x in exported if inspect.isclass(x) and issubclass(x, AbstractEffect) and not inspect.isabstract(x)]
+    kinds = [x for x in exported if _is_effect(x) and not inspect.isabstract(x)]
     return {kind.name: kind for kind in kinds}
 
 
 def check_own(own: Sequence[type[AbstractEffect]]) -> None:
     """Refuse what is no list of classes of effects."""
-    kinds = own if isinstance(own, list | tuple) else [own]
-    wrong = [kind for kind in kinds if not (inspect.isclass(kind) and issubclass(kind, AbstractEffect))]
-    if wrong or kinds is not own:
-        found = said(wrong[0] if wrong else own)
-        raise input_error("own", found, "a list of classes of effects", "Give e.g. own=[MyEffect], not MyEffect(...).")
+    if not isinstance(own, list | tuple) or not all(map(_is_effect, own)):
+        do = "Give the classes themselves, e.g. own=[MyEffect]."
+        raise input_error("own", said(own), "a list of classes of effects", do)
+
+
+def _is_effect(kind: Any) -> bool:
+    return inspect.isclass(kind) and issubclass(kind, AbstractEffect)
 
 
 def effect_from_table(

@@ -136,14 +136,14 @@ class Machine(AbstractModel):
         fixed = {n: dataclasses.replace(p, free=False) if n in names else p for n, p in self.parameters.items()}
         return self._changed(fixed, self.effects)
 
+    def with_smoothing(self, smoothing: float) -> "Machine":
+        """The machine whose Coulomb friction turns within this speed, rad/s or m/s."""
+        return self._changed(self.parameters, self.effects, smoothing)
+
     def _check_names(self, argument: str, names: Iterable[str]) -> None:
         for name in names:
             if name not in self.parameters:
                 raise input_error(argument, repr(name), f"one of {', '.join(self.parameters)}", "Correct the name.")
-
-    def with_smoothing(self, smoothing: float) -> "Machine":
-        """The machine whose Coulomb friction turns within this speed, rad/s or m/s."""
-        return self._changed(self.parameters, self.effects, smoothing)
 
     def _changed(
         self, parameters: Mapping[str, Parameter], effects: tuple[AbstractEffect, ...], smoothing: float | None = None
