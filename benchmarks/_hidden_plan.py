@@ -66,6 +66,7 @@ class _Part:
 _PARTS = {
     "tune": _Part(141, ("r3x", "small"), (2, 3, 1, 1)),
     "report": _Part(173, ("r3x", "small", "pallet"), (4, 6, 2, 2)),
+    "unseen": _Part(211, ("r3x", "small", "pallet"), (4, 6, 2, 2)),
 }
 PARTS = tuple(_PARTS)
 

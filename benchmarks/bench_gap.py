@@ -17,7 +17,8 @@ Data and results that are there are kept, so an interrupted run goes on; a diagn
 again. Every diagnosis runs in a process of its own, so that its time and its memory are those of a user's call, with
 programs kept from earlier runs. `--make-only` makes the data. The cases stand in an order in which the first few, or
 every second or third one (`--cases 0-251/3`), are a fair sample. `--score` prints the tables, and writes `score.json`,
-`score.txt` and `confusion.png` into the (first) folder, or beside the file. Tune on "tune", report on "report".
+`score.txt` and `confusion.png` into the (first) folder, or beside the file. Tune on "tune", report on "report";
+"unseen" is as the latter, of another seed, for a state of the code that was finished before anybody saw one of it.
 
 `--keep` adds what the finished cases of a folder said to a file, with the commit that made them; cases that such a file
 holds already are not run again with `--kept FILE`.
