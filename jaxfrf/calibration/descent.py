@@ -154,9 +154,7 @@ class Descent:
     @property
     def x(self) -> Float[np.ndarray, "number"]:
         """Where the numbers are."""
-        if not self.settled:
-            return self.iterate.x
-        return self.search.followed(self.iterate.x + self.iterate.posterior.change[: len(self.numbers)])
+        return self.search.end(self.iterate) if self.settled else self.iterate.x
 
     def _further(self) -> Iterate | None:
         """One step further; with the ripple that is sure by now where that is other: what was found before some of it,

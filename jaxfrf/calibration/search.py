@@ -33,7 +33,8 @@ _CONVERGED = 0.3  # of its standard deviation that every number moves less
 _PERTURBATION = 0.3  # of the logarithm of the friction's smoothing, by which its column is simulated
 _SAME_COLUMN = 0.1  # of that logarithm: a column is not simulated again
 _FARTHEST = 1.0  # of that logarithm, in one step
-_AT_BOUND = 1e-9
+_AT_BOUND = 0.01  # of that logarithm, that a smoothing may not become less by
+_BISECTIONS, _ROUNDING = 12, 1e-9
 _NOTHING = 1e-9  # squares over the floor that one unit of a column takes: less is none
 _MARGIN = 1.03  # between the sharpest friction that steps follow and the one that is simulated
 
@@ -174,35 +175,55 @@ class Search:
         step, part, _ = self._step(iterate)
         return iterate.x + part * step
 
-    def _step(self, iterate: Iterate):
+    def end(self, iterate: Iterate) -> Float[np.ndarray, "number"]:
+        """Where the last step goes, behind which nothing is simulated: smoothings, whose step may be long where they
+        hardly matter, move no further than they were simulated."""
+        step, part, _ = self._step(iterate, _PERTURBATION)
+        return self.followed(iterate.x + part * step)
+
+    def _step(self, iterate: Iterate, farthest: float = _FARTHEST):
         step = iterate.posterior.change[: len(self.numbers)].copy()
         for i in self.by_difference:
-            farthest = _FARTHEST / self.numbers[i].size
-            step[i] = np.clip(step[i], -farthest, farthest)
+            most = farthest / self.numbers[i].size
+            step[i] = np.clip(step[i], -most, most)
         logarithms = [n.positive and i not in self.by_difference for i, n in enumerate(self.numbers)]
         lengths = [abs(n.size * s) for n, s, is_log in zip(self.numbers, step, logarithms, strict=True) if is_log]
         longest = max(lengths, default=0.0)
         return step, min(1.0, _LONGEST / longest) if longest > 0 else 1.0, longest
 
-    def _finest(self, x) -> Float[np.ndarray, "smoothing"]:
-        """Where smoothings are what the robot's steps follow, as coordinates."""
-        least = _MARGIN * float(smoothing_factor(with_numbers(self.robot, self.numbers, x), like=self.robot))
-        some = [(self.numbers[i], float(x[i])) for i in self.by_difference]
-        return np.array([number.coordinate(least * number.value(at)) for number, at in some])
-
     def followed(self, x) -> Float[np.ndarray, "number"]:
-        """The same coordinates, the friction no sharper than it is simulated."""
+        """The same coordinates, friction no sharper than the robot's steps follow: what is sharper than it was given
+        turns milder, so far as is needed; all of it only where friction itself has become more."""
         x = np.array(x, float)
-        if self.by_difference:
-            x[self.by_difference] = np.maximum(x[self.by_difference], self._finest(x))
-        return x
+        if not self.by_difference or self._sharpness(x) <= 1.0:
+            return x
+        mild = x.copy()
+        for i in self.by_difference:
+            mild[i] = max(x[i], self.numbers[i].coordinate(_MARGIN * self.numbers[i].given))
+        least = self._sharpness(mild)
+        if least > 1.0:
+            for i in self.by_difference:
+                mild[i] = self.numbers[i].coordinate(least * self.numbers[i].value(float(mild[i])))
+            return mild
+        low, high = 0.0, 1.0  # of the way from there
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self._sharpness(mild + middle * (x - mild)) <= 1.0 else (low, middle)
+        return mild + low * (x - mild)
+
+    def _sharpness(self, x) -> float:
+        """How many times its smoothing the friction needs there, to be what the robot's steps follow."""
+        factor = _MARGIN * float(smoothing_factor(with_numbers(self.robot, self.numbers, x), like=self.robot))
+        return factor if factor > 1.0 + _ROUNDING else 1.0
 
     def _at_bound(self, x) -> np.ndarray:
         """Columns of smoothings that may not become less."""
-        if not self.by_difference:
-            return np.array([], int)
-        places = np.array(self.by_difference)
-        return places[x[places] <= self._finest(x) + _AT_BOUND]
+        at = []
+        for i in self.by_difference:
+            less = np.array(x, float)
+            less[i] -= _AT_BOUND / self.numbers[i].size
+            at += [i] if self._sharpness(less) > 1.0 else []
+        return np.array(at, int)
 
     def _perturbed(self, x) -> dict[int, np.ndarray]:
         """Where the robot is simulated, too, for finite differences by its smoothings; not by those of which another

@@ -27,6 +27,7 @@ Number = Float[Array, ""] | float
 _HINGES = (0.5, 1.25, 3.0, 7.5)  # times the stiffness of the joint's transmission
 _LASTING = 5000.0  # 1/s, stiffness over damping of a hinge
 _STIFF = 5e5  # N m/rad, where no transmission bends
+_VISIBLE = 0.02  # of the torque limit, that a spring takes over a radian where it is just visible
 
 
 class MotorInertia(AbstractStructure):
@@ -309,17 +310,17 @@ class Counterbalance(AbstractArmTorque):
 
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
-        return cls(joint, 20.0)
+        return cls(joint, _visible_spring(robot, joint, 20.0))
 
     @classmethod
     def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """Where gravity acts: on the other axes the same law is that of hoses."""
-        return _springs(cls, joint, 20.0) if _carries_weight(robot, joint) else ()
+        return _springs(cls, robot, joint) if _carries_weight(robot, joint) else ()
 
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
         """On every joint, at rest somewhere."""
-        return _springs(cls, joint, 20.0)[1:]
+        return _springs(cls, robot, joint)[1:]
 
     def torque(self, angle, rate):
         return self.stiffness * (angle - self.rest)
@@ -350,17 +351,17 @@ class DressPack(AbstractArmTorque):
 
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
-        return cls(joint, 50.0)
+        return cls(joint, _visible_spring(robot, joint, 50.0))
 
     @classmethod
     def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:
         """Where gravity does not act: on the other axes the same law is that of a counterbalance."""
-        return () if _carries_weight(robot, joint) else _springs(cls, joint, 50.0)
+        return () if _carries_weight(robot, joint) else _springs(cls, robot, joint)
 
     @classmethod
     def along_motion(cls, robot: "Robot", joint: Joint, reach: Reach) -> tuple[Candidate, ...]:
         """On every joint, at rest somewhere."""
-        return _springs(cls, joint, 50.0)[1:]
+        return _springs(cls, robot, joint)[1:]
 
     def torque(self, angle, rate):
         return self.stiffness * (angle - self.rest) + self.damping * rate
@@ -384,9 +385,17 @@ class _Constant(AbstractArmTorque):
         return 1.0 + 0.0 * angle
 
 
-def _springs(kind, joint, visible) -> tuple[Candidate, ...]:
+def _visible_spring(robot: "Robot", joint: Joint, most: float) -> float:
+    """N m/rad: what takes a part of the motor's torque over a radian, so that it is one of a wrist, too."""
+    axis = axis_of(robot, joint)
+    limit = float(robot.drives.torque_limit[axis] * jnp.abs(robot.drives.gear_ratio[axis]))
+    return min(most, _VISIBLE * limit) if limit > 0.0 else most
+
+
+def _springs(kind, robot: "Robot", joint: Joint) -> tuple[Candidate, ...]:
     """A spring between the arm and the ground, at rest in zero and somewhere."""
     low, high = kind.bounds["stiffness"]
+    visible = float(kind.typical(robot, joint).stiffness)
     make, unit, name = functools.partial(_at_rest, kind, joint), kind(joint, 1.0), kind.name
     return (
         Candidate(name, joint, (unit,), make, (low,), (high,), visible, "rest 0"),

@@ -23,7 +23,7 @@ from jaxfrf.calibration.least_squares import Posterior, solve, with_bands
 from jaxfrf.calibration.numbers import Number, numbers, with_numbers
 from jaxfrf.calibration.result import Round
 from jaxfrf.calibration.ripple import found_waves, other_share, sure_orders, waves_to_simulate
-from jaxfrf.calibration.search import _misfit
+from jaxfrf.calibration.search import Search, _misfit
 from jaxfrf.parts import Parts
 from jaxfrf.robot import operating_point, parameters, r3x, tolerances_from
 from jaxfrf.robot.regressor import link_parameters, link_regressor
@@ -596,6 +596,31 @@ def test_friction_is_simulated_as_sharp_as_steps_follow():
     turned = lambda eps: eqx.tree_at(lambda r: r.drives.friction.smoothing, robot, jnp.asarray(eps))
     steps = fine_steps(robot, point)
     assert fine_steps(turned(1.001 * smoothing), point) == steps < fine_steps(turned(0.9 * smoothing), point)
+
+
+def test_a_law_that_is_too_sharp_leaves_the_others_as_they_are():
+    """Friction and an effect of its own smoothing: what the effect asks for made the friction's wider, round by round,
+    until there was none; nor goes the last step, behind which nothing is simulated, further than a column holds."""
+    robot = model().with_effects(jf.effects.LoadDependentFriction("elbow", 0.1))
+    every = numbers(robot)
+    search = Search(robot, measured(played()), every, print, by_difference=True)
+    friction, own = (
+        next(i for i, n in enumerate(every) if n.name == name)
+        for name in ("friction.smoothing", "elbow.load_dependent_friction.smoothing")
+    )
+    margin = np.log(1.04) / every[friction].size
+    for asked in (-1.0, -8.0):
+        x = np.zeros(len(every))
+        x[own] = asked
+        for _ in range(4):
+            x[own] = asked
+            x = search.followed(x)
+        robots_own = with_numbers(robot, every, x)
+        assert smoothing_factor(robots_own, like=robot) <= 1.0 and abs(x[friction]) < margin and x[own] < margin
+    change = np.zeros(len(every))
+    change[own], change[friction] = 20.0, -20.0
+    far = SimpleNamespace(x=np.zeros(len(every)), posterior=SimpleNamespace(change=change))
+    assert 0.2 < every[own].size * search.end(far)[own] < 0.4
 
 
 def test_the_turn_of_no_friction_tells_nothing():

@@ -171,7 +171,7 @@ WHAT, STD = ("frequency", "damping"), ("frequency_std", "damping_std")
 LIGHT = np.array([[112.0, 0.004], [121.0, 0.005], [160.0, 0.006], [171.0, 0.004], [240.0, 0.005]])
 
 
-@pytest.mark.parametrize("together", [0, 1])
+@pytest.mark.parametrize("together", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_an_frf_without_covariance_is_weighed_by_its_scatter(together):
     """Modes all found and no others, intervals that hold and are no wider than twice what errors are."""
     errors = []
@@ -363,7 +363,7 @@ def test_what_is_no_mode_is_told():
 
 
 @pytest.mark.parametrize("seeds", [range(5), pytest.param(range(100, 160), marks=pytest.mark.slow)])
-@pytest.mark.parametrize("lagging", [0, 1, 2])
+@pytest.mark.parametrize("lagging", [0, pytest.param(1, marks=pytest.mark.slow), 2])
 def test_intervals_hold_beside_what_is_no_mode(seeds, lagging):
     f, covered = np.arange(1.0, 241.0), []
     for seed in seeds:

@@ -39,9 +39,14 @@ def found(x, period=PERIOD, signal="u", y_quantity="velocity"):
     return [f for f in jf.examine(data, (wrapped,)) if f.signal == signal]
 
 
-@pytest.mark.parametrize("signal", ["u", "y", "r"])
-@pytest.mark.parametrize("band", [0.1, 0.4, 0.7])
-@pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
+@pytest.mark.parametrize(
+    ("signal", "band", "noise"),
+    [
+        ("uyr"[(i + j) % 3], band, noise)
+        for i, band in enumerate((0.1, 0.4, 0.7))
+        for j, noise in enumerate((0.0, 0.01, 0.1))
+    ],
+)
 def test_broadband_signals_that_wrap(signal, band, noise):
     for n_periods in (1, 2, 6):
         for part in (0.7, 0.85):
@@ -119,8 +124,8 @@ def test_designed_signals_are_no_counters(name):
             rng = np.random.default_rng(seed)
             x = np.tile(DESIGNED[name](rng), n_periods)
             x = x + noise * x.std() * rng.standard_normal(len(x))
-            for signal in "ur":
-                assert not found(x, signal=signal), (seed, n_periods)
+            signal = "ur"[(seed + n_periods) % 2]
+            assert not found(x, signal=signal), (seed, n_periods)
 
 
 def test_a_position_that_turns_at_one_speed_wraps():

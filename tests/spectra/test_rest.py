@@ -52,7 +52,10 @@ def record(excitation, n_exp=1, noise=0.01, seed=1, n=N):
     return jf.Experiment(u[..., None], y[..., None], FS, y_quantity="position")
 
 
-@pytest.mark.parametrize(("excitation", "n_exp"), [(blow, 3), (burst, 1), (long_burst, 1), (fast_sweep, 1)])
+@pytest.mark.parametrize(
+    ("excitation", "n_exp"),
+    [(blow, 3), (burst, 1), pytest.param(long_burst, 1, marks=pytest.mark.slow), (fast_sweep, 1)],
+)
 def test_from_rest_to_rest(excitation, n_exp):
     """With a transient term the noise of u alone would tell G: |G| was half of what is true, or a thirtieth."""
     data = record(excitation, n_exp)

@@ -143,8 +143,11 @@ class Round:
         costs = costs_of([*(r.found for r in candidates), self.now])[:-1]
         candidates = [r for r, cost in zip(candidates, costs, strict=True) if cost <= KEPT_WITHIN * min(costs)]
         candidates = shared(self._finish, candidates, lapack_threads())
+        *costs, before = costs_of([*(r.found for r in candidates), self.now])
+        takes_most = [cost < (1.0 - EXPLAINED) * before for cost in costs]
         sized = [(self._size(r), r) for r in candidates]
-        candidates = [r for size, r in sized if not 0.0 < size < LEAST_FITTED]
+        pairs = zip(sized, takes_most, strict=True)
+        candidates = [r for (size, r), most in pairs if most or not 0.0 < size < LEAST_FITTED]
         if not candidates:
             size, largest = max(sized, key=lambda pair: pair[0])
             return None, f"{said(largest.hypothesis.key)} is fitted at {size:.2g} of what is visible"

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Sequence
 
 from ...effects import AbstractEffect, library
 from ...robot import Robot
-from ..settings import CANDIDATES, LEAST_PART, LEAST_SIZE, SHARE
+from ..settings import CANDIDATES, EXPLAINED, LEAST_PART, LEAST_SIZE, SHARE
 from .hypothesis import Key, one_class
 from .rank import Scored
 
@@ -13,11 +13,12 @@ Had = Sequence[tuple[AbstractEffect, Key]]  # effects that were taken before, wi
 
 
 def chosen(scored: Sequence[Scored], had: Had) -> list[Scored]:
-    """The candidates of a ranking that are fitted; a number whose tolerance cannot be true stands out from all
-    others, however little of the cost it is."""
+    """The candidates of a ranking that are fitted: those that are visible, or promise most of the cost, whatever is
+    thought to be visible on this robot. A number whose tolerance cannot be true stands out from all others, however
+    little of the cost it is."""
     found: dict[Key, Scored] = {}
     for this in scored:
-        if this.size >= LEAST_SIZE and not _stands(this, had):
+        if (this.size >= LEAST_SIZE or this.part >= EXPLAINED) and not _stands(this, had):
             found.setdefault(this.key, this)
     best = list(found.values())
     promising = [s for s in best[:CANDIDATES] if s.part >= max(SHARE * best[0].part, LEAST_PART)]
