@@ -248,7 +248,9 @@ def with_numbers(robot: Robot, numbers: Sequence[Number], x: Float[np.ndarray, "
 
 
 def _with_parameter(robot: Robot, name: str, value: float) -> Robot:
-    """The robot with another value of an effect's parameter."""
+    """The robot with another value of an effect's parameter; none where it may have one sign only and the value has
+    the other, as a fit of what was given as none may."""
+    value = max(value, 0.0) if _is_positive(name) else value
     joint, effect, parameter = name.split(".")
     place = next(
         i

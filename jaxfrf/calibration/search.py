@@ -34,7 +34,7 @@ _PERTURBATION = 0.3  # of the logarithm of the friction's smoothing, by which it
 _SAME_COLUMN = 0.1  # of that logarithm: a column is not simulated again
 _FARTHEST = 1.0  # of that logarithm, in one step
 _AT_BOUND = 0.01  # of that logarithm, that a smoothing may not become less by
-_BISECTIONS, _ROUNDING = 12, 1e-9
+_BISECTIONS, _ROUNDING = 10, 1e-9
 _NOTHING = 1e-9  # squares over the floor that one unit of a column takes: less is none
 _MARGIN = 1.03  # between the sharpest friction that steps follow and the one that is simulated
 
@@ -195,35 +195,42 @@ class Search:
         """The same coordinates, friction no sharper than the robot's steps follow: what is sharper than it was given
         turns milder, so far as is needed; all of it only where friction itself has become more."""
         x = np.array(x, float)
-        if not self.by_difference or self._sharpness(x) <= 1.0:
+        if not self.by_difference:
             return x
-        mild = x.copy()
-        for i in self.by_difference:
-            mild[i] = max(x[i], self.numbers[i].coordinate(_MARGIN * self.numbers[i].given))
-        least = self._sharpness(mild)
+        some = [self.numbers[i] for i in self.by_difference]
+        sharpness, asked = self._sharpness(x), x[self.by_difference]
+        if sharpness(asked) <= 1.0:
+            return x
+        mild = np.array([max(at, n.coordinate(_MARGIN * n.given)) for at, n in zip(asked, some, strict=True)])
+        least, way = sharpness(mild), 0.0  # from there to what is asked
         if least > 1.0:
-            for i in self.by_difference:
-                mild[i] = self.numbers[i].coordinate(least * self.numbers[i].value(float(mild[i])))
-            return mild
-        low, high = 0.0, 1.0  # of the way from there
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if self._sharpness(mild + middle * (x - mild)) <= 1.0 else (low, middle)
-        return mild + low * (x - mild)
+            mild = np.array([n.coordinate(least * n.value(at)) for at, n in zip(mild.tolist(), some, strict=True)])
+        else:
+            for part in 0.5 ** np.arange(1.0, _BISECTIONS + 1):
+                way += part if sharpness(mild + (way + part) * (asked - mild)) <= 1.0 else 0.0
+        x[self.by_difference] = mild + way * (asked - mild)
+        return x
 
-    def _sharpness(self, x) -> float:
-        """How many times its smoothing the friction needs there, to be what the robot's steps follow."""
-        factor = _MARGIN * float(smoothing_factor(with_numbers(self.robot, self.numbers, x), like=self.robot))
-        return factor if factor > 1.0 + _ROUNDING else 1.0
+    def _sharpness(self, x) -> Callable[[np.ndarray], float]:
+        """How many times its smoothing friction needs, to be what the robot's steps follow, by the coordinates of the
+        smoothings; 1 where none is needed. All other numbers are as `x` has them."""
+        moved = with_numbers(self.robot, self.numbers, x)
+        some = [self.numbers[i] for i in self.by_difference]
+
+        def factor(at: np.ndarray) -> float:
+            needed = _MARGIN * float(smoothing_factor(with_numbers(moved, some, at), like=self.robot))
+            return needed if needed > 1.0 + _ROUNDING else 1.0
+
+        return factor
 
     def _at_bound(self, x) -> np.ndarray:
         """Columns of smoothings that may not become less."""
-        at = []
-        for i in self.by_difference:
-            less = np.array(x, float)
-            less[i] -= _AT_BOUND / self.numbers[i].size
-            at += [i] if self._sharpness(less) > 1.0 else []
-        return np.array(at, int)
+        if not self.by_difference:
+            return np.array([], int)
+        sharpness, at = self._sharpness(x), np.asarray(x, float)[self.by_difference]
+        less = [_AT_BOUND / self.numbers[i].size for i in self.by_difference]
+        bound = [sharpness(at - by * (np.arange(len(at)) == k)) > 1.0 for k, by in enumerate(less)]
+        return np.array(self.by_difference, int)[bound]
 
     def _perturbed(self, x) -> dict[int, np.ndarray]:
         """Where the robot is simulated, too, for finite differences by its smoothings; not by those of which another

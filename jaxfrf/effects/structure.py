@@ -392,7 +392,7 @@ def _visible_spring(robot: "Robot", joint: Joint, most: float) -> float:
     return min(most, _VISIBLE * limit) if limit > 0.0 else most
 
 
-def _springs(kind, robot: "Robot", joint: Joint) -> tuple[Candidate, ...]:
+def _springs(kind, robot: "Robot", joint) -> tuple[Candidate, ...]:
     """A spring between the arm and the ground, at rest in zero and somewhere."""
     low, high = kind.bounds["stiffness"]
     visible = float(kind.typical(robot, joint).stiffness)

@@ -586,6 +586,18 @@ def test_springs_have_options_of_their_own(commanded, capsys):
     assert "Did you mean 'links'?" in capsys.readouterr().err
 
 
+def test_what_a_fit_writes_can_be_read(tmp_path):
+    """Hoses that were given as none, to 3 N m/rad: a fit may have them pull the other way, which no file may."""
+    robot = model().with_effects(fx.DressPack("elbow", 0.0))
+    key = "elbow.dress_pack.stiffness"
+    robot = robot.with_tolerances(tolerances_from({key: "3 N m/rad"}, robot.axis_names))
+    every = numbers(robot)
+    x = np.where([n.name == key for n in every], -1.0, 0.0)
+    assert every[int(np.argmin(x))].value(-1.0) == pytest.approx(-3.0)
+    jf.io.write_robot(tmp_path / "fitted.toml", with_numbers(robot, every, x))
+    assert float(jf.io.read_robot(tmp_path / "fitted.toml").effects[0].stiffness) == 0.0
+
+
 # --- the turn of friction
 
 
