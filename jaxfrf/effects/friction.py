@@ -271,7 +271,8 @@ class StribeckFriction(AbstractFriction):
 class FrictionAsymmetry(AbstractFriction):
     """Friction that differs by direction, tau = offset + level tanh(v/smoothing).
 
-    Forward it is level + offset, backward level - offset.
+    Forward it is level + offset, backward level - offset. An offset of the drive's torque, or of its measurement, is
+    the same law: no motion tells which.
 
     **Arguments:** `joint`: a driven joint, name or number. `offset`: N m, motor side, either sign; 0.1 Fc is visible.
     `level`: N m. `smoothing`: rad/s.
@@ -286,7 +287,7 @@ class FrictionAsymmetry(AbstractFriction):
     name: ClassVar = "friction_asymmetry"
     units: ClassVar = {"offset": "N m", "level": "N m", "smoothing": "rad/s"}
     bounds: ClassVar = {"offset": (-0.5, 0.5), "level": (-0.5, 0.5), "smoothing": (0.01, 1.0)}
-    signature: ClassVar = "a constant torque residual; even distortion"
+    signature: ClassVar = "a constant torque residual, as an offset of the torque or its measurement; even distortion"
     confusable: ClassVar = {"counterbalance": "positions: gravity varies with the arm angle"}
     shapes: ClassVar = ("level", "smoothing")
     drive_number: ClassVar = "torque_offset"
