@@ -335,16 +335,18 @@ def test_courses_of_a_short_period():
 
 
 def test_candidates_that_are_fitted():
-    """Those that promise most of what can be seen, and a number whose tolerance cannot be true."""
+    """Those that promise most of what can be seen, or more than half of all, whatever is thought to be visible, and a
+    number whose tolerance cannot be true."""
     made = lambda joint, part, size=1.0, disbelieved=False: Scored(
         fx.MotorInertia(joint, 1e-4), joint, part, 1.0, size, disbelieved
     )
-    unseen, best, near, far = made("a", 0.9, 0.1), made("b", 0.2), made("c", 0.1), made("d", 0.05)
+    unseen, best, near, far = made("a", 0.4, 0.1), made("b", 0.2), made("c", 0.1), made("d", 0.05)
     number = made("e", 0.001, disbelieved=True)
     assert chosen([unseen, best, near, far, number], ()) == [best, near, number]
     assert chosen([best, made("b", 0.1)], ()) == [best]
     assert chosen([unseen, number], ()) == [number]
     assert chosen([unseen, made("c", 0.001)], ()) == []
+    assert chosen([most := made("a", 0.9, 0.1), best], ()) == [most]
 
 
 def test_neighbouring_orders_that_are_told_together_only_are_not_named():
