@@ -88,7 +88,8 @@ class Uncertainty(eqx.Module):
         for value, vector in zip(values, vectors.T, strict=True):
             if value > max(1 / _LOOSE**2, _BLIND * worst):
                 continue
-            large = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > _PART]
+            order = np.argsort(-np.round(np.abs(vector), 2), kind="stable")  # as it is told: rounding orders no equals
+            large = [i for i in order if abs(vector[i]) > _PART]
             vector = vector * np.sign(vector[large[0]])
             parts = [f"{names[i]} {'up' if vector[i] > 0 else 'down'} ({vector[i]:+.2f})" for i in large]
             if len(large) == 1:
