@@ -34,7 +34,7 @@ _PERTURBATION = 0.3  # of the logarithm of the friction's smoothing, by which it
 _SAME_COLUMN = 0.1  # of that logarithm: a column is not simulated again
 _FARTHEST = 1.0  # of that logarithm, in one step
 _AT_BOUND = 0.01  # of that logarithm, that a smoothing may not become less by
-_BISECTIONS, _ROUNDING = 10, 1e-9
+_TURNS, _ROUNDING = 6, 1e-9
 _NOTHING = 1e-9  # squares over the floor that one unit of a column takes: less is none
 _MARGIN = 1.03  # between the sharpest friction that steps follow and the one that is simulated
 
@@ -198,17 +198,24 @@ class Search:
         if not self.by_difference:
             return x
         some = [self.numbers[i] for i in self.by_difference]
+
+        def wider(at, by: float) -> Float[np.ndarray, "smoothing"]:
+            return np.array([n.coordinate(by * n.value(float(one))) for n, one in zip(some, at, strict=True)])
+
         sharpness, asked = self._sharpness(x), x[self.by_difference]
-        if sharpness(asked) <= 1.0:
-            return x
-        mild = np.array([max(at, n.coordinate(_MARGIN * n.given)) for at, n in zip(asked, some, strict=True)])
-        least, way = sharpness(mild), 0.0  # from there to what is asked
-        if least > 1.0:
-            mild = np.array([n.coordinate(least * n.value(at)) for at, n in zip(mild.tolist(), some, strict=True)])
-        else:
-            for part in 0.5 ** np.arange(1.0, _BISECTIONS + 1):
-                way += part if sharpness(mild + (way + part) * (asked - mild)) <= 1.0 else 0.0
-        x[self.by_difference] = mild + way * (asked - mild)
+        mild, needed = np.maximum(asked, wider(np.zeros(len(asked)), _MARGIN)), sharpness(asked)
+        at, by, before = asked, needed, (1.0, needed)
+        for _ in range(_TURNS):  # what is needed goes as 1/by, beside what the laws that stay need
+            if needed <= 1.0:
+                break
+            at = np.minimum(mild, wider(asked, by))
+            needed = sharpness(at)
+            own = (before[1] - needed) / ((1.0 / before[0] - 1.0 / by) or np.inf)
+            before, rest = (by, needed), needed - own / by
+            if not rest < 1.0 or not own > 0.0:
+                break
+            by = own / (1.0 - rest) * (1.0 + 1e-6)
+        x[self.by_difference] = at if needed <= 1.0 else wider(mild, sharpness(mild))
         return x
 
     def _sharpness(self, x) -> Callable[[np.ndarray], float]:
