@@ -52,6 +52,7 @@ class Descent:
         self.robot, self.record, self.numbers, self.say, self.beside = robot, record, numbers, say, tuple(beside)
         self.differences = differences
         self.settled = False
+        self._end: tuple[Iterate, np.ndarray] | None = None  # of a settled iterate: it is asked for often
         self._misfits: list[float] = []  # of the rounds with ripple beside the robot, then of those near the truth
 
     def run(self, rounds: int, kept: Rounds) -> None:
@@ -154,7 +155,11 @@ class Descent:
     @property
     def x(self) -> Float[np.ndarray, "number"]:
         """Where the numbers are."""
-        return self.search.end(self.iterate) if self.settled else self.iterate.x
+        if not self.settled:
+            return self.iterate.x
+        if self._end is None or self._end[0] is not self.iterate:
+            self._end = self.iterate, self.search.end(self.iterate)
+        return self._end[1]
 
     def _further(self) -> Iterate | None:
         """One step further; with the ripple that is sure by now where that is other: what was found before some of it,

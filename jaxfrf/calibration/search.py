@@ -34,7 +34,8 @@ _PERTURBATION = 0.3  # of the logarithm of the friction's smoothing, by which it
 _SAME_COLUMN = 0.1  # of that logarithm: a column is not simulated again
 _FARTHEST = 1.0  # of that logarithm, in one step
 _AT_BOUND = 0.01  # of that logarithm, that a smoothing may not become less by
-_TURNS, _ROUNDING = 6, 1e-9
+_TURNS = 6  # of a secant, whose function is nearly straight
+_ROUNDING = 1e-9
 _NOTHING = 1e-9  # squares over the floor that one unit of a column takes: less is none
 _MARGIN = 1.03  # between the sharpest friction that steps follow and the one that is simulated
 

@@ -32,6 +32,12 @@ def axis_of(robot: "Robot", joint: int | str) -> int:
     )
 
 
+def arm_torque_limit(robot: "Robot", joint: int | str) -> float:
+    """What the motor of `joint` can give behind its gear, N m; infinite where no limit is stated."""
+    axis = axis_of(robot, joint)
+    return float(robot.drives.torque_limit[axis] * jnp.abs(robot.drives.gear_ratio[axis]))
+
+
 def spring_of(robot: "Robot", joint: int | str) -> int:
     """The place in the robot's springs of the transmission of `joint`.
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from .._errors import input_error
 from .._types import Array
-from ._place import axis_of, changed, spring_of
+from ._place import arm_torque_limit, axis_of, changed, spring_of
 from .effect import Candidate, Joint, OwnNumber, Reach
 from .insertion import AbstractArmTorque, AbstractStructure
 
@@ -329,8 +329,8 @@ class Counterbalance(AbstractArmTorque):
 class DressPack(AbstractArmTorque):
     """Hoses and cables along a joint, tau = stiffness (q_a - rest) + damping q_a'.
 
-    **Arguments:** `joint`: a driven joint, name or number. `stiffness`: N m/rad, arm side, 0 or more; 50 is visible.
-    `rest`: rad. `damping`: N m s/rad.
+    **Arguments:** `joint`: a driven joint, name or number. `stiffness`: N m/rad, arm side, 0 or more; 50 is visible,
+    on a small joint what takes a fiftieth of its torque limit over a radian. `rest`: rad. `damping`: N m s/rad.
 
     In data: static torque that is linear in the angles of joints 1, 4 and 6. In the linearised robot: exactly.
 
@@ -387,9 +387,7 @@ class _Constant(AbstractArmTorque):
 
 def _visible_spring(robot: "Robot", joint: Joint, most: float) -> float:
     """N m/rad: what takes a part of the motor's torque over a radian, so that it is one of a wrist, too."""
-    axis = axis_of(robot, joint)
-    limit = float(robot.drives.torque_limit[axis] * jnp.abs(robot.drives.gear_ratio[axis]))
-    return min(most, _VISIBLE * limit) if limit > 0.0 else most
+    return min(most, _VISIBLE * (arm_torque_limit(robot, joint) or math.inf))
 
 
 def _springs(kind, robot: "Robot", joint) -> tuple[Candidate, ...]:

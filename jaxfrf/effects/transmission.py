@@ -14,7 +14,7 @@ from .._errors import input_error
 from .._text import number
 from .._types import Array
 from ._harmonics import checked, harmonics, polar_deviation
-from ._place import axis_of, own_spring, spring_of
+from ._place import arm_torque_limit, axis_of, own_spring, spring_of
 from .effect import AbstractEffect, Candidate, Joint, OwnNumber, Reach
 from .insertion import AbstractGearCoupling, AbstractGearError, AbstractGearTorque
 
@@ -281,9 +281,8 @@ class GearHysteresis(AbstractGearTorque):
 
     @classmethod
     def typical(cls, robot: "Robot", joint: Joint) -> Self:
-        axis = axis_of(robot, joint)
-        limit, gear = robot.drives.torque_limit[axis], jnp.abs(robot.drives.gear_ratio[axis])
-        return cls(joint, 0.02 * jnp.where(jnp.isfinite(limit), limit * gear, 1000.0))
+        limit = arm_torque_limit(robot, joint)
+        return cls(joint, 0.02 * (limit if math.isfinite(limit) else 1000.0))
 
     @classmethod
     def candidates(cls, robot: "Robot", joint: Joint, largest: float) -> tuple[Candidate, ...]:

@@ -28,7 +28,7 @@ from jaxfrf.gap.simulated.hypothesis import hypothesis
 from jaxfrf.gap.simulated.judge import against_it, beyond, compared, over_floor, shows_nothing
 from jaxfrf.gap.simulated.loud_ripple import holds_no_ripple
 from jaxfrf.gap.simulated.maps import shown_samples
-from jaxfrf.gap.simulated.one_round import costs_of, is_number_confused_with
+from jaxfrf.gap.simulated.one_round import Round, costs_of, is_number_confused_with
 from jaxfrf.gap.simulated.rank import Scored, is_had
 from jaxfrf.gap.simulated.records import split
 from jaxfrf.gap.simulated.shortlist import chosen, confused
@@ -347,6 +347,17 @@ def test_candidates_that_are_fitted():
     assert chosen([unseen, number], ()) == [number]
     assert chosen([unseen, made("c", 0.001)], ()) == []
     assert chosen([most := made("a", 0.9, 0.1), best], ()) == [most]
+
+
+def test_what_takes_most_away_is_visible():
+    """Whatever its class takes for visible on this robot: of a cost of 36, 16 is less than half and 25 is more."""
+    left = lambda by: SimpleNamespace(
+        left=np.full((1, 1, 1, 1), by),
+        prior_cost=0.0,
+        iterate=SimpleNamespace(posterior=SimpleNamespace(effect=1.0), evidence=SimpleNamespace(plain=np.ones((1, 1)))),
+    )
+    takes_most = lambda by: Round._takes_most(SimpleNamespace(now=left(6.0)), SimpleNamespace(found=left(by)))
+    assert takes_most(4.0) and not takes_most(5.0)
 
 
 def test_neighbouring_orders_that_are_told_together_only_are_not_named():

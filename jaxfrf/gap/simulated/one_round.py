@@ -143,11 +143,8 @@ class Round:
         costs = costs_of([*(r.found for r in candidates), self.now])[:-1]
         candidates = [r for r, cost in zip(candidates, costs, strict=True) if cost <= KEPT_WITHIN * min(costs)]
         candidates = shared(self._finish, candidates, lapack_threads())
-        *costs, before = costs_of([*(r.found for r in candidates), self.now])
-        takes_most = [cost < (1.0 - EXPLAINED) * before for cost in costs]
         sized = [(self._size(r), r) for r in candidates]
-        pairs = zip(sized, takes_most, strict=True)
-        candidates = [r for (size, r), most in pairs if most or not 0.0 < size < LEAST_FITTED]
+        candidates = [r for size, r in sized if not 0.0 < size < LEAST_FITTED or self._takes_most(r)]
         if not candidates:
             size, largest = max(sized, key=lambda pair: pair[0])
             return None, f"{said(largest.hypothesis.key)} is fitted at {size:.2g} of what is visible"
@@ -290,6 +287,11 @@ class Round:
         """Of a fitted effect over the just visible one; 0 of a number, and where it says nothing."""
         this = candidate.hypothesis
         return 0.0 if this.is_number else visible_size(this.effect_in(candidate.found), self.now.robot, this.joint)
+
+    def _takes_most(self, candidate: _Candidate) -> bool:
+        """Whether it leaves less than half of the cost before: what is thought to be visible then counts for little."""
+        cost, before = costs_of([candidate.found, self.now])
+        return cost < (1.0 - EXPLAINED) * before
 
     def _in_order(self, candidates: Sequence[_Candidate]) -> tuple[list[_Candidate], list[float], float]:
         """Each effect once, the cheapest first, with their costs and that of the robot before."""
