@@ -220,7 +220,7 @@ def _diagnosed(case: Case, folder: pathlib.Path, result: pathlib.Path, refits: b
         found = gap_contents(diagnosed.found)
     except Exception as error:  # one case must not end the others; it counts as failed
         found = {"verdict": "failed", "error": f"{type(error).__name__}: {error}", "where": traceback.format_exc()}
-    found |= {"wall_s": time.monotonic() - start, "peak_mb": _peak_mb()}
+    found |= {"wall_s": round(time.monotonic() - start, 2), "peak_mb": _peak_mb()}
     if diagnosed is not None and _names(found):
         (folder / "extended").mkdir(exist_ok=True)
         write_robot(folder / "extended" / f"{case.name}.toml", diagnosed.found.extended)
