@@ -242,8 +242,9 @@ def with_numbers(robot: Robot, numbers: Sequence[Number], x: Float[np.ndarray, "
             where, joints = fields[number.kind]
             rows = arrays.setdefault(number.kind, np.array(where(robot), float))
             rows[(joints.index(joint), *number.element)] = value
-    for kind, rows in arrays.items():
-        robot = eqx.tree_at(fields[kind][0], robot, jnp.asarray(rows))
+    # All at once: to put one array into a robot takes as long as to put in ten.
+    places = [fields[kind][0] for kind in arrays]
+    robot = eqx.tree_at(lambda r: [place(r) for place in places], robot, [jnp.asarray(x) for x in arrays.values()])
     return _with_drives(robot, drives)
 
 

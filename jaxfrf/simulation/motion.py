@@ -1,5 +1,6 @@
 """All coordinates of a simulated robot while it plays the references of a record, not only what its sensors see."""
 
+import dataclasses
 import math
 
 import equinox as eqx
@@ -7,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from .._compile import program
 from .._types import arrays
@@ -19,6 +20,10 @@ from .experiment import study_of_record
 from .imposed import Imposed, impose
 from .references import References
 from .runs import Progress, Study, record
+
+_RUN_INS = (2.9, 8.0)  # s: the longer one at positions where after the shorter one a period does not end as it began
+_COMPARED = 0.1  # s, of the beginning of a period with that of the next
+_SETTLED = 2e-5  # of an axis' torque, rms: by such a transient lines are off by some 1e-4 of theirs, rms
 
 
 class Motion(eqx.Module):
@@ -39,7 +44,7 @@ def replay_motion(
     robot: Robot,
     data: Experiment,
     *,
-    run_in: float = 5.0,
+    run_in: float | None = None,
     steps: int | None = None,
     chunk: int = 32,
     progress: Progress | None = None,
@@ -48,7 +53,8 @@ def replay_motion(
 
     They take (dof + 2 axis)/(2 axis) times the memory of a record.
 
-    **Arguments:** `robot`, `data`, `run_in` (s), `steps`, `chunk`, `progress`: as of `jaxfrf.replay`.
+    **Arguments:** `robot`, `data`, `steps`, `chunk`, `progress`: as of `jaxfrf.replay`. `run_in`: s, as there; by
+    default 2.9, and 8 at positions where a period then does not end as it began.
 
     **Returns:** a `Motion`: u in N m, y and z in rad, each (pos, exp, time, channel).
 
@@ -56,9 +62,36 @@ def replay_motion(
 
     **Source:** as of `jaxfrf.replay`.
     """
-    study = study_of_record(robot, data, None, 0.0, run_in, steps)
-    u, y, z = record(study, chunk, progress, _play_with_coordinates)
+    if run_in is not None or not data.period:
+        study = study_of_record(robot, data, None, 0.0, run_in or 0.0, steps)
+        u, y, z = record(study, chunk, progress, _play_with_coordinates)
+        return Motion(u, y, z, data.fs)
+    usual, longer = _RUN_INS
+    study = study_of_record(robot, data, None, 0.0, usual, steps)
+    more = math.ceil(_COMPARED * data.fs)
+    study = _lasting(study, study.references.run_in, data.period + more)
+    played = record(study, chunk, progress, _play_with_coordinates)
+    late = np.flatnonzero(~_are_settled(played[0], more))
+    played = tuple(x[:, :, : data.period] for x in played)
+    if len(late):
+        again = range(late[0], late[-1] + 1)
+        study = _lasting(study, math.ceil(longer * data.fs), data.period)
+        for part, other in zip(played, record(study, chunk, None, _play_with_coordinates, again), strict=True):
+            part[again.start : again.stop] = other
+    u, y, z = played
     return Motion(u, y, z, data.fs)
+
+
+def _lasting(study: Study, run_in: int, recorded: int) -> Study:
+    """The same with so many samples."""
+    references = dataclasses.replace(study.references, run_in=run_in, recorded=recorded)
+    return dataclasses.replace(study, references=references)
+
+
+def _are_settled(u: Float[np.ndarray, "pos exp time axis"], more: int) -> Bool[np.ndarray, "pos"]:
+    """At which positions a period begins as the next one, of which `more` samples follow it."""
+    off = np.sqrt(np.mean((u[:, :, :more] - u[:, :, -more:]) ** 2, axis=2))
+    return np.all(off <= _SETTLED * np.sqrt(np.mean(np.var(u, axis=2), axis=(0, 1))), axis=(1, 2))
 
 
 def imposed_motion(

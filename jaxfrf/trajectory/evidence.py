@@ -1,5 +1,6 @@
 """What a record says against a robot: the torque that its motors gave beyond what the robot asks of them."""
 
+import itertools
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -168,12 +169,15 @@ def _new_parts(evidence: Evidence, columns: Sequence[Column]) -> list[np.ndarray
 
 def _rows(evidence: Evidence, pos: int, columns: Sequence[Column], with_residual: bool):
     """Columns over the floor at one position, (exp, column, number)."""
-    scene, floor = evidence.scenes[pos], evidence.floor
-    rows = [column(scene) / floor for column in columns]
-    if with_residual:
-        rows.append(evidence.residual[pos] / floor)
-    X = np.stack(rows, axis=1).reshape(len(rows[0]), len(rows), -1)
-    return np.concatenate([X.real, X.imag], axis=-1).astype(np.float32)
+    scene, weight = evidence.scenes[pos], 1.0 / evidence.floor
+    given = [evidence.residual[pos]] if with_residual else []
+    signatures = itertools.chain((column(scene) for column in columns), given)
+    n_exp, count = len(evidence.residual[pos]), weight.size
+    rows = np.empty((n_exp, len(columns) + len(given), 2 * count), np.float32)
+    for row, z in enumerate(signatures):
+        rows[:, row, :count] = (z.real * weight).reshape(n_exp, count)
+        rows[:, row, count:] = (z.imag * weight).reshape(n_exp, count)
+    return rows
 
 
 def _between(parts, new) -> tuple[np.ndarray, ...]:
