@@ -4,7 +4,7 @@ import concurrent.futures
 import functools
 import os
 from collections.abc import Callable, Iterable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar, overload
 
 import jax
 import threadpoolctl
@@ -16,6 +16,24 @@ _CALLS = 8  # batched LAPACK calls of one program that may run at the same time:
 Given = ParamSpec("Given")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+class kept(Generic[Result]):
+    """A property that is worked out once and kept in the object, as `functools.cached_property`; without the lock that
+    this has before Python 3.12, by which all objects of a class, and so the cores, wait for each other."""
+
+    def __init__(self, work: Callable[[Any], Result]):
+        self.work, self.name = work, work.__name__
+        self.__doc__ = work.__doc__
+
+    @overload
+    def __get__(self, owner: None, kind: type) -> "kept[Result]": ...
+
+    @overload
+    def __get__(self, owner: object, kind: type | None = None) -> Result: ...
+
+    def __get__(self, owner: object | None, kind: type | None = None) -> "kept[Result] | Result":
+        return self if owner is None else owner.__dict__.setdefault(self.name, self.work(owner))
 
 
 def lapack_threads() -> int:

@@ -1,4 +1,4 @@
-"""One thread of NumPy's BLAS while a verb runs, and its own number afterwards; XLA's pool."""
+"""One thread of NumPy's BLAS while a verb runs, and its own number afterwards; XLA's pool; work side by side."""
 
 import importlib.metadata
 import os
@@ -11,7 +11,7 @@ import pytest
 import threadpoolctl
 
 from jaxfrf import _environment, _threads
-from jaxfrf._threads import one_blas_thread
+from jaxfrf._threads import kept, one_blas_thread, shared
 
 
 def threads():
@@ -88,3 +88,20 @@ def test_one_core_has_one_thread(how, stated, pool):
     environment |= {} if stated is None else {"NPROC": stated}
     done = subprocess.run([sys.executable, "-c", ONE_CORE, how], env=environment, capture_output=True, text=True)
     assert done.stdout.split() == [str(pool), "1"], done.stderr
+
+
+def test_kept_is_worked_out_once_and_side_by_side():
+    """Two objects' values at the same time: `functools.cached_property` has one after the other on Python 3.11."""
+    meet, asked = threading.Barrier(2, timeout=20), []
+
+    class Scene:
+        @kept
+        def value(self) -> int:
+            """Of this scene."""
+            asked.append(self)
+            return meet.wait()
+
+    scenes = [Scene(), Scene()]
+    first = shared(lambda scene: scene.value, scenes, threads=2)
+    assert sorted(first) == [0, 1] and [scene.value for scene in scenes] == first and len(asked) == 2
+    assert Scene.value.__doc__ == "Of this scene."

@@ -40,7 +40,7 @@ from .tolerances import Tolerances
 _NEWTON_STEPS = 50
 _TOLERANCE = 1e-13  # of a Newton step, rad; a deflection is 1e-5 to 1e-2 rad
 _CONVERGED = 1e-9  # rad
-_ALIKE = 8  # positions: fewer are filled up to so many, and share what is compiled
+_ALIKE = 16  # positions: fewer are filled up to so many, and share what is compiled
 _NOT_AT_REST = (
     AbstractFriction,
     AbstractMotorTorque,

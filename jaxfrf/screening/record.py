@@ -1,7 +1,6 @@
 """A record as the checks look at it: channel by channel, in periods, and at the excited lines."""
 
 import dataclasses
-import functools
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
@@ -9,6 +8,7 @@ import numpy as np
 import scipy.fft
 
 from .._errors import InputError
+from .._threads import kept
 from ..experiment import Experiment
 from ..periodic import FoundLines
 from ..spectra import found_lines
@@ -35,7 +35,7 @@ class Channel:
     def at(self) -> str:
         return f"{self.signal}: channel {self.channel} (position {self.pos}, experiment {self.exp})"
 
-    @functools.cached_property
+    @kept
     def steady(self) -> np.ndarray:
         """The steady periods (period, time), not copied; the record without a period is one."""
         return self.x[self.first :].reshape(-1, self.period or len(self.x))
@@ -44,21 +44,21 @@ class Channel:
     def n_periods(self) -> int:
         return len(self.steady) if self.period else 0
 
-    @functools.cached_property
+    @kept
     def steps(self) -> np.ndarray:
         """From sample to sample, without their sign."""
         return np.abs(np.diff(self.x))
 
-    @functools.cached_property
+    @kept
     def std(self) -> float:
         return float(self.x.std())
 
-    @functools.cached_property
+    @kept
     def bins(self) -> tuple[np.ndarray, np.ndarray]:
         """How many samples behind the transient stand in every 300th of their range, and the edges of these."""
         return np.histogram(self.x[self.first :], _BINS)
 
-    @functools.cached_property
+    @kept
     def ends(self) -> tuple[float, float]:
         """The least and the largest value."""
         return float(self.x.min()), float(self.x.max())
@@ -114,13 +114,13 @@ class Record:
                     if moving[channel]:
                         yield Channel(self, name, channel, pos, exp, one, data.period, first)
 
-    @functools.cached_property
+    @kept
     def moving(self) -> dict[str, np.ndarray]:
         """Which channels move: (pos, exp, channel)."""
         by_channel = lambda x: np.array([[np.ptp(np.ascontiguousarray(one.T), axis=1) for one in at] for at in x])
         return {name: by_channel(x) > 0 for name, x in self.signals()}
 
-    @functools.cached_property
+    @kept
     def found_lines(self) -> FoundLines | None:
         """What the spectrum shows; `None` without a period, or where nothing is excited."""
         try:
@@ -128,14 +128,14 @@ class Record:
         except InputError:  # the estimators will say so, with the method at hand
             return None
 
-    @functools.cached_property
+    @kept
     def lines(self) -> np.ndarray:
         """The excited lines, given or found; none without a period."""
         if self.data.lines is not None and self.data.period:
             return np.asarray(self.data.lines)
         return np.zeros(0, int) if self.found_lines is None else self.found_lines.lines
 
-    @functools.cached_property
+    @kept
     def spectra(self) -> dict[str, np.ndarray]:
         """Fourier coefficients of every steady period at the excited lines: (pos, exp, period, freq, channel)."""
         data, found = self.data, {}

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from functools import cached_property
 
 import equinox as eqx
 import jax
@@ -11,6 +10,7 @@ import numpy as np
 import scipy.fft
 from jaxtyping import Complex, Float, Int
 
+from .._threads import kept
 from .._types import arrays
 from ..robot import (
     Robot,
@@ -55,33 +55,33 @@ class Scene:
 
     def forget(self) -> None:
         """Free what was computed; it is computed again where it is needed."""
-        for name in [name for name in vars(self) if isinstance(getattr(type(self), name, None), cached_property)]:
+        for name in [name for name in vars(self) if isinstance(getattr(type(self), name, None), kept)]:
             del self.__dict__[name]
 
-    @cached_property
+    @kept
     def _Z(self):
         return scipy.fft.rfft(self.z, axis=1)
 
-    @cached_property
+    @kept
     def _s(self):
         return (2j * np.pi * np.arange(self.period // 2 + 1) * self.fs / self.period)[:, None]
 
-    @cached_property
+    @kept
     def _springs(self) -> Float[np.ndarray, "dof spring"]:
         return np.asarray(spring_directions(self.robot))
 
     # The motors, at every sample: friction turns with the sign of their speed
 
-    @cached_property
+    @kept
     def angle(self) -> Float[np.ndarray, "exp time axis"]:
         """rad, motor side."""
         return np.asarray(motor_values(self.robot, self.z))
 
-    @cached_property
+    @kept
     def speed(self) -> Float[np.ndarray, "exp time axis"]:
         return self._motors(1)
 
-    @cached_property
+    @kept
     def acceleration(self) -> Float[np.ndarray, "exp time axis"]:
         return self._motors(2)
 
@@ -89,12 +89,12 @@ class Scene:
         Z = self._Z @ np.asarray(motor_directions(self.robot)) * self._s**derivatives
         return scipy.fft.irfft(Z, n=self.period, axis=1)
 
-    @cached_property
+    @kept
     def turn(self) -> Complex[np.ndarray, "axis exp time"]:
         """e^{j angle} of the motors as they were read."""
         return np.exp(1j * np.moveaxis(self.reading, -1, 0))
 
-    @cached_property
+    @kept
     def load(self) -> Float[np.ndarray, "exp time axis"]:
         """Torque in the gears on the motor side; the motor's own where the transmission is rigid."""
         load = self.u.copy()
@@ -106,7 +106,7 @@ class Scene:
 
     # Springs and arm, coarsely
 
-    @cached_property
+    @kept
     def coarse(self) -> int:
         """Samples of a period that springs and arm have."""
         return self.samples(_SPRINGS)
@@ -120,31 +120,31 @@ class Scene:
         Z = self._Z[:, : count // 2 + 1] * self._s[: count // 2 + 1] ** derivatives * (count / self.period)
         return scipy.fft.irfft(Z, n=count, axis=1)
 
-    @cached_property
+    @kept
     def _coarse_z(self):
         return self._coarse(0, self.coarse)
 
-    @cached_property
+    @kept
     def _coarse_rate(self):
         return self._coarse(1, self.coarse)
 
-    @cached_property
+    @kept
     def deflection(self) -> Float[np.ndarray, "exp sample spring"]:
         return self._coarse_z @ self._springs
 
-    @cached_property
+    @kept
     def deflection_rate(self) -> Float[np.ndarray, "exp sample spring"]:
         return self._coarse_rate @ self._springs
 
-    @cached_property
+    @kept
     def spring_torque(self) -> Float[np.ndarray, "exp sample spring"]:
         return np.asarray(self.robot.springs.torque(self.deflection, self.deflection_rate))
 
-    @cached_property
+    @kept
     def arm_angle(self) -> Float[np.ndarray, "exp sample axis"]:
         return self._coarse_z[..., self.robot.n_motors : self.robot.n_motors + self.robot.n_axes]
 
-    @cached_property
+    @kept
     def arm_rate(self) -> Float[np.ndarray, "exp sample axis"]:
         return self._coarse_rate[..., self.robot.n_motors : self.robot.n_motors + self.robot.n_axes]
 
@@ -186,7 +186,7 @@ class Scene:
         found = np.stack([shift[..., e, :] @ pairs[e] for e in range(shift.shape[-2])], axis=-2)
         return found.view(complex).reshape(*shift.shape[:-1], *asked)
 
-    @cached_property
+    @kept
     def _settling(self) -> tuple[np.ndarray, Complex[np.ndarray, "exp spring line axis"]]:
         """Which springs are not linear, and what a shift of each asks, N m/rad, less the frozen robot's part of it."""
         law = self.robot.springs
@@ -327,15 +327,15 @@ class Scene:
                 courses[changes[:, None], ..., pushing] += np.tensordot(slopes[changes, link], X, (1, 1))
         return self.by_forces(courses, np.arange(robot.n_motors, robot.dof))
 
-    @cached_property
+    @kept
     def _friction(self):
         return np.asarray(self.robot.drives.friction.torque(self.speed))
 
-    @cached_property
+    @kept
     def _own_links(self):
         return self._links(self.robot)
 
-    @cached_property
+    @kept
     def _arm(self):
         """Angles, rates and accelerations of the arm, (row, exp sample)."""
         count = self.samples(_LINKS)

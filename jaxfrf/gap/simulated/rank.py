@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ... import effects as fx
+from ..._threads import shared
 from ...calibration.least_squares import solve
 from ...effects import AbstractEffect, OwnNumber
 from ...effects._place import axis_of
@@ -127,17 +128,20 @@ def _is_stated(robot, effect: AbstractEffect, number: str) -> bool:
 def _gear_errors(view: Fitted) -> list[Candidate]:
     """Errors of the teeth of every gear, at the orders that most of the residual goes by."""
     iterate, robot = view.iterate, view.iterate.evidence.robot
-    found: list[Candidate] = []
     change = iterate.posterior.change
     first = len(change) - 2 * len(iterate.orders)
-    for axis in robot.flexible_axes:
+
+    def orders(axis: int) -> list[float]:
         # Whole orders of this motor stay in the residual: they would take most of an error at an order nearby.
         other = np.array([i < first or iterate.orders[(i - first) // 2].axis != axis for i in range(len(change))])
         left = remainder(iterate.evidence, iterate.weighed, change[other], np.flatnonzero(other))
-        orders = gear_orders(iterate.evidence.scenes, left, iterate.evidence.floor, axis)
+        return gear_orders(iterate.evidence.scenes, left, iterate.evidence.floor, axis)
+
+    found: list[Candidate] = []
+    for axis, tried in zip(robot.flexible_axes, shared(orders, robot.flexible_axes), strict=True):
         for kind in fx.library().values():
             if issubclass(kind, fx.AbstractGearError):
-                found += kind.candidates_at(robot, robot.axis_names[axis], orders)
+                found += kind.candidates_at(robot, robot.axis_names[axis], tried)
     return found
 
 
