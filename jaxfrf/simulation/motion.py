@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -19,9 +20,11 @@ from .closed_loop import ClosedLoop, LoopState, Runs
 from .experiment import study_of_record
 from .imposed import Imposed, impose
 from .references import References
-from .runs import Progress, Study, record
+from .runs import Player, Progress, Records, Study, record
 
-_RUN_INS = (2.9, 8.0)  # s: the longer one at positions where after the shorter one a period does not end as it began
+# Run-ins, s: a longer one at positions where after the one before a period does not end as it began.
+_IN_LOOP = (2.9, 8.0)  # controllers damp
+_IMPOSED = (10.0, 30.0, 90.0)  # an arm on motors that are held swings for as long as its gears let it
 _COMPARED = 0.1  # s, of the beginning of a period with that of the next
 _SETTLED = 2e-5  # of an axis' torque, rms: by such a transient lines are off by some 1e-4 of theirs, rms
 
@@ -62,30 +65,34 @@ def replay_motion(
 
     **Source:** as of `jaxfrf.replay`.
     """
-    if run_in is not None or not data.period:
-        study = study_of_record(robot, data, None, 0.0, run_in or 0.0, steps)
-        u, y, z = record(study, chunk, progress, _play_with_coordinates)
-        return Motion(u, y, z, data.fs)
-    usual, longer = _RUN_INS
-    study = study_of_record(robot, data, None, 0.0, usual, steps)
-    more = math.ceil(_COMPARED * data.fs)
-    study = _lasting(study, study.references.run_in, data.period + more)
-    played = record(study, chunk, progress, _play_with_coordinates)
-    late = np.flatnonzero(~_are_settled(played[0], more))
-    played = tuple(x[:, :, : data.period] for x in played)
-    if len(late):
-        again = range(late[0], late[-1] + 1)
-        study = _lasting(study, math.ceil(longer * data.fs), data.period)
-        for part, other in zip(played, record(study, chunk, None, _play_with_coordinates, again), strict=True):
-            part[again.start : again.stop] = other
-    u, y, z = played
+    study = study_of_record(robot, data, None, 0.0, run_in or 0.0, steps)
+    lengths = _IN_LOOP if run_in is None and data.period else ()
+    u, y, z = _settled(study, lengths, chunk, progress, _play_with_coordinates)
     return Motion(u, y, z, data.fs)
 
 
-def _lasting(study: Study, run_in: int, recorded: int) -> Study:
-    """The same with so many samples."""
-    references = dataclasses.replace(study.references, run_in=run_in, recorded=recorded)
-    return dataclasses.replace(study, references=references)
+def _settled(
+    study: Study, run_ins: Sequence[float], chunk: int, progress: Progress | None, player: Player
+) -> tuple[Records, ...]:
+    """A period that begins as the next one, after the first of these run-ins, s, that is long enough at its position;
+    where there are none, as the study has it."""
+    if not run_ins:
+        return record(study, chunk, progress, player)
+    references, fs = study.references, study.loop.fs
+    period, more = references.recorded, math.ceil(_COMPARED * fs)
+    positions = range(len(study.point.z))
+    found: tuple[Records, ...] = ()
+    for length in run_ins:
+        lasting = dataclasses.replace(references, run_in=math.ceil(length * fs), recorded=period + more)
+        played = record(dataclasses.replace(study, references=lasting), chunk, progress, player, positions)
+        found = found or tuple(np.empty((x.shape[0], x.shape[1], period, x.shape[3])) for x in played)
+        for whole, part in zip(found, played, strict=True):
+            whole[positions.start : positions.stop] = part[:, :, :period]
+        late = positions.start + np.flatnonzero(~_are_settled(played[0], more))
+        if not len(late):
+            break
+        positions, progress = range(late[0], late[-1] + 1), None
+    return found
 
 
 def _are_settled(u: Float[np.ndarray, "pos exp time axis"], more: int) -> Bool[np.ndarray, "pos"]:
@@ -100,7 +107,7 @@ def imposed_motion(
     angle: Float[np.ndarray, "run time axis"],
     data: Experiment,
     *,
-    run_in: float = 5.0,
+    run_in: float | None = None,
     chunk: int = 32,
     progress: Progress | None = None,
 ) -> Motion:
@@ -112,8 +119,9 @@ def imposed_motion(
 
     **Arguments:** `robot`: without its controller. `speed`, `angle`: of the motors as their sensors show them, rad/s
     and rad about rest, one period, for run number position * n_exp + experiment; sampled at the robot's
-    `sampling_frequency`. `data`: arm configurations, and how many experiments there are. `run_in`: s. `chunk`,
-    `progress`: as of `jaxfrf.simulate`.
+    `sampling_frequency`. `data`: arm configurations, and how many experiments there are. `run_in`: s; by
+    default 10, and up to 90 at positions where a period then does not end as it began. `chunk`, `progress`: as of
+    `jaxfrf.simulate`.
 
     **Returns:** a `Motion`: u in N m, y and z in rad, each (pos, exp, time, channel).
 
@@ -124,9 +132,9 @@ def imposed_motion(
     robot = arrays(robot)
     point = equilibria(robot, check_positions(robot, data.q), limited=False)
     fs, ahead = robot.sampling_frequency, lambda x: np.roll(x, -1, axis=1)  # a sample ends on its reference
-    references = References(ahead(speed), ahead(angle), fs, math.ceil(run_in * fs), angle.shape[1])
+    references = References(ahead(speed), ahead(angle), fs, math.ceil((run_in or 0.0) * fs), angle.shape[1])
     study = Study(Imposed.of(robot), references, point, jr.key(0), data.n_exp)
-    u, y, z = record(study, chunk, progress, impose)
+    u, y, z = _settled(study, _IMPOSED if run_in is None else (), chunk, progress, impose)
     return Motion(u, y, z, fs)
 
 

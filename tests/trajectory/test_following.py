@@ -19,7 +19,15 @@ from jaxfrf.trajectory.following import compared, unknown_friction
 from jaxfrf.trajectory.measured import measured
 from jaxfrf.trajectory.remainder import excess
 
+
+def light():
+    """Gears that hardly damp: on motors that are held the arm swings for half a minute."""
+    robot = small_robot()
+    return with_parameters(robot, {n: 0.1 * float(v) for n, v in parameters(robot, ["damping"]).items()})
+
+
 ROBOTS = {
+    "light damping": light,
     "springs": lambda: small_robot(),
     "an elbow that slides": lambda: small_robot(slides=True, gear_ratio=200.0, stiffness=3e5, damping=200.0),
     "rigid transmissions": lambda: small_robot(stiffness=np.inf),
@@ -37,7 +45,7 @@ ROBOTS = {
 @functools.cache
 def simulated(name: str):
     robot = ROBOTS[name]()
-    return robot, jf.simulate(robot, design(0), Q[:1], key=jr.key(0), run_in=3.0, noise=0.0)
+    return robot, jf.simulate(robot, design(0), Q[:1], key=jr.key(0), run_in=30.0, noise=0.0)
 
 
 def unknown(robot):
@@ -53,7 +61,7 @@ def missed(robot, data):
     return np.sqrt(squares(evidence.U - record.U) / squares(record.U))
 
 
-_QUICK = ("springs",)
+_QUICK = ("springs", "light damping")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in _QUICK else pytest.mark.slow) for n in ROBOTS])
