@@ -289,6 +289,19 @@ def _row(case: Judged) -> dict:
     }
 
 
+def differences(judged: list[Judged], others: list[Judged]) -> list[str]:
+    """How many cases both have, and those of them that end otherwise: another verdict, other names, or another answer
+    to the robot that was written. What ends alike may differ in its numbers."""
+    place = lambda case: (case.truth["part"], case.truth["number"])
+    end = lambda case: (case.result["verdict"], _row(case)["named"], case.result.get("again"))
+    before = {place(case): case for case in others}
+    both = [(case, before[place(case)]) for case in judged if place(case) in before]
+    other = [pair for pair in both if end(pair[0]) != end(pair[1])]
+    told = lambda case: " ".join(x for x in (*end(case)[:2], f"({case.result.get('again', 'not asked again')})") if x)
+    lines = [f"{now.truth['number']:03}: {told(now)}; before: {told(then)}" for now, then in other]
+    return [f"{len(other)} of {len(both)} cases end otherwise", *lines]
+
+
 def _measured(case: Judged) -> dict:
     gap = case.result.get("gap") or {}
     keys = ("oracle", "placebo", "again", "wall_s", "peak_mb")

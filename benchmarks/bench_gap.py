@@ -2,7 +2,7 @@
 
     python benchmarks/bench_gap.py --part report -o report [--cases 0-63] [--robots small] [--make-only] [--no-refits]
     python benchmarks/bench_gap.py --again -o report
-    python benchmarks/bench_gap.py --score -o report [tune ...]
+    python benchmarks/bench_gap.py --score -o report [tune ...] [--against cases.json]
     python benchmarks/bench_gap.py --keep cases.json --commit 0123abc -o report   # and --score -o cases.json
     python benchmarks/bench_gap.py --cost -o cost
 
@@ -21,7 +21,7 @@ every second or third one (`--cases 0-251/3`), are a fair sample. `--score` prin
 "unseen" is as the latter, of another seed, for a state of the code that was finished before anybody saw one of it.
 
 `--keep` adds what the finished cases of a folder said to a file, with the commit that made them; cases that such a file
-holds already are not run again with `--kept FILE`.
+holds already are not run again with `--kept FILE`, and `--against FILE` tells which of them end otherwise.
 
 `--cost` diagnoses one R3X with 12 positions, 6 experiments and 8 s each by `jaxfrf diagnose`, twice, and prints the
 time and the memory of both runs.
@@ -48,7 +48,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import numpy as np
 from _gap_kept import keep, kept
 from _gap_picture import draw
-from _gap_score import NAMING, load, report, score
+from _gap_score import NAMING, differences, load, report, score
 from _hidden_cases import PARTS, Case, can_be_made, cases, class_of, make
 from _hidden_effects import MAIN, kind_of
 from _hidden_robots import PLANTS
@@ -112,6 +112,7 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", choices=PLANTS, default=list(PLANTS))
     parser.add_argument("--make-only", action="store_true")
     parser.add_argument("--score", action="store_true", help="tables only")
+    parser.add_argument("--against", type=pathlib.Path, metavar="FILE", help="kept cases; which ones end otherwise")
     parser.add_argument("--no-refits", action="store_true", help="neither oracle nor placebo: a third of the time")
     parser.add_argument("--again", action="store_true", help="diagnose the robots that were written, too")
     parser.add_argument("--keep", type=pathlib.Path, metavar="FILE", help="add the finished cases to it, run nothing")
@@ -135,6 +136,8 @@ def main() -> None:
             diagnose_again(chosen, folder)
     if not options.make_only:
         tell(options.output)
+    if options.against:
+        print("", *differences(load(*options.output), load(options.against)), sep="\n")
 
 
 def run(chosen: list[Case], folder: pathlib.Path, make_only: bool = False, jobs: int = 1, refits: bool = True) -> None:

@@ -16,7 +16,7 @@ import scipy.integrate
 from _gap_estimates import errors
 from _gap_kept import keep, kept
 from _gap_picture import draw
-from _gap_score import Judged, found, load, rate, report, score, summary
+from _gap_score import Judged, differences, found, load, rate, report, score, summary
 from _hidden_cases import make
 from _hidden_effects import MAIN, Hidden, hidden_effect, kind_of
 from _hidden_plan import CLASSES, cases
@@ -486,6 +486,10 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert keep(file, tmp_path, "0123abc") == keep(file, tmp_path, "4567def") == 3  # as they were first kept
     assert {case["commit"] for case in kept(file).values()} == {"0123abc"}
     assert report(score(load(file))) == report(score(load(tmp_path)))
+    assert differences(load(file), load(tmp_path)) == ["0 of 3 cases end otherwise"]
+    file.write_text(file.read_text().replace('"sufficient"', '"unexplained"', 1))
+    told = ["1 of 3 cases end otherwise", "000: unexplained (not asked again); before: sufficient (not asked again)"]
+    assert differences(load(file), load(tmp_path)) == told
 
 
 def test_numbers():
