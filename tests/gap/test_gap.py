@@ -155,17 +155,16 @@ def quiet(carrier):
     return data, Evidence(carrier, measured(data), steps=STEPS)
 
 
-@pytest.mark.parametrize(("gain", "damping"), [(1.0, 1.0), (8.0, 0.1)], ids=["usual", "motors held, light damping"])
-def test_replays_have_settled(carrier, quiet, gain, damping):
-    """Whatever its damping, the robot plays as it would after twenty seconds; the lightly damped one has not settled
-    when others have."""
-    less = {name: damping * float(value) for name, value in parameters(carrier, ["damping"]).items()}
+def test_replays_have_settled(carrier, quiet):
+    """Of a robot whose motors are held so well, and whose gears damp so little, that it has not when others have: it
+    plays as it would after twenty seconds."""
+    less = {name: 0.1 * float(value) for name, value in parameters(carrier, ["damping"]).items()}
     robot = with_parameters(carrier, less)
-    robot = eqx.tree_at(lambda r: r.controller.velocity_gain, robot, gain * carrier.controller.velocity_gain)
+    robot = eqx.tree_at(lambda r: r.controller.velocity_gain, robot, 8.0 * carrier.controller.velocity_gain)
     early, ours, late = (replay_motion(robot, quiet[0], steps=STEPS, run_in=t).u for t in (2.9, None, 20.0))
     size = late.std(axis=2).max(axis=(0, 1))
     off = [np.max(np.abs(x - late) / size) for x in (early, ours)]
-    assert off[1] < 1e-4 and (off[0] > 1e-3) == (gain > 1)
+    assert off[0] > 1e-3 and off[1] < 1e-4
 
 
 def asked(changed, quiet):
