@@ -85,9 +85,10 @@ def _settled(
     for length in run_ins:
         lasting = dataclasses.replace(references, run_in=math.ceil(length * fs), recorded=period + more)
         played = record(dataclasses.replace(study, references=lasting), chunk, progress, player, positions)
-        found = found or tuple(np.empty((x.shape[0], x.shape[1], period, x.shape[3])) for x in played)
-        for whole, part in zip(found, played, strict=True):
-            whole[positions.start : positions.stop] = part[:, :, :period]
+        steady = tuple(x[:, :, :period] for x in played)
+        for whole, part in zip(found, steady, strict=False):  # none yet after the first run-in
+            whole[positions.start : positions.stop] = part
+        found = found or steady
         late = positions.start + np.flatnonzero(~_are_settled(played[0], more))
         if not len(late):
             break
