@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.experimental.xla_metadata import set_xla_metadata
 
 _OPTIONS = {
     "xla_cpu_use_fusion_emitters": False,
@@ -50,8 +51,23 @@ def beside_others(true: bool = True) -> Iterator[None]:
         _beside_others.reset(before)
 
 
+def apart(function):
+    """The function as a part of a program by itself: its result is written down before what follows reads it.
+
+    XLA's processor backend otherwise works a small result out anew in every loop that reads it, and ignores
+    `jax.lax.optimization_barrier` there. Where a version of XLA knows nothing of it, results are the same."""
+    called = jax.jit(function)
+
+    @functools.wraps(function)
+    def call(*arguments):
+        with set_xla_metadata(inlineable="false"):
+            return called(*arguments)
+
+    return call
+
+
 def program(function):
-    """The same as a decorator, by `jax.jit`: plain numbers are no part of the program. Compiled when it is called."""
+    """`compiled` as a decorator, by `jax.jit`: plain numbers are no part of the program. Compiled when it is called."""
 
     @functools.cache
     def made():

@@ -76,6 +76,11 @@ def _libraries() -> threadpoolctl.ThreadpoolController:
     return threadpoolctl.ThreadpoolController()
 
 
+@functools.cache
+def _blas() -> list[Any]:
+    return _libraries().select(user_api="blas").lib_controllers
+
+
 def one_blas_thread(function: Callable[Given, Result]) -> Callable[Given, Result]:
     """The function, during which NumPy's BLAS has one thread: for many small matrices more of them cost more than they
     give, and wait for each other wherever other work runs beside.
@@ -84,6 +89,8 @@ def one_blas_thread(function: Callable[Given, Result]) -> Callable[Given, Result
 
     @functools.wraps(function)
     def limited(*args: Given.args, **options: Given.kwargs) -> Result:
+        if all(library.num_threads == 1 for library in _blas()):
+            return function(*args, **options)
         with _libraries().limit(limits=1, user_api="blas"):
             return function(*args, **options)
 

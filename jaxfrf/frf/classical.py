@@ -1,25 +1,29 @@
 """Classical estimators: H1, H2 and Hv, one line at a time."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._compile import after
 from .._errors import input_error
 from .._types import Array
 from ..spectra import Spectra
-from .alike import few_lines, looks_alike
+from . import lanes
+from .alike import few_lines, looks_alike, spread_lines
 from .covariance import KroneckerSum
-from .inverse import adjoint, inverse, positive_inverse, product
-from .least_squares import AbstractLeastSquares, check_periodic
+from .inverse import adjoint, inverse, positive_half_inverse, product
+from .least_squares import AbstractLeastSquares, check_steady
 from .method import AbstractMethod, Estimate, Signals, flags
 from .regression import PIVOT
 from .window import Windows, windows
 
 DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
 _AT_ONCE = 16  # lines whose rank is looked at together
+_SCALED_BY = 16  # lines that tell the size of channels
 
 
 class AbstractLineByLine(AbstractMethod):
@@ -33,7 +37,7 @@ class AbstractLineByLine(AbstractMethod):
         return spectra.n_in
 
     def check(self, spectra: Spectra) -> None:
-        check_periodic(spectra, H1())
+        check_steady(spectra)
         check_experiments(spectra, spectra.n_in)
         check_independent("u", spectra.U)
 
@@ -161,8 +165,10 @@ def check_independent(name: str, X) -> None:
 
 
 def _begins_independent(X) -> bool:
-    """Whether all positions are of full rank at their first line, which mostly tells; channels scaled as below."""
-    size = np.sqrt(np.einsum("pefc,pefc->pc", X.real, X.real) + np.einsum("pefc,pefc->pc", X.imag, X.imag))
+    """Whether all positions are of full rank at their first line, which mostly tells; channels scaled as below, by
+    some of the lines."""
+    some = X[:, :, spread_lines(X.shape[2], _SCALED_BY)]
+    size = np.sqrt(np.einsum("pefc,pefc->pc", some.real, some.real) + np.einsum("pefc,pefc->pc", some.imag, some.imag))
     if not (np.isfinite(size).all() and size.all()):
         return False
     singular = np.linalg.svd(X[:, :, 0] / size[:, None], compute_uv=False)
@@ -199,52 +205,54 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
     experiment, C from the residuals Y - G U, which are orthogonal to Z.
     """
     dof = signals.n_exp - signals.n_in
-
-    def one_line(U, Y, Z, noise):
-        U, Y = U.T, Y.T
-        Z = U if Z is None else Z.T
-        G = None if response is None else response(U, Y)
-        X, S = _influence(U if G is None else _where_finite(G, U), Z)
-        influence = product(adjoint(Z), X)
-        G = product(Y, influence) if G is None else G
-        residual = Y - product(G, U)
-        C = product(residual, adjoint(residual)) / (dof if dof > 0 else jnp.nan)
-        condition = jnp.max(jnp.abs(X) * jnp.linalg.norm(Z, axis=1)[:, None] * jnp.linalg.norm(U, axis=1))
-        told = None if noise is None else _noise_covariance(G, influence, noise)
-        free = 1 - jnp.sum(influence * U.T, axis=1).real
-        return G, KroneckerSum(S[None], C[None]), told, condition, residual, free
-
-    of = _at(lines, signals.U, signals.Y, instrument, signals.noise)
-    G, cov, cov_noise, condition, residual, free = jax.vmap(one_line, in_axes=1)(*of)
-    every = jnp.zeros(G.shape[0])
+    of_U, of_Y, of_Z, noise = _at(lines, signals.U, signals.Y, instrument, signals.noise)
+    n_line = of_U.shape[1]
+    G = None if response is None else jax.vmap(lambda U, Y: response(U.T, Y.T), in_axes=1)(of_U, of_Y)
+    U, Y = lanes.of_signal(of_U if G is None else after(of_U, G)), lanes.of_signal(of_Y)
+    Z = U if of_Z is None else lanes.of_signal(of_Z)
+    cross = lanes.lines(lanes.times_adjoint(U, Z), n_line)
+    if Z is U:
+        half = lanes.of_lines(jax.vmap(positive_half_inverse)(cross))
+        X = lanes.adjoint_times(half, half)
+    else:
+        X = lanes.of_lines(jax.vmap(inverse)(cross))
+    influence = lanes.adjoint_times(Z, X)
+    in_lanes = lanes.product(Y, influence) if G is None else lanes.of_lines(G)
+    residual = Y - lanes.product(in_lanes, U)
+    G = lanes.lines(in_lanes, n_line) if G is None else G
+    S = lanes.lines(X if Z is U else lanes.adjoint_times(influence, influence), n_line)
+    C = lanes.lines(lanes.times_adjoint(residual, residual), n_line) / (dof if dof > 0 else jnp.nan)
+    told = None
+    if noise is not None:
+        told = jax.vmap(_noise_covariance, in_axes=(0, 0, 1))(G, lanes.lines(influence, n_line), noise)
+    every = jnp.zeros(n_line)
     estimate = Estimate(
         G=G,
-        cov=cov,
+        cov=KroneckerSum(S.mT[:, None], C[:, None]),
         dof=every + dof,
         status=flags(NO_COVARIANCE=every + dof <= 0),
         window=every + 1,
         doubtful=every > 0,
-        cov_noise=cov_noise,
-        alike=_alike(residual, free) if lines is None and dof > 0 else None,
+        cov_noise=told,
+        alike=_alike(residual, influence, U, n_line) if lines is None and dof > 0 else None,
     )
-    return estimate, condition
+    return estimate, _largest(X, Z, U)[:n_line]
 
 
-def _alike(residual, free):
+def _largest(X, Z, U) -> Float[Array, "freq"]:
+    """The largest entry of X for signals of unit length."""
+    size_U = lanes.squares(U)
+    size_Z = size_U if Z is U else lanes.squares(Z)
+    squares = (jnp.square(X.real) + jnp.square(X.imag)) * size_Z[:, :, None] * size_U[:, None]
+    return jnp.sqrt(jnp.max(functools.reduce(jnp.maximum, jnp.moveaxis(squares, 1, 0)), axis=1).ravel())
+
+
+def _alike(residual, influence, U, n_line: int):
     """Whether experiments look so, by some of the lines."""
-    lines = few_lines(len(free), residual.shape[1])
-    rest = residual[lines]
-    return looks_alike(jnp.real(rest) ** 2 + jnp.imag(rest) ** 2, free[lines])
-
-
-def _influence(U, Z):
-    """(U Z^H)^-1 and (H^H H)^T of `_line_by_line`."""
-    if Z is U:
-        X = positive_inverse(product(U, adjoint(U)))
-        return X, X.T
-    X = inverse(product(U, adjoint(Z)))
-    H = product(adjoint(Z), X)
-    return X, product(H.T, H.conj())
+    some = few_lines(n_line, residual.real.shape[1])
+    rest, H, U = (lanes.some_lines(A, some) for A in (residual, influence, U))
+    free = 1 - jnp.sum(H.mT * U, axis=1).real
+    return looks_alike(jnp.real(rest) ** 2 + jnp.imag(rest) ** 2, free)
 
 
 def _with_noise(estimate: Estimate, signals: Signals, instrument, lines) -> Estimate:
@@ -255,8 +263,7 @@ def _with_noise(estimate: Estimate, signals: Signals, instrument, lines) -> Esti
     def one_line(U, Z, noise, G):
         U = _where_finite(G, U.T)
         Z = U if Z is None else Z.T
-        X, _ = _influence(U, Z)
-        return _noise_covariance(G, product(adjoint(Z), X), noise)
+        return _noise_covariance(G, product(adjoint(Z), inverse(product(U, adjoint(Z)))), noise)
 
     U, Z, noise = _at(lines, signals.U, instrument, signals.noise)
     return dataclasses.replace(estimate, cov_noise=jax.vmap(one_line, in_axes=(1, 1, 1, 0))(U, Z, noise, estimate.G))

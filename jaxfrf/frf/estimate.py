@@ -31,6 +31,7 @@ _BLOCK_BYTES = 8e8  # operating points are estimated in groups that need about t
 _ACCELERATED = 20  # times as much, on a GPU: to start a group takes longer than the arithmetic of a few points
 _SHARED = 1000  # lines of all operating points, from which on more than one core takes part
 _compiled: set = set()  # programs that the first group has compiled for the others
+_FEW = 4  # times as many rows as channels, that mostly tell the rank
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
 
 
@@ -151,6 +152,8 @@ def describe_method(method: AbstractMethod) -> str:
 def _groups(spectra: Spectra) -> list[np.ndarray]:
     """Operating points that are estimated together, as many for every thread: groups of one size, the last filled up
     with the last point, so that one compilation serves them."""
+    if spectra.n_pos == 1:
+        return [np.arange(1)]
     vec = spectra.n_in * spectra.n_out
     bytes_each = 16 * len(spectra.lines) * (4 * vec**2 + spectra.n_exp * 8 * (spectra.n_in + spectra.n_out) ** 2)
     accelerated = on_accelerator()
@@ -204,9 +207,10 @@ def _stored(whole: Estimate | None, part: Estimate, group, n_pos: int) -> Estima
 
 
 def _check_rank(spectra: Spectra, method: AbstractMethod) -> None:
-    """Inputs that are copies of each other at every line cannot be told apart by any method."""
+    """Inputs that are copies of each other at every line cannot be told apart by any method; those that take several
+    experiments at every line have looked at these."""
     n = spectra.n_in
-    if n == 1:
+    if n == 1 or method.block_size(spectra) > 1:
         return
     rank = _ranks(np.asarray(spectra.U).reshape(spectra.n_pos, -1, n))
     if rank.min() < n:
@@ -238,7 +242,7 @@ def _of_rank(spectra: Spectra, status) -> tuple[str, ...]:
 def _ranks(X) -> np.ndarray:
     """The rank of every position's (row, channel), channels scaled: of its first rows, where these have full rank."""
     n = X.shape[-1]
-    ranks = _ranks_of(X[:, : 4 * n])
+    ranks = _ranks_of(X[:, : _FEW * n])
     lacking = ranks < n
     if lacking.any():
         ranks[lacking] = _ranks_of(X[lacking])
@@ -247,16 +251,25 @@ def _ranks(X) -> np.ndarray:
 
 def _ranks_of(X) -> np.ndarray:
     size = np.linalg.norm(X, axis=1, keepdims=True)
-    R = np.linalg.qr(X / np.where(size > 0, size, 1.0), mode="r")
-    singular = np.linalg.svd(R, compute_uv=False)
+    X = X / np.where(size > 0, size, 1.0)
+    small = X if X.shape[1] <= _FEW * X.shape[2] else np.linalg.qr(X, mode="r")
+    singular = np.linalg.svd(small, compute_uv=False)
     return (singular > DEPENDENT * singular[:, :1]).sum(axis=1)
 
 
 def _excitation_status(spectra: Spectra, method: AbstractMethod) -> np.ndarray:
     """LOW_EXCITATION where a channel of u carries almost no power over all experiments, (pos, freq); of methods that
     take a line's neighbours, too, where none does: lines may be shared among channels (zippered designs)."""
-    U = np.asarray(spectra.U)
-    power = np.einsum("pefi,pefi->pfi", U.real, U.real) + np.einsum("pefi,pefi->pfi", U.imag, U.imag)
+    power = _power(np.asarray(spectra.U))
+    if (power.min(axis=1) > _WEAK * power.max(axis=1)).all():
+        return np.zeros(power.shape[:2], int)
     weak = power <= _WEAK * np.median(power, axis=1, keepdims=True)
     low = weak.any(axis=-1) if method.block_size(spectra) > 1 else weak.all(axis=-1)
     return np.where(low, int(Status.LOW_EXCITATION), 0)
+
+
+def _power(X) -> np.ndarray:
+    """Of (pos, exp, freq, channel), summed over experiments."""
+    parts = np.ascontiguousarray(X, complex).view(float)
+    squares = np.einsum("pefi,pefi->pfi", parts, parts)
+    return squares[..., ::2] + squares[..., 1::2]

@@ -48,7 +48,8 @@ class AbstractLeastSquares(AbstractMethod):
         return 1
 
     def check(self, spectra: Spectra) -> None:
-        check_periodic(spectra, self)
+        if self.transient_order is None:
+            check_steady(spectra)
         self.windows(spectra, self.n_parameters(spectra, spectra.n_in, spectra.n_out))
 
     def n_parameters(self, spectra: Spectra | Signals, n_top: int, n_target: int) -> int:
@@ -146,8 +147,9 @@ class Plan(eqx.Module):
     dof: float = eqx.field(static=True)
 
 
-def check_periodic(spectra: Spectra, method: AbstractLeastSquares) -> None:
-    if spectra.leaks and method.transient_order is None:
+def check_steady(spectra: Spectra) -> None:
+    """For methods without a transient term."""
+    if spectra.leaks:
         raise input_error(
             "spectra",
             "the spectra of a record that is not periodic",

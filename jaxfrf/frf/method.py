@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -77,6 +78,13 @@ class AbstractMethod(eqx.Module):
     def __check_init__(self):
         check_fields(self)
 
+    if not TYPE_CHECKING:
+
+        def __getattribute__(self, name: str):
+            """Python's own bound methods: to make pytrees of them takes equinox 20 us at every call, and an estimate by
+            `H1` makes some ten."""
+            return object.__getattribute__(self, name)
+
     @abc.abstractmethod
     def at_point(self, signals: Signals, lines: Int[Array, "line"] | None = None) -> Estimate:
         """The estimate at one operating point, from all experiments there: a pure function of arrays, which `jax.jit`,
@@ -144,7 +152,7 @@ def solve_again(estimate: Estimate, method: AbstractMethod, signals: Signals) ->
 
 def on_host(x):
     """The same with arrays of NumPy."""
-    return jax.device_get(x)
+    return jax.device_get(x) if on_accelerator() else jax.tree.map(np.asarray, x)  # which has nothing to fetch
 
 
 def flags(**where) -> Int[Array, "*number freq"]:

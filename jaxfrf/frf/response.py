@@ -60,23 +60,24 @@ class FRF(eqx.Module):
     version: str = eqx.field(static=True, default="")
 
     def __check_init__(self):
-        if self.G.ndim != 4 or self.G.shape[1] != len(self.frequency):
+        shape = self.G.shape
+        if len(shape) != 4 or shape[1] != len(self.frequency):
             raise ValueError(
-                f"G has shape {self.G.shape} with {len(self.frequency)} frequencies; expected (pos, freq, out, in)."
+                f"G has shape {shape} with {len(self.frequency)} frequencies; expected (pos, freq, out, in)."
             )
         if isinstance(self.frequency, np.ndarray):
             _check_frequency(self.frequency)
-        vec = self.G.shape[2] * self.G.shape[3]
+        vec = shape[2] * shape[3]
         for name in ("cov", "cov_noise", "cov_total"):
             value = getattr(self, name)
-            if value is not None and value.shape != (*self.G.shape[:2], vec, vec):
-                raise ValueError(f"{name} has shape {value.shape}; expected {(*self.G.shape[:2], vec, vec)}.")
+            if value is not None and value.shape != (*shape[:2], vec, vec):
+                raise ValueError(f"{name} has shape {value.shape}; expected {(*shape[:2], vec, vec)}.")
         for name in ("dof", "status", "window"):
-            shape = np.shape(getattr(self, name))
-            if shape != self.G.shape[:2]:
-                raise ValueError(f"{name} has shape {shape}; expected (pos, freq), {self.G.shape[:2]}.")
-        if self.q is not None and (np.ndim(self.q) != 2 or len(self.q) != self.n_pos):
-            raise ValueError(f"q has shape {np.shape(self.q)}; expected (pos, joint) of {self.n_pos} positions.")
+            found = np.shape(getattr(self, name))
+            if found != shape[:2]:
+                raise ValueError(f"{name} has shape {found}; expected (pos, freq), {shape[:2]}.")
+        if self.q is not None and (np.ndim(self.q) != 2 or len(self.q) != shape[0]):
+            raise ValueError(f"q has shape {np.shape(self.q)}; expected (pos, joint) of {shape[0]} positions.")
 
     @property
     def n_pos(self) -> int:
@@ -98,7 +99,7 @@ class FRF(eqx.Module):
 
 
 def _check_frequency(frequency: np.ndarray) -> None:
-    if not np.isfinite(frequency).all() or np.any(frequency < 0) or np.any(np.diff(frequency) <= 0):
+    if len(frequency) and not (frequency[0] >= 0 and frequency[-1] < np.inf and (frequency[1:] > frequency[:-1]).all()):
         raise input_error(
             "frequency",
             "values that are NaN or Inf, below zero, or do not increase",

@@ -43,13 +43,13 @@ def weighed(
 
     `alike`: where an estimate has found them so (`Estimate.alike`).
     """
+    if alike is not None and np.all(alike):
+        return spectra, ()
     averages = isinstance(method, AbstractAverage) or spectra.n_exp <= method.block_size(spectra)
     if averages or spectra.leaks or spectra.segments:
         return spectra, ()
     through = uses_reference(method) or (isinstance(method, Auto) and method.through_reference(spectra))
     same = np.zeros(spectra.n_pos, bool) if alike is None else np.asarray(alike)
-    if same.all():
-        return spectra, ()
     told = [np.ones(spectra.n_exp) if same[pos] else _level(spectra, pos, through) for pos in range(spectra.n_pos)]
     level = np.stack([np.ones(spectra.n_exp) if x is None else x for x in told])
     unequal = level.max(axis=1) / level.min(axis=1)
