@@ -17,7 +17,8 @@ from .._types import Array
 from ..spectra import Spectra, changed_signals
 from .classical import H1
 from .covariance import OuterSum, sum_over, variances
-from .matrix_functions import LARGEST_NORM, exponential, matrix_function
+from .inverse import product
+from .matrix_functions import LARGEST_NORM, exponentials, matrix_functions
 from .method import AbstractMethod, Estimate, Signals, arrays_of, on_host
 
 _CONDITION = 1e6  # of the eigenvectors: above it the matrix logarithm loses half of the digits
@@ -44,8 +45,8 @@ class AbstractAverage(AbstractMethod):
         """What estimates every block."""
 
     @abc.abstractmethod
-    def mean(self, G: Complex[Array, "block out in"]) -> tuple[Complex[Array, "out in"], Bool[Array, ""]]:
-        """The mean of the blocks' responses at one line, and whether the branch of a logarithm is unsafe."""
+    def mean(self, G: Complex[Array, "line block out in"]) -> tuple[Complex[Array, "line out in"], Bool[Array, "line"]]:
+        """The mean of the blocks' responses at every line, and whether the branch of a logarithm is unsafe."""
 
     def block_size(self, spectra: Spectra | Signals) -> int:
         return self.inner.block_size(spectra)
@@ -88,7 +89,7 @@ class AbstractAverage(AbstractMethod):
     def of_blocks(self, each: Estimate, signals: Signals) -> Estimate:
         """The mean of the blocks' estimates, (block, freq, ...)."""
         size, n_block = self.block_size(signals), len(each.G)
-        G, unsafe = jax.lax.map(self.mean, jnp.swapaxes(each.G, 0, 1), batch_size=_BLOCK)
+        G, unsafe = _in_blocks(self.mean, jnp.swapaxes(each.G, 0, 1))
         scatter = _scatter(each.G, G)
         status = jnp.bitwise_or.reduce(each.status, axis=0) | jnp.where(unsafe, int(Status.LOG_BRANCH), 0)
         own = self.inner.residual_dof(_first(signals, size)) > 0
@@ -127,7 +128,7 @@ class ArithmeticMean(AbstractAverage):
         return H1() if self.method is None else self.method
 
     def mean(self, G):
-        return G.mean(axis=0), jnp.zeros((), bool)
+        return G.mean(axis=1), jnp.zeros(len(G), bool)
 
 
 class LogMean(AbstractAverage):
@@ -171,9 +172,9 @@ class LogMean(AbstractAverage):
         super().check(spectra)
 
     def mean(self, G):
-        if G.shape[0] == 1:
-            return G[0], jnp.zeros((), bool)
-        return _elementwise_mean(G) if self.elementwise else _matrix_mean(G)
+        if G.shape[1] == 1:
+            return G[:, 0], jnp.zeros(len(G), bool)
+        return jax.vmap(_elementwise_mean)(G) if self.elementwise else _matrix_means(G)
 
 
 class RobustMean(AbstractAverage):
@@ -212,7 +213,7 @@ class RobustMean(AbstractAverage):
             )
 
     def mean(self, G):
-        return G.mean(axis=0), jnp.zeros((), bool)
+        return G.mean(axis=1), jnp.zeros(len(G), bool)
 
     def residual_dof(self, signals: Signals) -> float:
         return signals.n_exp // self.block_size(signals) - 1.0
@@ -283,21 +284,39 @@ def _nothing(x, known):
     return jnp.where(known, x, 0.0)
 
 
-def _matrix_mean(G):
-    """P^-1 exp(1/M sum_m log(P G_m)) of (block, n, n), and whether it is unsafe; NaN where there is none."""
-    bad = ~jnp.isfinite(G).all()
-    G = jnp.where(bad, jnp.eye(G.shape[-1]), G)
-    (P, P_inverse, first), _, condition = matrix_function(_turn, G[0])
-    usable = jnp.isfinite(first).all()
-    P = jnp.where(usable, P, jnp.eye(G.shape[-1]))
-    logs, values, conditions = jax.vmap(lambda G_m: matrix_function(jnp.log, P @ G_m))(G[1:])
-    log_mean = (first + logs.sum(axis=0)) / len(G)
-    finite = jnp.isfinite(log_mean).all()
-    mean, norm = exponential(jnp.where(finite, log_mean, 0))
+def _in_blocks(mean, G):
+    """`mean` of some lines after the others, so that what it needs stays in the cache."""
+    whole = len(G) // _BLOCK * _BLOCK
+    if len(G) <= _BLOCK:
+        return mean(G)
+    parts = jax.lax.map(mean, G[:whole].reshape(-1, _BLOCK, *G.shape[1:]))
+    parts = jax.tree.map(lambda x: x.reshape(whole, *x.shape[2:]), parts)
+    return jax.tree.map(lambda *x: jnp.concatenate(x), parts, mean(G[whole:])) if whole < len(G) else parts
+
+
+def _matrix_means(G):
+    """P^-1 exp(1/M sum_m log(P G_m)) of (line, block, n, n), and whether it is unsafe; NaN where there is none."""
+    bad = ~jnp.isfinite(G).all(axis=(1, 2, 3))
+    G = jnp.where(_of_line(bad, G), jnp.eye(G.shape[-1]), G)
+    (P, P_inverse, first), _, condition = matrix_functions(_turn, G[:, 0])
+    usable = jnp.isfinite(first).all(axis=(1, 2))
+    P = jnp.where(_of_line(usable, P), P, jnp.eye(G.shape[-1]))
+    others = product(P[:, None], G[:, 1:])
+    logs, values, conditions = matrix_functions(jnp.log, others.reshape(-1, *P.shape[1:]))
+    logs, values, conditions = (x.reshape(*others.shape[:2], *x.shape[1:]) for x in (logs, values, conditions))
+    log_mean = (first + logs.sum(axis=1)) / G.shape[1]
+    finite = jnp.isfinite(log_mean).all(axis=(1, 2))
+    mean, norm = exponentials(jnp.where(_of_line(finite, log_mean), log_mean, 0))
     finite &= norm < LARGEST_NORM
-    unsafe = jnp.any(jnp.abs(jnp.angle(values)) > jnp.pi / 2)
-    unsafe |= jnp.any(conditions > _CONDITION) | (condition > _CONDITION)
-    return jnp.where(bad | ~usable | ~finite, jnp.nan, P_inverse @ mean), unsafe
+    unsafe = jnp.any(jnp.abs(jnp.angle(values)) > jnp.pi / 2, axis=(1, 2))
+    unsafe |= jnp.any(conditions > _CONDITION, axis=1) | (condition > _CONDITION)
+    known = ~bad & usable & finite
+    return jnp.where(_of_line(known, mean), product(P_inverse, mean), jnp.nan), unsafe
+
+
+def _of_line(x, like):
+    """What every line has, beside arrays that have more axes."""
+    return x.reshape(-1, *[1] * (like.ndim - 1))
 
 
 def _turn(values):

@@ -25,8 +25,18 @@ class Lanes(eqx.Module):
     real: Float[Array, "group row col lane"]
     imag: Float[Array, "group row col lane"]
 
+    def __add__(self, other: "Lanes") -> "Lanes":
+        return Lanes(self.real + other.real, self.imag + other.imag)
+
     def __sub__(self, other: "Lanes") -> "Lanes":
         return Lanes(self.real - other.real, self.imag - other.imag)
+
+    def __mul__(self, other: "Lanes | float") -> "Lanes":
+        """Element by element."""
+        if not isinstance(other, Lanes):
+            return Lanes(self.real * other, self.imag * other)
+        real = self.real * other.real - self.imag * other.imag
+        return Lanes(real, self.real * other.imag + self.imag * other.real)
 
 
 def of_signal(X: Complex[Array, "exp line channel"]) -> Lanes:
@@ -40,6 +50,17 @@ def of_lines(X: Complex[Array, "line row col"]) -> Lanes:
     X = jnp.pad(X, ((0, missing), (0, 0), (0, 0)), mode="edge") if missing else X
     X = X.reshape(-1, _LANES, *X.shape[1:]).transpose(0, 2, 3, 1)
     return Lanes(X.real, X.imag)
+
+
+def of_numbers(x: Float[Array, "line"]) -> Float[Array, "group 1 1 lane"]:
+    """A number of every line, beside the numbers of matrices."""
+    return of_lines(x[:, None, None]).real
+
+
+def identity(like: Lanes) -> Lanes:
+    """1 in every line."""
+    one = jnp.broadcast_to(jnp.eye(like.real.shape[1])[:, :, None], like.real.shape)
+    return Lanes(one, jnp.zeros_like(one))
 
 
 def lines(A: Lanes, n_line: int) -> Complex[Array, "line row col"]:

@@ -240,5 +240,5 @@ def test_whether_a_gpu_is_meant():
 def test_logarithmic_mean_of_what_has_no_logarithm():
     """A first block that is singular: no number is made up."""
     G = np.stack([np.diag([1.0, 0.0]), np.eye(2)]).astype(complex)
-    mean, _ = jax.jit(jf.LogMean().mean)(jnp.asarray(G))
+    mean, _ = jax.jit(jf.LogMean().mean)(jnp.asarray(G)[None])
     assert np.isnan(mean).all()

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from jaxfrf.frf.matrix_functions import LARGEST_NORM, eigen_on_host, exponential
+from jaxfrf.frf.matrix_functions import LARGEST_NORM, eigen_on_host, exponentials
+
+
+def exponential(A):
+    """Of one matrix."""
+    result, norm = exponentials(jnp.asarray(A)[None])
+    return result[0], norm[0]
 
 
 def some(size, seed=0, n=6):
