@@ -138,7 +138,7 @@ def _squared(A: Lanes, times: Float[Array, "group 1 1 lane"]) -> Lanes:
 
 
 def _units(A) -> Float[Array, "line n"]:
-    """The d for which diag(1/d) A diag(d) has rows as large as columns, by the mean logarithm of their elements' ratios,
+    """The d for which diag(1/d) A diag(d) has rows as large as columns, by the mean logarithm of elements' ratios,
     where that makes A smaller; powers of 2, so that nothing is rounded."""
     A = jax.lax.stop_gradient(A)
     size = jnp.square(A.real) + jnp.square(A.imag)
