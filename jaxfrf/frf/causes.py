@@ -25,7 +25,7 @@ _LEAST = 0.5  # of the smaller variance, that two estimates at least differ by
 _DOUBT = 2.0  # standard errors of the mean over lines: an excess of less is mostly chance
 _UNSEEN = 0.13  # of the variance of the difference: bias of fractions, by noise in their regressors, that no test sees
 _NOISE_LINES = 4  # on either side, over which the residuals of pointwise estimates are averaged
-_SINGULAR = 1e10  # condition of U Z^H, channels scaled, from which on a line has no pointwise estimate
+_SINGULAR = 1e10  # condition (Frobenius) of U Z^H, channels scaled, from which on a line has no pointwise estimate
 
 
 def with_causes(estimate: Estimate, spectra: Spectra, method: AbstractMethod) -> Estimate:
@@ -61,7 +61,7 @@ def residual_level(estimate: Estimate, spectra: Spectra) -> np.ndarray:
 
     The residual is too small by what the estimate has adapted to the data: its own variance."""
     U, Y = np.asarray(spectra.U), np.asarray(spectra.Y)
-    rest = np.mean(np.abs(Y - np.einsum("pfoi,pefi->pefo", estimate.G, U)) ** 2, axis=1)
+    rest = np.mean(_squares(Y - np.einsum("pfoi,pefi->pefo", estimate.G, U)), axis=1)
     adapted = np.einsum("pfoi,pefi->pfo", variance_of(estimate.cov, spectra.n_out), np.abs(U) ** 2) / U.shape[1]
     reach = np.round(np.asarray(estimate.window) / 2).astype(int)
     return running_mean(rest + np.nan_to_num(adapted), reach)
@@ -106,7 +106,7 @@ def _with_bias(estimate: Estimate, spectra: Spectra, method: AbstractMethod) -> 
     apart = np.maximum(np.abs(variance - own), _LEAST * np.minimum(variance, own))
     difference = variance if _averages_single(method, spectra) else apart
     usable = np.isfinite(pointwise) & (difference > 0)
-    excess = np.where(usable, np.abs(estimate.G - pointwise) ** 2 / np.where(usable, difference, 1.0), 0.0)
+    excess = np.where(usable, _squares(estimate.G - pointwise) / np.where(usable, difference, 1.0), 0.0)
     excess = (1 - _OTHERS) * excess + _OTHERS * excess.mean(axis=(-2, -1), keepdims=True)
     reach = np.maximum(np.asarray(estimate.window) // _NEAR, _LEAST_NEAR).astype(int)
     found = np.maximum(running_mean(excess, reach) - 1, 0)
@@ -136,14 +136,33 @@ def _pointwise(spectra: Spectra, Z):
     # Units of channels do not matter, lines at which one has no power do.
     size_u, size_z = (channel_size(X, (1, 3))[:, :, :, 0] for X in (U, Z))
     product = U @ H / (size_u[..., :, None] * size_z[..., None, :])
-    with np.errstate(all="ignore"):
-        singular = ~np.isfinite(product).all(axis=(-2, -1)) | ~(np.linalg.cond(product) < _SINGULAR)
-    product = np.where(singular[..., None, None], np.eye(product.shape[-1]), product)
-    influence = H / size_z[..., None, :] @ np.linalg.inv(product) / size_u[..., None, :]  # (exp, in)
+    inverse, singular = _inverse(product)
+    influence = H / size_z[..., None, :] @ inverse / size_u[..., None, :]  # (exp, in)
     G = np.where(singular[..., None, None], np.nan, Y @ influence)
-    weight = np.sum(np.abs(influence) ** 2, axis=-2)
+    weight = np.sum(_squares(influence), axis=-2)
     left = spectra.n_exp - spectra.n_in
     if left < 1:
         return G, weight, None
-    rest = np.sum(np.abs(Y - np.nan_to_num(G) @ U) ** 2, axis=-1) / left
+    rest = np.sum(_squares(Y - np.nan_to_num(G) @ U), axis=-1) / left
     return G, weight, running_mean(rest, _NOISE_LINES)
+
+
+def _inverse(A) -> tuple[np.ndarray, np.ndarray]:
+    """Of every line, and which are singular or nearly: they have 1 for an inverse."""
+    one = np.eye(A.shape[-1])
+    singular = ~np.isfinite(A).all(axis=(-2, -1))
+    A = np.where(singular[..., None, None], one, A)
+    with np.errstate(all="ignore"):
+        try:
+            inverse = np.linalg.inv(A)
+        except np.linalg.LinAlgError:  # for all lines, where one is exactly singular
+            singular |= ~(np.linalg.cond(A) < _SINGULAR)
+            inverse = np.linalg.inv(np.where(singular[..., None, None], one, A))
+        sizes = [np.sqrt(np.sum(_squares(X), axis=(-2, -1))) for X in (A, inverse)]
+        singular |= ~(sizes[0] * sizes[1] < _SINGULAR)
+    return np.where(singular[..., None, None], one, inverse), singular
+
+
+def _squares(X) -> np.ndarray:
+    """|X|^2, without the roots that `abs` takes."""
+    return np.square(X.real) + np.square(X.imag)
