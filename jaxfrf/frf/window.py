@@ -20,8 +20,10 @@ from .._device import at_once, on_accelerator
 from .._errors import input_error
 from .._types import Array
 
-_PART = 16  # neighbouring windows whose moments are one product: few, as every one meets the lines of all of them
-_TILE = 48  # windows that are solved together: their moments and Gram matrices stay in the cache
+_PART, _LEAST_PART = 16, 4  # neighbouring windows whose moments are one product, which meets the lines of all of them
+_TILE = 48  # windows that are solved together
+_CACHE = 1e6  # bytes of Gram matrices of a tile: a core has about as much for itself
+_WIDE = 4  # times as many lines as columns: moments of such windows take as long as the rest, parts are to be large
 
 
 class Windows(eqx.Module):
@@ -124,8 +126,10 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequen
     so that only what `solve` returns is ever kept of all.
     """
     n_freq, of = signals.shape[1], products(signals)
-    size, accelerated = min(_PART, n_freq), on_accelerator()
-    tile = at_once(len(columns.power)) if accelerated else _TILE
+    accelerated = on_accelerator()
+    tile = at_once(len(columns.power)) if accelerated else _windows_of_tile(len(columns.power))
+    wide = max(windows.width for windows in several) > _WIDE * len(columns.power)
+    size = min(_PART, max(tile // len(several), _PART if wide else _LEAST_PART), n_freq)
     n_part = max(min(tile // len(several), n_freq + size - 1) // size, 1)
     number = np.repeat(np.arange(len(several)), n_part * size)
 
@@ -152,6 +156,11 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequen
         return x.reshape(len(several), -1, *x.shape[3:])[:, :n_freq]
 
     return jax.tree.map(in_order, jax.lax.map(one_tile, jnp.arange(0, n_freq, n_part * size)))
+
+
+def _windows_of_tile(n_column: int) -> int:
+    """Windows of so many columns, that a processor solves together."""
+    return min(_TILE, int(_CACHE / (16 * n_column**2)))
 
 
 def rows(signals: Complex[Array, "exp freq sig"], windows: Windows, columns: Columns, line):
