@@ -86,8 +86,10 @@ def _with_noise(estimate: Estimate, spectra: Spectra) -> Estimate:
 
 
 def _with_noise_only(estimate: Estimate, spectra: Spectra) -> Estimate:
+    if estimate.cov_noise is None:
+        return estimate
     unknown = (np.asarray(estimate.status) & int(Status.NO_COVARIANCE)) != 0
-    if estimate.cov_noise is None or not unknown.all() or not np.isfinite(variances(estimate.cov_noise)).any():
+    if not unknown.all() or not np.isfinite(variances(estimate.cov_noise)).any():
         return estimate
     status = np.asarray(estimate.status) & ~int(Status.NO_COVARIANCE) | int(Status.NOISE_ONLY)
     dof = np.full(status.shape, float(spectra.n_exp * (spectra.n_periods - 1)))

@@ -23,6 +23,7 @@ from .window import Windows, windows
 
 DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
 _AT_ONCE = 16  # lines whose rank is looked at together
+_ANY_UNIT = 1e-4  # as large a least singular value needs no common unit of channels
 _SCALED_BY = 16  # lines that tell the size of channels
 
 
@@ -165,14 +166,26 @@ def check_independent(name: str, X) -> None:
 
 
 def _begins_independent(X) -> bool:
-    """Whether all positions are of full rank at their first line, which mostly tells; channels scaled as below, by
-    some of the lines."""
+    """Whether all positions are of full rank at their first line, which mostly tells: as they are, or with channels
+    scaled as below, by some of the lines."""
+    first, last = X[:, :, 0], X.shape[-1] - 1
+    if not np.isfinite(first).all():
+        return False
+    if _least_singular(first, last).min(initial=np.inf) > _ANY_UNIT:
+        return True
     some = X[:, :, spread_lines(X.shape[2], _SCALED_BY)]
-    size = np.sqrt(np.einsum("pefc,pefc->pc", some.real, some.real) + np.einsum("pefc,pefc->pc", some.imag, some.imag))
+    size = np.sqrt(np.sum(np.abs(some) ** 2, axis=(1, 2)))
     if not (np.isfinite(size).all() and size.all()):
         return False
-    singular = np.linalg.svd(X[:, :, 0] / size[:, None], compute_uv=False)
-    return bool((singular[:, X.shape[-1] - 1 :] > DEPENDENT * singular[:, :1]).all())
+    return bool(_least_singular(first / size[:, None], last).min(initial=np.inf) > DEPENDENT)
+
+
+def _least_singular(X, last: int) -> np.ndarray:
+    """Over the largest singular value: zero where there are fewer, or none at all."""
+    singular = np.linalg.svd(X, compute_uv=False)
+    if singular.shape[-1] <= last:
+        return np.zeros(len(X))
+    return singular[:, last] / np.where(singular[:, 0] > 0, singular[:, 0], 1.0)
 
 
 def channel_size(X, axes: tuple[int, int]) -> np.ndarray:

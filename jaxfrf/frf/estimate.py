@@ -79,7 +79,9 @@ def estimate(
     found = looked if looked is not None and spectra is as_measured else _everywhere(spectra, method, progress)
     whole = with_causes(found, spectra, method)
     status = whole.status | _excitation_status(as_measured, method)
-    status = np.where(np.isfinite(whole.G).all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
+    known = np.isfinite(whole.G)
+    if not known.all():
+        status = np.where(known.all(axis=(-2, -1)), status, status | int(Status.NOT_FINITE))
     serious = [text for text in describe(status & int(SERIOUS))]
     frf = FRF(
         G=whole.G,

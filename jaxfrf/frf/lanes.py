@@ -16,6 +16,7 @@ from .._types import Array
 
 _LANES = 8  # lines side by side; of more, matrices leave the innermost cache
 _TERMS = 16  # of a sum that are written out; longer ones go round
+_ROW, _COLUMN = 1, 2  # axes
 
 
 class Lanes(eqx.Module):
@@ -78,19 +79,19 @@ def some_lines(A: Lanes, which: np.ndarray) -> Complex[Array, "chosen row col"]:
 @apart
 def product(A: Lanes, B: Lanes) -> Lanes:
     """A B."""
-    return _product(A, B)
+    return _sum(A, _COLUMN, B, _ROW)
 
 
 @apart
 def adjoint_times(A: Lanes, B: Lanes) -> Lanes:
     """A^H B."""
-    return _product(_adjoint(A), B)
+    return _sum(A, _ROW, B, _ROW)
 
 
 @apart
 def times_adjoint(A: Lanes, B: Lanes) -> Lanes:
     """A B^H."""
-    return _product(A, _adjoint(B))
+    return _sum(A, _COLUMN, B, _COLUMN)
 
 
 @apart
@@ -102,29 +103,31 @@ def squares(A: Lanes) -> Float[Array, "group row lane"]:
     return total
 
 
-def _adjoint(A: Lanes) -> Lanes:
-    return Lanes(A.real.swapaxes(1, 2), -A.imag.swapaxes(1, 2))
-
-
-def _product(A: Lanes, B: Lanes) -> Lanes:
-    n = A.real.shape[2]
+def _sum(A: Lanes, over: int, B: Lanes, beside: int) -> Lanes:
+    """Over an axis of A and one of B, all products of what is left of both: A B, A^H B, A B^H, by the axes."""
+    n, (rows, columns) = A.real.shape[over], (A.real.shape[3 - over], B.real.shape[3 - beside])
     whole = n // _TERMS if n > _TERMS else 0
 
     def with_next(number, total):
-        first = number * _TERMS
-        left = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, _TERMS, axis=2), A)
-        right = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, _TERMS, axis=1), B)
-        return _plus_terms(total, left, right, range(_TERMS))
+        part = lambda X, axis: jax.tree.map(
+            lambda x: jax.lax.dynamic_slice_in_dim(x, number * _TERMS, _TERMS, axis=axis), X
+        )
+        return _plus_terms(total, part(A, over), over, part(B, beside), beside, range(_TERMS))
 
-    zero = jnp.zeros((*A.real.shape[:2], *B.real.shape[2:]))
+    zero = jnp.zeros((len(A.real), rows, columns, _LANES))
     total = jax.lax.fori_loop(0, whole, with_next, Lanes(zero, zero)) if whole else Lanes(zero, zero)
-    return _plus_terms(total, A, B, range(whole * _TERMS, n))
+    return _plus_terms(total, A, over, B, beside, range(whole * _TERMS, n))
 
 
-def _plus_terms(total: Lanes, A: Lanes, B: Lanes, terms) -> Lanes:
+def _plus_terms(total: Lanes, A: Lanes, over: int, B: Lanes, beside: int, terms) -> Lanes:
     real, imag = total.real, total.imag
     for k in terms:
-        a, b = A.real[:, :, k, None], A.imag[:, :, k, None]
-        c, d = B.real[:, None, k], B.imag[:, None, k]
-        real, imag = real + (a * c - b * d), imag + (a * d + b * c)
+        a, b = (jax.lax.index_in_dim(x, k, over, keepdims=False)[:, :, None] for x in (A.real, A.imag))
+        c, d = (jax.lax.index_in_dim(x, k, beside, keepdims=False)[:, None] for x in (B.real, B.imag))
+        if over == beside == _ROW:
+            real, imag = real + (a * c + b * d), imag + (a * d - b * c)
+        elif over == beside == _COLUMN:
+            real, imag = real + (a * c + b * d), imag + (b * c - a * d)
+        else:
+            real, imag = real + (a * c - b * d), imag + (a * d + b * c)
     return Lanes(real, imag)
