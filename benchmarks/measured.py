@@ -103,28 +103,27 @@ def _inside(found: Any, path: Sequence[str]) -> Any:
     return found
 
 
-def speed(cores: int = 1, files: Sequence[str] = ("local_busy.txt", "local.txt")) -> str:
+def speed(cores: int = 1, file: str = "local.txt") -> str:
     """`jaxfrf.estimate` with covariance against the loop that its table begins with; the newest run of each case."""
     case = re.compile(rf"(.+): (\d+) windows, ({cores}) cores?; compiled in ([\d.]+) s")
     row = re.compile(r" +(.+?) +([\d.]+) +([\d.]+) +([\d.]+) \(([\d.]+)-([\d.]+)\) +([\d.]+) +\S+$")
     found: dict[str, list[str]] = {}
-    for file in files:
-        commit, now, first = "", None, ""
-        for line in results(file).splitlines():
-            if line.lower().startswith("commit "):
-                commit = line.split()[1]
-            elif this := case.match(line):
-                now, first = this, ""
-            elif now is not None and (this := row.match(line)):
-                if not first:
-                    first = f"{this[1]}: {_three(this[2])}"
-                elif this[1].startswith("jaxfrf.estimate"):
-                    times = f"{float(this[4]):.2g} ({float(this[5]):.2g}-{float(this[6]):.2g})"
-                    ours = _three(this[2])
-                    origin = f"[{commit}]({LINK}{file})"
-                    found[now[1]] = [first, ours, times, f"{float(this[7]):.2g}", now[4], origin]
-            elif not line.strip():
-                now = None
+    commit, now, first = "", None, ""
+    for line in results(file).splitlines():
+        if line.lower().startswith("commit "):
+            commit = line.split()[1]
+        elif this := case.match(line):
+            now, first = this, ""
+        elif now is not None and (this := row.match(line)):
+            if not first:
+                first = f"{this[1]}: {_three(this[2])}"
+            elif this[1].startswith("jaxfrf.estimate"):
+                times = f"{float(this[4]):.2g} ({float(this[5]):.2g}-{float(this[6]):.2g})"
+                ours = _three(this[2])
+                origin = f"[{commit}]({LINK}{file})"
+                found[now[1]] = [first, ours, times, f"{float(this[7]):.2g}", now[4], origin]
+        elif not line.strip():
+            now = None
     head = [
         "method",
         "baseline, ms",
@@ -256,11 +255,11 @@ def _origin(name: str, text: str) -> str:
 TABLES: dict[str, Callable[[], str]] = {
     "kept": kept,
     "speed": speed,
-    "two_cores": lambda: speed(2, ("local_two_cores.txt",)),
-    "jax12": lambda: speed(1, ("local_jax12.txt",)),
-    "jax12_two_cores": lambda: speed(2, ("local_jax12.txt",)),
-    "xeon": lambda: speed(1, ("local_xeon.txt",)),
-    "xeon_two_cores": lambda: speed(2, ("local_xeon.txt",)),
+    "two_cores": lambda: speed(2),
+    "jax12": lambda: speed(1, "local_jax12.txt"),
+    "jax12_two_cores": lambda: speed(2, "local_jax12.txt"),
+    "xeon": lambda: speed(1, "local_xeon.txt"),
+    "xeon_two_cores": lambda: speed(2, "local_xeon.txt"),
     "growth": growth,
     "coverage": coverage,
     "calibration": calibration,
