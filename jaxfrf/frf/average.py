@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
-from .._compile import compiled
+from .._compile import apart, compiled
 from .._device import on_accelerator
 from .._errors import input_error
 from .._status import Status
@@ -294,6 +294,7 @@ def _in_blocks(mean, G):
     return jax.tree.map(lambda *x: jnp.concatenate(x), parts, mean(G[whole:])) if whole < len(G) else parts
 
 
+@apart
 def _matrix_means(G):
     """P^-1 exp(1/M sum_m log(P G_m)) of (line, block, n, n), and whether it is unsafe; NaN where there is none."""
     bad = ~jnp.isfinite(G).all(axis=(1, 2, 3))

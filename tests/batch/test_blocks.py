@@ -87,12 +87,18 @@ def test_blocks_are_the_record_and_say_the_same(tmp_path, shift):
     assert plain(told) == plain(whole.warnings)
 
 
-def same(path, frf):
+def same(path, frf, rounding: float = 0.0):
+    """`rounding`: relative to the largest element."""
     found = jf.io.read_frf(path)
     for field in dataclasses.fields(frf):
         a, b = getattr(found, field.name), getattr(frf, field.name)
         if b is None or isinstance(b, str | tuple):
             assert a == b, field.name
+        elif rounding:
+            largest = np.nanmax(np.abs(np.asarray(b)))
+            np.testing.assert_allclose(
+                np.asarray(a), np.asarray(b), rtol=0, atol=rounding * largest, err_msg=field.name
+            )
         else:
             np.testing.assert_array_equal(np.asarray(a), np.asarray(b), err_msg=field.name)
 
@@ -110,11 +116,13 @@ def estimate(paths, output, *more):
     ],
 )
 def test_an_estimate_is_that_of_the_whole_in_memory(tmp_path, name, suffix, lines, others):
-    """Bit for bit, whatever the format, the files, and whether the lines are listed or found over all positions."""
+    """Bit for bit, whatever the format, the files, and whether the lines are listed or found over all positions; up to
+    rounding where a logarithmic mean of one position is compiled otherwise than that of several."""
     paths = files(tmp_path, *(record(i, lines=lines, shift=2.0 * i) for i in range(1 + others)))
     assert estimate(paths, tmp_path / f"frf{suffix}", "--method", name) == 0
     data = jf.io.read(*paths)
-    same(tmp_path / f"frf{suffix}", jf.with_distortion(jf.estimate(data, method(name, {})), data))
+    frf = jf.with_distortion(jf.estimate(data, method(name, {})), data)
+    same(tmp_path / f"frf{suffix}", frf, rounding=1e-13 if name == "lrm-jio" else 0.0)
 
 
 def test_lines_that_are_silent_at_some_positions_are_no_fault(tmp_path, capsys):
