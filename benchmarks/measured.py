@@ -104,7 +104,7 @@ def _inside(found: Any, path: Sequence[str]) -> Any:
 
 
 def speed(cores: int = 1, file: str = "local.txt") -> str:
-    """`jaxfrf.estimate` with covariance against the loop that its table begins with; the newest run of each case."""
+    """`jaxfrf.estimate` with covariance against the contender that its table begins with."""
     case = re.compile(rf"(.+): (\d+) windows, ({cores}) cores?; compiled in ([\d.]+) s")
     row = re.compile(r" +(.+?) +([\d.]+) +([\d.]+) +([\d.]+) \(([\d.]+)-([\d.]+)\) +([\d.]+) +\S+$")
     found: dict[str, list[str]] = {}
