@@ -39,6 +39,13 @@ def _on_both_sides(W, S):
     return jnp.moveaxis(rows, 0, 2)
 
 
+def _from_both_sides(M, C):
+    """M C M^H, M = [I, -G]."""
+    n_out, minus_G = len(M), M[:, len(M) :]
+    rows = C[:n_out] + minus_G @ C[n_out:]
+    return rows[:, :n_out] + rows[:, n_out:] @ adjoint(minus_G)
+
+
 def _noise(solution: Solution, dof):
     """C; NaN without degrees of freedom."""
     return solution.E / jnp.where(dof > 0, dof, jnp.nan)
@@ -48,8 +55,7 @@ def _covariance(S, M, C, of_target: np.ndarray):
     """sum_tu S_tu (x) (M_t C M_u^H), M the identity where it is not given."""
     count, n_in = S.shape[0], S.shape[-1]
     if count == 1:
-        C = C if M is None else M @ C @ adjoint(M)
-        return KroneckerSum(left=S[0], right=C[None])
+        return KroneckerSum(left=S[0], right=(C if M is None else _from_both_sides(M, C))[None])
     if M is not None and count <= _FEW:
         n_out = M.shape[0]  # y has the first equation and u the second: M_0 = [I, 0], M_1 = [0, -G]
         turned = C[:, n_out:] @ adjoint(M[:, n_out:])

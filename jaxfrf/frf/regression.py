@@ -99,10 +99,8 @@ def solve_gram(A: Gram, equations: Equations) -> Solution:
     power = A.power
     common, others = np.arange(n), np.arange(n, len(power))
     L = linalg.cholesky(A.block(common), symmetrize_input=False)
-    last = jnp.eye(top, n, n - top, dtype=L.dtype)  # its rows say what is left of the top columns beside the others
-    right = jnp.concatenate([last, A.block(others, common)])
-    solved = linalg.triangular_solve(L, right, left_side=False, lower=True, transpose_a=True, conjugate_a=True)
-    end, B = solved[:top, -top:], solved[top:]
+    B = _times_inverse_adjoint(A.block(others, common), L)
+    end = _times_inverse_adjoint(jnp.eye(top, dtype=L.dtype), L[-top:, -top:])  # what is left of the top columns
     T = end @ adjoint(B[:, -top:])  # top coefficients of every other column regressed on the common ones
     S = end @ adjoint(end)
     pivot = jnp.min(jnp.diagonal(L).real ** 2 / power[:n])
@@ -125,6 +123,11 @@ def solve_gram(A: Gram, equations: Equations) -> Solution:
         residual=jnp.min(jnp.diagonal(E).real / power),
         missing=jnp.zeros((), int),
     )
+
+
+def _times_inverse_adjoint(X, L):
+    """X L^-H, L lower triangular."""
+    return linalg.triangular_solve(L, X, left_side=False, lower=True, transpose_a=True, conjugate_a=True)
 
 
 def _two_equations(A: Gram, B, T, S, power, equations: Equations):

@@ -8,7 +8,9 @@ share a model are summed before the product.
 """
 
 import functools
+import itertools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,7 +24,7 @@ from .._types import Array
 
 _PART, _LEAST_PART = 16, 4  # neighbouring windows whose moments are one product, which meets the lines of all of them
 _TILE = 48  # windows that are solved together
-_CACHE = 1e6  # bytes of Gram matrices of a tile: a core has about as much for itself
+_CACHE = 1.4e6  # bytes of Gram matrices of a tile: a core has about as much for itself
 _WIDE = 4  # times as many lines as columns: moments of such windows take as long as the rest, parts are to be large
 
 
@@ -84,38 +86,48 @@ class Columns(eqx.Module):
     signal: tuple[int, ...] = eqx.field(static=True)
 
 
-def products(signals: Complex[Array, "exp freq sig"]) -> Float[Array, "freq pair"]:
-    """conj(s_a) s_b of every pair a <= b of signals, summed over experiments: real parts, then imaginary parts."""
-    upper = np.triu_indices(signals.shape[-1])
-    every = jnp.einsum("efa,efb->fab", signals.conj(), signals)[:, upper[0], upper[1]]
-    return jnp.concatenate([every.real, every.imag], axis=-1)
+class Group(NamedTuple):
+    """Pairs a <= b of signals whose products have moments of powers up to the same `highest`."""
+
+    highest: int
+    first: tuple[int, ...]
+    second: tuple[int, ...]
 
 
-def moments(x: Float[Array, "line"], inside: Bool[Array, "line"], products, order: int) -> Float[Array, "power pair"]:
-    """sum_j x_j^p conj(s_a) s_b of one window, p = 0..2 order, from the `products` of its signals, (line, pair)."""
-    powers = jnp.stack([jnp.where(inside, x**p, 0.0) for p in range(2 * order + 1)])
-    return powers @ products
+def products(signals: Complex[Array, "exp freq sig"], columns: Columns) -> list[Float[Array, "freq pair"]]:
+    """conj(s_a) s_b of the pairs of every group, summed over experiments: real parts, then imaginary parts."""
+    every = jnp.einsum("efa,efb->fab", signals.conj(), signals)
+    found = [every[:, list(group.first), list(group.second)] for group in _groups(columns)]
+    return [jnp.concatenate([x.real, x.imag], axis=-1) for x in found]
+
+
+def moments(x: Float[Array, "line"], inside: Bool[Array, "line"], products, columns: Columns) -> Float[Array, "moment"]:
+    """sum_j x_j^p conj(s_a) s_b of one window from the `products` of every group, (line, pair): of every group, power
+    and pair, real parts beside imaginary ones."""
+    powers = jnp.stack([jnp.where(inside, x**p, 0.0) for p in range(2 * max(columns.power) + 1)])
+    found = [powers[: g.highest + 1] @ of for g, of in zip(_groups(columns), products, strict=True)]
+    return jnp.concatenate([x.ravel() for x in found])
 
 
 class Gram(eqx.Module):
     """K^H K of one window, K the columns at its lines: (col, col), of which only those blocks are made that are asked
     for."""
 
-    moments: Float[Array, "power pair"]
+    moments: Float[Array, "moment"]
     columns: Columns
 
     def block(self, rows: np.ndarray, columns: np.ndarray | None = None) -> Complex[jax.Array, "row col"]:
         """The products of some columns with others, or with each other."""
-        place, sign, real = _layout(self.columns.power, self.columns.signal, self.moments.shape[-1] // 2)
+        place = _places(self.columns)
         of = np.ix_(rows, rows if columns is None else columns)
-        real_part, imaginary_part = (part.reshape(-1)[place[of]] for part in jnp.split(self.moments, 2, axis=-1))
-        return jax.lax.complex(real_part * real[of], imaginary_part * sign[of])
+        real, imaginary = self.moments[place.real[of]], self.moments[place.imaginary[of]]
+        return jax.lax.complex(real * place.there[of], imaginary * place.sign[of])
 
     @property
     def power(self) -> Float[Array, "col"]:
         """Of every column, summed over its rows."""
-        place, _, real = _layout(self.columns.power, self.columns.signal, self.moments.shape[-1] // 2)
-        return self.moments[:, : self.moments.shape[-1] // 2].reshape(-1)[np.diagonal(place)] * np.diagonal(real)
+        place = _places(self.columns)
+        return self.moments[np.diagonal(place.real)] * np.diagonal(place.there)
 
 
 def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequence[Windows], columns: Columns):
@@ -125,7 +137,7 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequen
     One window after the other is written here; `vmap` takes it over neighbouring lines, `lax.map` over tiles of them,
     so that only what `solve` returns is ever kept of all.
     """
-    n_freq, of = signals.shape[1], products(signals)
+    n_freq, of = signals.shape[1], products(signals, columns)
     accelerated = on_accelerator()
     tile = at_once(len(columns.power)) if accelerated else _windows_of_tile(len(columns.power))
     wide = max(windows.width for windows in several) > _WIDE * len(columns.power)
@@ -137,14 +149,14 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequen
         lines = jnp.minimum(first + np.arange(size), n_freq - 1)
         span = min(size - 1 + windows.width, n_freq)
         source = jnp.clip(jnp.asarray(windows.start)[lines[0]], 0, n_freq - span)
-        part = jax.lax.dynamic_slice_in_dim(of, source, span, 0)
+        part = [jax.lax.dynamic_slice_in_dim(x, source, span, 0) for x in of]
         near = source + np.arange(span)
-        return jax.vmap(lambda line: moments(*local_variable(windows, line, near), part, max(columns.power)))(lines)
+        return jax.vmap(lambda line: moments(*local_variable(windows, line, near), part, columns))(lines)
 
     def parts(windows, first):
         if accelerated:
             every = jax.vmap(lambda i: one_part(windows, first + i * size))(np.arange(n_part))
-            return [every.reshape(-1, *every.shape[2:])]
+            return [every.reshape(-1, every.shape[-1])]
         return [one_part(windows, first + i * size) for i in range(n_part)]
 
     def one_tile(first):
@@ -174,16 +186,41 @@ def rows(signals: Complex[Array, "exp freq sig"], windows: Windows, columns: Col
 
 
 @functools.lru_cache(maxsize=64)
-def _layout(power: tuple[int, ...], signal: tuple[int, ...], n_pair: int):
-    """For every entry of the Gram matrix: its place among the moments, the sign of its imaginary part, whether there is
-    such an entry."""
-    n_sig = round((np.sqrt(8 * n_pair + 1) - 1) / 2)
-    upper = np.triu_indices(n_sig)
-    pair = np.zeros((n_sig, n_sig), int)
-    pair[upper] = np.arange(n_pair)
-    pair = np.maximum(pair, pair.T)
-    s, p = np.maximum(signal, 0), np.asarray(power)
-    real = np.asarray(signal) >= 0
-    both = (real[:, None] & real[None]).astype(float)
-    place = (p[:, None] + p[None]) * n_pair + pair[s[:, None], s[None]]
-    return place, np.sign(s[None] - s[:, None]) * both, both
+def _groups(columns: Columns) -> tuple[Group, ...]:
+    """The moments that the products of these columns are made of."""
+    highest: dict[tuple[int, int], int] = {}
+    of = list(zip(columns.power, columns.signal, strict=True))
+    for (p, a), (q, b) in itertools.product(of, of):
+        if 0 <= a <= b:
+            highest[a, b] = max(p + q, highest.get((a, b), 0))
+    alike: dict[int, list[tuple[int, int]]] = {}
+    for pair in sorted(highest):
+        alike.setdefault(highest[pair], []).append(pair)
+    return tuple(Group(power, *zip(*pairs, strict=True)) for power, pairs in alike.items())
+
+
+class _Places(NamedTuple):
+    """For every entry of the Gram matrix: the places of its parts among the moments, the sign of its imaginary part,
+    and whether there is such an entry."""
+
+    real: np.ndarray
+    imaginary: np.ndarray
+    sign: np.ndarray
+    there: np.ndarray
+
+
+@functools.lru_cache(maxsize=64)
+def _places(columns: Columns) -> _Places:
+    place, first = {}, 0
+    for group in _groups(columns):
+        n_pair = len(group.first)
+        for power in range(group.highest + 1):
+            for k, pair in enumerate(zip(group.first, group.second, strict=True)):
+                place[power, pair] = (first + k, first + n_pair + k)
+            first += 2 * n_pair
+    signal = np.asarray(columns.signal)
+    there = ((signal[:, None] >= 0) & (signal[None] >= 0)).astype(float)
+    of = list(zip(columns.power, columns.signal, strict=True))
+    found = [[place.get((p + q, (min(a, b), max(a, b))), (0, 0)) for q, b in of] for p, a in of]
+    real, imaginary = np.moveaxis(np.array(found), -1, 0)
+    return _Places(real, imaginary, np.sign(signal[None] - signal[:, None]) * there, there)
