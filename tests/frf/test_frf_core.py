@@ -125,6 +125,51 @@ def test_several_windows_at_once_against_qr_of_the_rows():
         assert np.linalg.norm(G - expected) < 1e-8 * np.linalg.norm(expected)
 
 
+def in_two_stages(R, Y, U, frequency, width):
+    """The joint fraction of one position in two stages, by NumPy's least squares of the rows: G and its variances.
+
+    The larger one of y and u is predicted by a fraction of its own, and what was predicted stands in the denominators
+    of both."""
+    n_freq, n_in, n_out = len(frequency), R.shape[-1], Y.shape[-1]
+
+    def fitted(targets, in_denominators, k):
+        start = min(max(k - width // 2, 0), n_freq - width)
+        x = frequency[start : start + width] - frequency[k]
+        x = np.tile(x / np.abs(x).max(), len(R))[:, None]
+        r, z, carried = (X[:, start : start + width].reshape(len(x), -1) for X in (R, targets, in_denominators))
+        K = np.hstack([r, x * r, x**2 * r, x * carried, x**2 * carried])
+        theta, *_ = np.linalg.lstsq(K, z, rcond=None)
+        v = z - K @ theta
+        S = np.linalg.inv(K.conj().T @ K)[:n_in, :n_in]
+        return theta[:n_in].T, S, v.T @ v.conj() / (len(x) - K.shape[1])
+
+    Z = Y if n_out >= n_in else U
+    first = np.stack([fitted(Z, Z, k)[0] for k in range(n_freq)])
+    predicted = np.einsum("fzr,efr->efz", first, R)
+    G, variances = np.empty((n_freq, n_out, n_in), complex), np.empty((n_freq, n_out, n_in))
+    for k in range(n_freq):
+        both, S, C = fitted(np.concatenate([Y, U], axis=-1), predicted, k)
+        inverse = np.linalg.inv(both[n_out:])
+        G[k] = both[:n_out] @ inverse
+        rest = np.hstack([np.eye(n_out), -G[k]])
+        variances[k] = np.outer(
+            np.diagonal(rest @ C @ rest.conj().T).real, np.diagonal(inverse.T @ S @ inverse.conj()).real
+        )
+    return G, variances
+
+
+@pytest.mark.parametrize("outputs", [[0, 1], [0], [0, 1, 0]])
+def test_two_stages_against_least_squares_of_the_rows(outputs):
+    """As many outputs as inputs, fewer, and more: what carries the denominators is the larger side."""
+    data, rng = records(n_pos=1, n_real=1), np.random.default_rng(3)  # no more experiments than inputs: windows alone
+    Y = data.Y[..., outputs]
+    Y = Y + 1e-3 * np.abs(Y).max() * plants.circular(rng, Y.shape)
+    found = jf.estimate(dataclasses.replace(data.spectra(), Y=Y), jf.Auto(widths=(18,)))
+    G, variances = in_two_stages(data.R[0], Y[0], data.U[0], data.frequency, 18)
+    np.testing.assert_allclose(found.G[0], G, rtol=1e-7)
+    np.testing.assert_allclose(found.std[0] ** 2, variances, rtol=1e-5)
+
+
 @pytest.mark.parametrize("through, apart", [("U", 1e-6), ("R", 1e-9)])
 def test_classical_lines_with_nearly_dependent_inputs_are_solved_again(through, apart):
     """One line where two channels are nearly the same, one where they are the same."""
