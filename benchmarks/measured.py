@@ -138,8 +138,8 @@ def speed(cores: int = 1, file: str = "local.txt") -> str:
 
 def growth() -> str:
     """How LRM grows with axes and lines, the machine's rate, and whole processes."""
-    text = results("local_growth.txt")
-    origin = (_origin("local_growth.txt", text),)
+    text = results("local.txt")
+    origin = (_origin("local.txt", text),)
     row = re.compile(r"^ +(\d+) +1 +\d+ +stacked +(\d+) +([\d.]+) +[\d.]+ +\S+ +(\d+)$", flags=re.MULTILINE)
     of = lambda title: row.findall(text.partition(f"Growth with {title}")[2].partition("\n\n")[0])
     joined = lambda cells: " / ".join(cells)
@@ -258,8 +258,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "two_cores": lambda: speed(2),
     "jax12": lambda: speed(1, "local_jax12.txt"),
     "jax12_two_cores": lambda: speed(2, "local_jax12.txt"),
-    "xeon": lambda: speed(1, "local_xeon.txt"),
-    "xeon_two_cores": lambda: speed(2, "local_xeon.txt"),
+    "amd": lambda: speed(1, "local_amd.txt"),
+    "amd_two_cores": lambda: speed(2, "local_amd.txt"),
     "growth": growth,
     "coverage": coverage,
     "calibration": calibration,

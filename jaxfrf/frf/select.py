@@ -49,10 +49,10 @@ class Auto(AbstractMethod):
     resonances, if torques are disturbed. Where there are more experiments than inputs, the first
     of all is `H1` (through the reference), which has no window and no bias of one.
 
-    Fractions are fitted in two stages, which removes the bias of the noise in their regressors
-    (`jaxfrf.frf.two_stage`). The choices were made on the tuning plants of `benchmarks/bench_coverage.py`, which
-    reports on others. In closed loop without a reference, the noise in u biases every window alike, and nothing of that
-    is seen.
+    Fractions are fitted in two stages, which removes the bias of the noise in their regressors; from a reference, y and
+    u are targets of one regression then (`jaxfrf.frf.two_stage`). The choices were made on the tuning plants of
+    `benchmarks/bench_coverage.py`, which reports on others. In closed loop without a reference, the noise in u biases
+    every window alike, and nothing of that is seen.
 
     **Arguments:**
 
@@ -62,7 +62,7 @@ class Auto(AbstractMethod):
       the band.
     - `use_reference`: estimate through r where it is recorded.
     - `stages`: 2 suits noise that y has beside the response; of disturbances that enter where the input does (torques)
-      it errs about as much as 1. R3X, whose error is friction's distortion and an arm that moves, is a seventh to a
+      it errs about as much as 1. R3X, whose error is friction's distortion and an arm that moves, is a tenth to a
       fifth nearer to the truth with 1 (`notebooks/paper.md`).
 
     **Raises:** `jaxfrf.InputError` for other `stages`, and for a method with a `width`; in `jaxfrf.estimate` where
