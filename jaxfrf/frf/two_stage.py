@@ -54,16 +54,14 @@ def prediction(method: AbstractLocal, signals: Signals, joint: bool) -> Complex[
 
 
 def _in_denominators(method: AbstractLocal, signals: Signals, joint: bool) -> tuple:
-    if not joint:
-        return (signals.Y,)
-    if _is_whole(method, signals):
+    if _is_one_regression(method, signals, joint):
         return (signals.Y if signals.n_out >= signals.n_in else signals.U,)
-    return (signals.Y, signals.U)
+    return (signals.Y, signals.U) if joint else (signals.Y,)
 
 
-def _is_whole(method: AbstractLocal, signals: Signals) -> bool:
-    """Whether all targets are in one fraction."""
-    return len(method.fractions(signals.n_out)) == 1 == len(method.fractions(signals.n_in))
+def _is_one_regression(method: AbstractLocal, signals: Signals, joint: bool) -> bool:
+    """Whether y and u are targets of one regression: fractions that mix all outputs."""
+    return joint and len(method.fractions(signals.n_out)) == 1 == len(method.fractions(signals.n_in))
 
 
 def second_stage(
@@ -77,12 +75,8 @@ def second_stage(
     """The estimate of the second stage, with the method's own window at `lines` (all by default), or with each of
     `several` windows, stacked, as a leading axis of the result."""
     every = side_by_side(signals, joint, method.transient)
-    plan, (n_signal, n_carrier) = method.plan(signals, joint), (every.shape[-1], predicted.shape[-1])
-    if _is_whole(method, signals):
-        n_target = signals.n_out + (signals.n_in if joint else 0)
-        plan = _one_regression(plan, signals.n_in, n_target, n_signal, n_carrier, method.order)
-    else:
-        plan = _on_prediction(plan, signals.n_in, n_signal, n_carrier)
+    changed = _one_regression if _is_one_regression(method, signals, joint) else _on_prediction
+    plan = changed(method.plan(signals, joint), signals.n_in, every.shape[-1], predicted.shape[-1])
     every = jnp.concatenate([every, predicted], axis=-1)
     combine = method.combined(joint)
     if several is None:
@@ -90,16 +84,15 @@ def second_stage(
     return estimate_several(every, plan, combine, several)
 
 
-def _one_regression(plan: Plan, n_top: int, n_target: int, n_signal: int, n_carrier: int, order: int) -> Plan:
-    """All targets on the numerators' columns, the transient's, and x^s Z^, s >= 1, whose signals stand behind all
-    others."""
-    equations, columns = plan.equations, plan.columns
-    common = list(zip(columns.power, columns.signal, strict=True))[: equations.n_common]
-    top, others = common[-n_top:], [(p, s) for p, s in common[:-n_top] if not n_top <= s < n_top + n_target]
+def _one_regression(plan: Plan, n_top: int, n_signal: int, n_carrier: int) -> Plan:
+    """All targets on what their equations have in common and x^s Z^, s >= 1, whose signals stand behind all others."""
+    columns, n = plan.columns, plan.equations.n_common
+    common, targets = list(zip(columns.power, columns.signal, strict=True))[:n], range(len(plan.equations.of_target))
+    order = max(p for p, s in common if s < n_top)  # of the numerators; a transient has one of its own
     carried = [(p, n_signal + k) for p in range(1, order + 1) for k in range(n_carrier)]
-    regressors, targets = others + carried + top, tuple(range(n_target))
+    regressors = common[:-n_top] + carried + common[-n_top:]
     power, signal = zip(*regressors, *((0, n_top + k) for k in targets), strict=True)
-    equations = Equations(len(regressors), n_top, (0,), (targets,))
+    equations = Equations(len(regressors), n_top, (0,), (tuple(targets),))
     return dataclasses.replace(plan, columns=Columns(power, signal), equations=equations)
 
 

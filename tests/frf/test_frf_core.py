@@ -17,6 +17,7 @@ from jaxfrf.frf import KroneckerSum, OuterSum, Signals
 from jaxfrf.frf.covariance import dense
 from jaxfrf.frf.method import arrays_of, over_points
 from jaxfrf.frf.scaled import Widened
+from jaxfrf.frf.two_stage import _one_regression
 from jaxfrf.frf.window import windows
 
 LINES = np.arange(41, 41 + 2 * 24, 2)
@@ -168,6 +169,17 @@ def test_two_stages_against_least_squares_of_the_rows(outputs):
     G, variances = in_two_stages(data.R[0], Y[0], data.U[0], data.frequency, 18)
     np.testing.assert_allclose(found.G[0], G, rtol=1e-7)
     np.testing.assert_allclose(found.std[0] ** 2, variances, rtol=1e-5)
+
+
+@pytest.mark.parametrize("transient", [None, 1, 3])
+def test_one_regression_has_the_unknowns_that_each_of_two_had(transient):
+    data, method = records(n_pos=1), jf.LRM(width=20, transient=transient)
+    signals = Signals(data.U[0], data.Y[0], data.R[0], None, data.frequency)
+    two = method.plan(signals, joint=True)
+    one = _one_regression(two, 2, max(two.columns.signal) + 1, 2)
+    constants = 0 if transient is None else transient + 1  # of each of the four experiments
+    assert one.equations.n_regressor == two.equations.n_regressor == 3 * 2 + 2 * 2 + 4 * constants
+    assert one.equations.targets == ((0, 1, 2, 3),)
 
 
 @pytest.mark.parametrize("through, apart", [("U", 1e-6), ("R", 1e-9)])
