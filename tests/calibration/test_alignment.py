@@ -125,7 +125,8 @@ def test_a_controller_that_commands_late_is_no_late_log():
     assert found.shown.robot.controller is None
 
 
-@pytest.mark.parametrize("late", [1, *(pytest.param(late, marks=pytest.mark.slow) for late in (3, 0, -1))])
+@pytest.mark.slow
+@pytest.mark.parametrize("late", [1, 3, 0, -1])
 def test_the_motion_alone_tells_commands_that_come_late(late):
     """Behind the motion no torque can be; before it is a delay of the robot's."""
     found = aligned(rolled(without_reference(played()), u=late), model(), few, lambda parts: parts)

@@ -118,7 +118,8 @@ def test_several_windows_at_once_against_qr_of_the_rows():
     data, method, widths = records(n_pos=1), jf.LRM(), (9, 14, 24)
     signals = Signals(data.U[0], data.Y[0], data.R[0], None, data.frequency)
     several = [windows(np.arange(len(LINES)), width) for width in widths]
-    found = method.regressed_with(signals, True, method.plan(signals, joint=True), several)
+    plan = method.plan(signals, joint=True)
+    found = jax.jit(lambda signals: method.regressed_with(signals, True, plan, several))(signals)
     np.testing.assert_array_equal(found.window[:, 0], widths)
     np.testing.assert_array_equal(found.dof[:, 0], 4 * np.array(widths) - 10)
     for G, width in zip(found.G, widths, strict=True):
@@ -208,7 +209,7 @@ def test_doubtful_windows_are_solved_again_from_their_rows():
     spectra = dataclasses.replace(data.spectra(), R=R)
     found = jf.estimate(spectra, method)
     again = (found.status & jf.Status.REFINED) > 0
-    fast = method.at_point(Signals(data.U[0], data.Y[0], R[0], None, data.frequency))
+    fast = jax.jit(method.at_point)(Signals(data.U[0], data.Y[0], R[0], None, data.frequency))
     np.testing.assert_array_equal(again[0], fast.doubtful)
     assert again.any() and not again.all() and not np.any(found.status & jf.Status.RANK_DEFICIENT)
     for pos in range(2):

@@ -16,19 +16,21 @@ def test_products_are_those_of_numpy(n_line, n_term):
         return rng.normal(size=shape) + 1j * rng.normal(size=shape)
 
     A, B, C = matrices(n_line, 4, n_term), matrices(n_line, n_term, 2), matrices(n_line, 5, n_term)
-    in_lanes = [lanes.of_lines(X) for X in (A, B, C)]
-    of = lambda X: np.asarray(lanes.lines(X, n_line))
-    H = lambda X: X.conj().swapaxes(1, 2)
-    np.testing.assert_allclose(of(lanes.product(in_lanes[0], in_lanes[1])), A @ B, rtol=1e-12)
-    np.testing.assert_allclose(of(lanes.times_adjoint(in_lanes[0], in_lanes[2])), A @ H(C), rtol=1e-12)
-    transposed = [lanes.of_lines(X.swapaxes(1, 2)) for X in (A, C)]
-    np.testing.assert_allclose(
-        of(lanes.adjoint_times(*transposed)), A.conj() @ C.swapaxes(1, 2), rtol=1e-12, atol=1e-12
-    )
-    squares = np.asarray(lanes.squares(in_lanes[0])).swapaxes(1, 2).reshape(-1, 4)[:n_line]
-    np.testing.assert_allclose(squares, np.sum(np.abs(A) ** 2, axis=2), rtol=1e-12)
     some = np.array([0, n_line - 1])
-    np.testing.assert_array_equal(lanes.some_lines(in_lanes[0], some), A[some])
+
+    @jax.jit
+    def ours(A, B, C):
+        in_lanes = [lanes.of_lines(X) for X in (A, B, C)]
+        transposed = [lanes.of_lines(X.swapaxes(1, 2)) for X in (A, C)]
+        products = lanes.product(*in_lanes[:2]), lanes.times_adjoint(*in_lanes[::2]), lanes.adjoint_times(*transposed)
+        squares = lanes.squares(in_lanes[0]).swapaxes(1, 2).reshape(-1, 4)[:n_line]
+        return [lanes.lines(X, n_line) for X in products], squares, lanes.some_lines(in_lanes[0], some)
+
+    products, squares, of_some = ours(A, B, C)
+    for found, expected in zip(products, (A @ B, A @ C.conj().mT, A.conj() @ C.mT), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(squares, np.sum(np.abs(A) ** 2, axis=2), rtol=1e-12)
+    np.testing.assert_array_equal(of_some, A[some])
 
 
 def test_a_signal_has_its_experiments_as_columns():

@@ -155,6 +155,7 @@ def quiet(carrier):
     return data, Evidence(carrier, measured(data), steps=STEPS)
 
 
+@pytest.mark.slow
 def test_replays_have_settled(carrier, quiet):
     """Of a robot whose motors are held so well, and whose gears damp so little, that it has not when others have: it
     plays as it would after twenty seconds."""

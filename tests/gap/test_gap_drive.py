@@ -62,6 +62,7 @@ def test_a_held_torque_is_late_by_half_a_sample(found):
     assert "held to the next sample acts half a sample late (0.25 ms here)" in found.says
 
 
+@pytest.mark.slow
 def test_one_period_shows_no_distortion():
     """Without noise between periods nothing tells the two apart: the FRF alone is compared."""
     data = jf.select_periods(record(0), 1, 2)

@@ -61,10 +61,7 @@ def missed(robot, data):
     return np.sqrt(squares(evidence.U - record.U) / squares(record.U))
 
 
-_QUICK = ("springs", "light damping")
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in _QUICK else pytest.mark.slow) for n in ROBOTS])
+@pytest.mark.parametrize("name", ["springs", *(slow(n) for n in ROBOTS if n != "springs")])
 def test_torque_of_a_measured_motion(name):
     """What a closed loop commanded, from the motion that came of it: friction that turns over included."""
     robot, data = simulated(name)
