@@ -39,11 +39,11 @@ def _on_both_sides(W, S):
     return jnp.moveaxis(rows, 0, 2)
 
 
-def _from_both_sides(M, C):
-    """M C M^H, M = [I, -G]."""
+def _in_parts(M, C):
+    """M C M^H, M = [I, -G], as four terms: of the errors of y, of both in either order, of those of u."""
     n_out, minus_G = len(M), M[:, len(M) :]
-    rows = C[:n_out] + minus_G @ C[n_out:]
-    return rows[:, :n_out] + rows[:, n_out:] @ adjoint(minus_G)
+    turned = C[:, n_out:] @ adjoint(minus_G)
+    return jnp.stack([C[:n_out, :n_out], turned[:n_out], adjoint(turned[:n_out]), minus_G @ turned[n_out:]])
 
 
 def _noise(solution: Solution, dof):
@@ -55,13 +55,9 @@ def _covariance(S, M, C, of_target: np.ndarray):
     """sum_tu S_tu (x) (M_t C M_u^H), M the identity where it is not given."""
     count, n_in = S.shape[0], S.shape[-1]
     if count == 1:
-        return KroneckerSum(left=S[0], right=(C if M is None else _from_both_sides(M, C))[None])
-    if M is not None and count <= _FEW:
-        n_out = M.shape[0]  # y has the first equation and u the second: M_0 = [I, 0], M_1 = [0, -G]
-        turned = C[:, n_out:] @ adjoint(M[:, n_out:])
-        between, own = turned[:n_out], M[:, n_out:] @ turned[n_out:]
-        right = jnp.stack([C[:n_out, :n_out], between, adjoint(between), own])
-        return KroneckerSum(left=S.reshape(-1, n_in, n_in), right=right)
+        return KroneckerSum(left=S[0], right=C[None] if M is None else _in_parts(M, C).sum(axis=0, keepdims=True))
+    if M is not None and count <= _FEW:  # y has the first equation and u the second: M_0 = [I, 0], M_1 = [0, -G]
+        return KroneckerSum(left=S.reshape(-1, n_in, n_in), right=_in_parts(M, C))
     each = jnp.moveaxis(
         S[of_target[:, None], of_target] * C[:, :, None, None], (0, 2), (1, 0)
     )  # (in, target, target, in)

@@ -188,14 +188,12 @@ def rows(signals: Complex[Array, "exp freq sig"], windows: Windows, columns: Col
 @functools.lru_cache(maxsize=64)
 def _groups(columns: Columns) -> tuple[Group, ...]:
     """The moments that the products of these columns are made of."""
-    highest: dict[tuple[int, int], int] = {}
-    of = list(zip(columns.power, columns.signal, strict=True))
-    for (p, a), (q, b) in itertools.product(of, of):
-        if 0 <= a <= b:
-            highest[a, b] = max(p + q, highest.get((a, b), 0))
+    highest: dict[int, int] = {}
+    for power, signal in zip(columns.power, columns.signal, strict=True):
+        highest[signal] = max(power, highest.get(signal, 0))
     alike: dict[int, list[tuple[int, int]]] = {}
-    for pair in sorted(highest):
-        alike.setdefault(highest[pair], []).append(pair)
+    for pair in itertools.combinations_with_replacement(sorted(highest.keys() - {-1}), 2):
+        alike.setdefault(highest[pair[0]] + highest[pair[1]], []).append(pair)
     return tuple(Group(power, *zip(*pairs, strict=True)) for power, pairs in alike.items())
 
 
@@ -211,16 +209,16 @@ class _Places(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def _places(columns: Columns) -> _Places:
-    place, first = {}, 0
+    power, signal = np.asarray(columns.power), np.asarray(columns.signal)
+    at_power_zero, n_pair = np.zeros((2, max(signal) + 1, max(signal) + 1), int)
+    first = 0
     for group in _groups(columns):
-        n_pair = len(group.first)
-        for power in range(group.highest + 1):
-            for k, pair in enumerate(zip(group.first, group.second, strict=True)):
-                place[power, pair] = (first + k, first + n_pair + k)
-            first += 2 * n_pair
-    signal = np.asarray(columns.signal)
-    there = ((signal[:, None] >= 0) & (signal[None] >= 0)).astype(float)
-    of = list(zip(columns.power, columns.signal, strict=True))
-    found = [[place.get((p + q, (min(a, b), max(a, b))), (0, 0)) for q, b in of] for p, a in of]
-    real, imaginary = np.moveaxis(np.array(found), -1, 0)
-    return _Places(real, imaginary, np.sign(signal[None] - signal[:, None]) * there, there)
+        count = len(group.first)
+        at_power_zero[group.first, group.second] = first + np.arange(count)
+        n_pair[group.first, group.second] = count
+        first += 2 * count * (group.highest + 1)
+    pair = np.minimum.outer(signal, signal), np.maximum.outer(signal, signal)
+    there = pair[0] >= 0
+    real = np.where(there, at_power_zero[pair] + 2 * n_pair[pair] * np.add.outer(power, power), 0)
+    imaginary = np.where(there, real + n_pair[pair], 0)
+    return _Places(real, imaginary, np.sign(signal[None] - signal[:, None]) * there, there.astype(float))
