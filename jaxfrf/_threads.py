@@ -1,8 +1,10 @@
 """Work that the cores share in threads of one process: XLA and NumPy leave Python's lock while they calculate."""
 
 import concurrent.futures
+import contextlib
 import functools
 import os
+import pathlib
 from collections.abc import Callable, Iterable
 from typing import Any, Generic, ParamSpec, TypeVar, overload
 
@@ -46,8 +48,20 @@ def lapack_threads() -> int:
     if not lapack_waits():
         return cores()
     stated = os.environ.get("NPROC", "")
-    pool = int(stated) if stated.isdigit() else os.cpu_count() or 1
+    pool = _pool() or (int(stated) if stated.isdigit() else os.cpu_count() or 1)
     return max(1, min(cores(), pool // _CALLS))
+
+
+@functools.cache
+def _pool() -> int:
+    """Threads that XLA's pool has, by their name; 0 where the system does not tell. JAX makes the pool at its first
+    use: an `NPROC` that is set afterwards is not its size."""
+    jax.devices()
+    found = 0
+    for path in pathlib.Path("/proc/self/task").glob("*/comm"):
+        with contextlib.suppress(OSError):  # it has ended
+            found += path.read_text() == "tf_XLAEigen\n"
+    return found
 
 
 def with_settings(work: Callable[[Item], Result]) -> Callable[[Item], Result]:

@@ -63,8 +63,29 @@ def test_programs_at_once(monkeypatch, version, stated, at_once):
     monkeypatch.setattr(importlib.metadata, "version", lambda name: version)
     monkeypatch.setattr(_threads, "cores", lambda: 4)
     monkeypatch.setattr(_threads, "lapack_waits", _environment.lapack_waits.__wrapped__)
+    monkeypatch.setattr(_threads, "_pool", lambda: 0)  # as where the system does not tell it
     monkeypatch.setenv("NPROC", stated)
     assert _threads.lapack_threads() == at_once
+
+
+LATE = """
+import os, jax
+jax.devices()
+os.environ["NPROC"] = "64"
+from jaxfrf import _threads
+_threads.cores = lambda: 4
+print(_threads._pool(), _threads.lapack_threads())
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere the system does not tell the pool's size")
+@pytest.mark.skipif(not _environment.lapack_waits(), reason="this jaxlib's LAPACK calls wait for nobody")
+def test_a_pool_that_jax_made_before_it_was_told_a_size():
+    """Programs that trusted the variable would wait for each other for ever."""
+    done = subprocess.run(
+        [sys.executable, "-c", LATE], env=os.environ | {"NPROC": "2"}, stdout=subprocess.PIPE, text=True, check=True
+    )
+    assert done.stdout.split() == ["2", "1"]
 
 
 ONE_CORE = """
