@@ -265,7 +265,9 @@ def test_positions_in_threads_are_those_one_by_one(monkeypatch):
     np.testing.assert_allclose(np.asarray(together.cov), np.asarray(alone.cov), rtol=1e-10)
 
 
-@pytest.mark.parametrize("method", [jf.LRM(width=11), jf.LogMean(jf.MisoLRM(width=14)), jf.JointInputOutput(jf.LPM())])
+@pytest.mark.parametrize(
+    "method", [jf.LRM(width=11), slow(jf.LogMean(jf.MisoLRM(width=14))), jf.JointInputOutput(jf.LPM())]
+)
 def test_all_windows_at_once_as_a_gpu_takes_them(monkeypatch, method):
     """Positions, blocks and windows side by side, in one tile or several: the same numbers as one after the other."""
     points, frequency = arrays_of(records(n_pos=3).spectra())
