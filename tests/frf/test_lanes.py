@@ -28,7 +28,7 @@ def test_products_are_those_of_numpy(n_line, n_term):
 
     products, squares, of_some = ours(A, B, C)
     for found, expected in zip(products, (A @ B, A @ C.conj().mT, A.conj() @ C.mT), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
     np.testing.assert_allclose(squares, np.sum(np.abs(A) ** 2, axis=2), rtol=1e-12)
     np.testing.assert_array_equal(of_some, A[some])
 

@@ -5,6 +5,7 @@ import dataclasses
 import jax.random as jr
 import numpy as np
 import pytest
+from marks import slow
 
 import jaxfrf as jf
 
@@ -20,11 +21,12 @@ def data():
     return jf.example(noise=0.1)
 
 
-def test_a_dead_output_leaves_the_others(data):
+@pytest.mark.parametrize("method", [jf.LRM(width=24), slow(jf.Auto())], ids=["lrm", "auto"])
+def test_a_dead_output_leaves_the_others(data, method):
     """All zeros: said, and the response of the other output is that without it."""
     y = np.array(data.y)
     y[..., 1] = 0.0
-    found, alone = (jf.estimate(with_(data, y=x), jf.LRM(width=24)) for x in (y, y[..., :1]))
+    found, alone = (jf.estimate(with_(data, y=x), method) for x in (y, y[..., :1]))
     assert np.isfinite(found.G).all() and any("sensor or drive dead" in text for text in found.warnings)
     off = np.abs(found.G[0, :, 0] - alone.G[0, :, 0]) / np.sqrt(found.cov[0, :, 0, 0].real)[:, None]
     assert np.median(off) < 1.0
