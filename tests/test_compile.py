@@ -38,18 +38,10 @@ def test_numbers_are_no_part_of_a_program():
     assert len(traced) == 1 and doubled.__name__ == "doubled"
 
 
-def test_programs_beside_others():
-    """Another program for threads that run side by side: the same numbers, and only where it is said."""
-
+def test_estimators_have_options_of_their_own():
     def halved(x):
         return x / 2.0
 
-    alone = _compile.compiled(halved)
-    with _compile.beside_others():
-        beside = _compile.compiled(halved)
-        with _compile.beside_others(False):
-            assert _compile.compiled(halved) is alone
-        assert _compile.compiled(halved) is beside is not alone
-    assert _compile.compiled(halved) is alone
-    assert beside(jnp.ones(2)).tolist() == alone(jnp.ones(2)).tolist() == [0.5, 0.5]
-    assert _compile._known_beside_others() == _compile._BESIDE_OTHERS
+    assert _compile.compiled(halved) is _compile.compiled(halved)
+    assert _compile.compiled(halved)(jnp.ones(2)).tolist() == [0.5, 0.5]
+    assert _compile._known(_compile._OF_ESTIMATORS) == _compile._OF_ESTIMATORS

@@ -15,7 +15,7 @@ from ..spectra import Spectra
 from . import lanes
 from .alike import few_lines, looks_alike, spread_lines
 from .covariance import KroneckerSum
-from .inverse import adjoint, inverse, positive_half_inverse, product
+from .inverse import adjoint, inverse, product
 from .least_squares import AbstractLeastSquares, check_steady
 from .method import AbstractMethod, Estimate, Signals, flags
 from .regression import PIVOT
@@ -223,18 +223,13 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
     G = None if response is None else jax.vmap(lambda U, Y: response(U.T, Y.T), in_axes=1)(of_U, of_Y)
     U, Y = lanes.of_signal(of_U if G is None else after(of_U, G)), lanes.of_signal(of_Y)
     Z = U if of_Z is None else lanes.of_signal(of_Z)
-    cross = lanes.lines(lanes.times_adjoint(U, Z), n_line)
-    if Z is U:
-        half = lanes.of_lines(jax.vmap(positive_half_inverse)(cross))
-        X = lanes.adjoint_times(half, half)
-    else:
-        X = lanes.of_lines(jax.vmap(inverse)(cross))
-    influence = lanes.adjoint_times(Z, X)
-    in_lanes = lanes.product(Y, influence) if G is None else lanes.of_lines(G)
-    residual = Y - lanes.product(in_lanes, U)
+    X = lanes.inverse_of_products(U) if Z is U else lanes.inverse(U.times_adjoint(Z))
+    influence = Z.adjoint_times(X)
+    in_lanes = Y.times(influence) if G is None else lanes.of_lines(G)
+    residual = Y.less_times(in_lanes, U)
     G = lanes.lines(in_lanes, n_line) if G is None else G
-    S = lanes.lines(X if Z is U else lanes.adjoint_times(influence, influence), n_line)
-    C = lanes.lines(lanes.times_adjoint(residual, residual), n_line) / (dof if dof > 0 else jnp.nan)
+    S = lanes.lines(X if Z is U else influence.adjoint_times(influence), n_line)
+    C = lanes.lines(residual.times_adjoint(residual), n_line) / (dof if dof > 0 else jnp.nan)
     told = None
     if noise is not None:
         told = jax.vmap(_noise_covariance, in_axes=(0, 0, 1))(G, lanes.lines(influence, n_line), noise)

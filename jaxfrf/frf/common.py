@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -11,6 +12,7 @@ from ..spectra import Spectra
 from .covariance import dense
 from .inverse import adjoint, inverse
 from .local import AbstractLocal, default_width
+from .matrices import Whole
 from .method import Signals
 from .regression import Equations, Solution
 from .window import Columns, Windows
@@ -84,25 +86,29 @@ class _SharedDenominator(eqx.Module):
     combine: Callable = eqx.field(static=True)
 
     def __call__(self, solution: Solution, of_target, dof):
-        terms, n_target = self.order + 1, solution.G.shape[0] // (self.order + 1)
-        G = solution.G.reshape(terms, n_target, -1)
-        E = solution.E.reshape(terms, n_target, terms, n_target)
-        weight = 1 / solution.power[:n_target]
+        def one_window(G, S, E, power, dof):
+            return self._of_window(G, E, 1 / power, lambda G, E: _replaced(solution, G, S, E), of_target, dof)
+
+        arrays = [x.by_window for x in (solution.G, solution.S, solution.E)]
+        each: Callable = one_window if isinstance(solution.G, Whole) else jax.vmap(one_window)
+        return each(*arrays, solution.power.T, dof)
+
+    def _of_window(self, G, E, weight, solved, of_target, dof):
+        """From the coefficients G and products of residuals E of every x^s z; `solved(G, E)`: the solution with those
+        of z alone."""
+        terms, n_target = self.order + 1, len(G) // (self.order + 1)
+        G, weight = G.reshape(terms, n_target, -1), weight[:n_target]
+        E = E.reshape(terms, n_target, terms, n_target)
         d = _denominator(E, weight)
-        whole = dataclasses.replace(
-            solution,
-            G=jnp.einsum("s,sia->ia", d, G),
-            E=jnp.einsum("s,sitj,t->ij", d, E, d.conj()),
-            power=solution.power[:n_target],
-        )
-        result, cov = self.combine(whole, of_target[:n_target], dof)
+        G_whole, E_whole = jnp.einsum("s,sia->ia", d, G), jnp.einsum("s,sitj,t->ij", d, E, d.conj())
+        result, cov = self.combine(solved(G_whole, E_whole), of_target[:n_target], dof)
         if self.order == 0:
             return result, cov
-        return result, dense(cov) + self._from_denominator(whole, G, E, weight, dof)
+        C = E_whole / jnp.where(dof > 0, dof, jnp.nan)
+        return result, dense(cov) + self._from_denominator(G_whole, C, G, E, weight)
 
-    def _from_denominator(self, whole: Solution, G, E, weight, dof):
+    def _from_denominator(self, whole, C, G, E, weight):
         """The part of Cov(vec G) that comes from the uncertain denominator."""
-        C = whole.E / jnp.where(dof > 0, dof, jnp.nan)
         normal = _normal(E, weight)[1:, 1:]
         noise = jnp.einsum("tjsi,ij->st", E, C * weight[:, None] * weight)[1:, 1:]
         solved = inverse(normal)
@@ -110,14 +116,18 @@ class _SharedDenominator(eqx.Module):
         columns = effect.mT.reshape(self.order, -1).T
         return columns @ (solved @ noise @ adjoint(solved)) @ adjoint(columns)
 
-    def _effect(self, whole: Solution, G):
+    def _effect(self, whole, G):
         """dG/dd_s: (s, out, in)."""
         if not self.joint:
             return G
-        n_in = whole.G.shape[-1]
-        W = inverse(whole.G[-n_in:])
-        ratio = whole.G[:-n_in] @ W
+        n_in = whole.shape[-1]
+        W = inverse(whole[-n_in:])
+        ratio = whole[:-n_in] @ W
         return (G[:, :-n_in] - ratio @ G[:, -n_in:]) @ W
+
+
+def _replaced(solution: Solution, G, S, E) -> Solution:
+    return dataclasses.replace(solution, G=Whole(G), S=Whole(S), E=Whole(E))
 
 
 def _normal(E, weight):

@@ -10,7 +10,6 @@ import numpy as np
 
 from .. import __version__
 from .._arguments import expect_callable, wrong_kind
-from .._compile import beside_others
 from .._device import on_accelerator
 from .._errors import input_error
 from .._status import SERIOUS, Status, describe
@@ -170,13 +169,11 @@ def _groups(spectra: Spectra) -> list[np.ndarray]:
 
 def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray]) -> Iterator[Estimate]:
     """The estimate of every group of operating points, in threads of their own once the program is compiled."""
-    shared = len(groups) > 1 and lapack_threads() > 1
 
     def estimated(group):
-        with beside_others(shared):
-            return method.estimate(spectra if len(groups) == 1 else select_positions(spectra, group))
+        return method.estimate(spectra if len(groups) == 1 else select_positions(spectra, group))
 
-    program = describe_method(method), spectra.U.shape[1:], len(groups[0]), shared
+    program = describe_method(method), spectra.U.shape[1:], len(groups[0])
     first = 0 if program in _compiled and len(groups) > 1 else 1
     yield from map(estimated, groups[:first])
     _compiled.add(program)

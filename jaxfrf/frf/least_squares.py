@@ -195,9 +195,10 @@ def _dof(signals, plan: Plan, windows: Windows) -> float:
 
 def _of_window(solution, plan: Plan, combine, dof) -> tuple:
     """G, its covariance, degrees of freedom, whether rank lacks, and whether the Gram matrix was not enough."""
-    dofs = dof + solution.missing.astype(float)
+    dofs = jnp.broadcast_to(dof + solution.missing.astype(float), solution.pivot.shape)
     accurate = (solution.pivot > PIVOT) & ((solution.residual > RESIDUAL) | (dof <= 0))
-    return *combine(solution, plan.equations.of_target, dofs), dofs, solution.missing > 0, ~accurate
+    deficient = jnp.broadcast_to(solution.missing > 0, dofs.shape)
+    return *combine(solution, plan.equations.of_target, dofs), dofs, deficient, ~accurate
 
 
 def _estimate(G, cov, dof, deficient, doubtful, at_edge, width) -> Estimate:

@@ -76,7 +76,7 @@ def _composed(values, V, V_inverse):
     """V diag(values) V^-1 of every line, for one set of values or several."""
     n_line, left, right = len(V), lanes.of_lines(V), lanes.of_lines(V_inverse)
     every = values.reshape(-1, *values.shape[-2:])
-    found = [lanes.product(left * lanes.of_lines(each[:, None]), right) for each in every]
+    found = [(left * lanes.of_lines(each[:, None])).times(right) for each in every]
     return jnp.stack([lanes.lines(A, n_line) for A in found]).reshape(*values.shape[:-2], *V.shape)
 
 
@@ -111,24 +111,22 @@ def exponentials(
 
 def _series(A: Lanes) -> Lanes:
     """1 + A + ... + A^12/12!, by powers of A^3."""
-    second = lanes.product(A, A)
-    third, powers = lanes.product(A, second), (lanes.identity(A), A, second)
+    second = A.times(A)
+    third, powers = A.times(second), (lanes.identity(A), A, second)
 
     def block(first: int) -> Lanes:
         terms = [powers[k] * (1 / math.factorial(first + k)) for k in range(3) if first + k <= _TERMS]
         return functools.reduce(operator.add, terms)
 
     *others, last = range(0, _TERMS + 1, 3)
-    return functools.reduce(
-        lambda result, first: lanes.product(result, third) + block(first), reversed(others), block(last)
-    )
+    return functools.reduce(lambda result, first: result.times(third) + block(first), reversed(others), block(last))
 
 
 def _squared(A: Lanes, times: Float[Array, "group 1 1 lane"]) -> Lanes:
     """A^(2^times)."""
 
     def once(step, X):
-        return jax.tree.map(lambda new, old: jnp.where(step < times, new, old), lanes.product(X, X), X)
+        return jax.tree.map(lambda new, old: jnp.where(step < times, new, old), X.times(X), X)
 
     def several(first, last, X):
         return jax.lax.fori_loop(first, last, once, X)

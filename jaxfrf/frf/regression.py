@@ -11,19 +11,20 @@ where i belongs to equation t and j to equation u. A full matrix fraction is one
 one for every output, the joint input-output approach one for y and one for u. Equations share the numerator's columns
 K_0 and differ in those of their denominators, Q_t: K_t = [K_0, Q_t].
 
-Everything here is of one window; `jax.vmap` takes it over lines.
+Everything here is of one window, which `jax.vmap` takes over lines, or of some neighbours side by side (`lanes`): the
+kind of the matrices decides.
 """
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.lax import linalg
 from jaxtyping import Complex, Float, Int
 
 from .._compile import after
 from .._types import Array
 from .inverse import adjoint
+from .matrices import AbstractMatrices, Whole
 from .window import Gram
 
 PIVOT = 1e-8
@@ -72,20 +73,21 @@ class Equations(eqx.Module):
 
 
 class Solution(eqx.Module):
-    """A solved window.
+    """A solved window, or several side by side, whose axis stands behind all others of numbers that are real.
 
-    - `G`: responses of all targets. `S`: of every pair of equations. `E`: q times C, of all targets.
+    - `G`: responses of all targets, (target, top). `S`: of every pair of equations, (eq, eq, top, top). `E`: q times C,
+      of all targets.
     - `power`: of every target, summed over the rows.
     - `pivot`: smallest relative pivot (0: singular, NaN: not factorised). `residual`: smallest relative residual power.
     - `missing`: rank that the regressors of the worst equation lack.
     """
 
-    G: Complex[Array, "target top"]
-    S: Complex[Array, "eq eq top top"]
-    E: Complex[Array, "target target"]
-    power: Float[Array, "target"]
-    pivot: Float[Array, ""]
-    residual: Float[Array, ""]
+    G: AbstractMatrices
+    S: AbstractMatrices
+    E: AbstractMatrices
+    power: Float[Array, "target *window"]
+    pivot: Float[Array, "*window"]
+    residual: Float[Array, "*window"]
     missing: Int[Array, ""]
 
 
@@ -97,105 +99,108 @@ def solve_gram(A: Gram, equations: Equations) -> Solution:
     """
     n, top = equations.n_common, equations.n_top
     power = A.power
-    common, others = np.arange(n), np.arange(n, len(power))
-    L = linalg.cholesky(A.block(common), symmetrize_input=False)
-    B = _times_inverse_adjoint(A.block(others, common), L)
-    end = _times_inverse_adjoint(jnp.eye(top, dtype=L.dtype), L[-top:, -top:])  # what is left of the top columns
-    T = end @ adjoint(B[:, -top:])  # top coefficients of every other column regressed on the common ones
-    S = end @ adjoint(end)
-    pivot = jnp.min(jnp.diagonal(L).real ** 2 / power[:n])
+    every = np.arange(len(power))
+    common = A.block(every, every[:n]).eliminated(unit=top)
+    B, end = common.rows, common.end
+    T = end.times_adjoint(B[:, n - top :])  # top coefficients of every other column regressed on the common ones
+    S = end.times_adjoint(end).hermitian
+    pivot = jnp.min(common.pivot / power[:n], axis=0)
     if max(equations.n_own) == 0:
-        G, E, own_pivot = T.T, _hermitian(A.block(others) - B @ adjoint(B)), jnp.inf
-        S = _hermitian(S)[None, None]
+        G, E, S = T.transpose, A.block(every[n:], every[n:]).less_times_adjoint(B, B), S.reshaped(1, 1, top, top)
     else:
-        solve = _two_equations if len(equations.n_own) == 2 else _several_equations
-        G, S, E, own_pivot = solve(A, B, T, S, power[n:], equations)
+        each = _each_equation(A, B, T, power[n:], equations)
+        pivot = jnp.minimum(pivot, each.pivot)
+        join = _two_equations if len(equations.n_own) == 2 else _several_equations
+        G = each.G.reshaped(-1, top)
+        E, S = join(A, B, S, each, equations)
     slots, targets = equations.slots, _target_columns(equations)
-    if not np.array_equal(slots, np.arange(len(E))):
-        G, E = G[slots], E[slots[:, None], slots]
-    power = power[n:][targets]
+    if not np.array_equal(slots, np.arange(E.shape[0])):
+        G, E = G[slots, :], E[slots, slots]
+    power, E = power[n:][targets], E.hermitian
     return Solution(
         G=G,
         S=S,
-        E=E.conj(),
+        E=E.conjugate,
         power=power,
-        pivot=jnp.minimum(pivot, own_pivot),
-        residual=jnp.min(jnp.diagonal(E).real / power),
+        pivot=pivot,
+        residual=jnp.min(E.diagonal / power, axis=0),
         missing=jnp.zeros((), int),
     )
 
 
-def _times_inverse_adjoint(X, L):
-    """X L^-H, L lower triangular."""
-    return linalg.triangular_solve(L, X, left_side=False, lower=True, transpose_a=True, conjugate_a=True)
+class _Each(eqx.Module):
+    """Every equation solved for its own columns, along an axis of equations.
+
+    `G`: (eq, target, top). `E`: products of its residuals. `added`: what its own columns add to S. `D`, `F`: its
+    residuals are what the common columns leave of its targets less D^T of its own, and F is what its own columns add to
+    the influence of the rows on G. `pivot`: the smallest one."""
+
+    G: AbstractMatrices
+    E: AbstractMatrices
+    added: AbstractMatrices
+    D: AbstractMatrices
+    F: AbstractMatrices
+    pivot: Float[Array, "*window"]
 
 
-def _two_equations(A: Gram, B, T, S, power, equations: Equations):
-    """G, S, E and the smallest pivot, where of the products A of all but the common columns these explain B B^H: the
-    products of each equation, then those between the two."""
-    one, other = equations.n_common + np.arange(len(power)).reshape(2, -1)
-    B = B.reshape(2, len(one), -1)
-    W = [A.block(one) - B[0] @ adjoint(B[0]), A.block(other) - B[1] @ adjoint(B[1])]
-    between = A.block(one, other) - B[0] @ adjoint(B[1])
-    G, E, added, (X_0, X_1), pivot = _each_equation(jnp.stack(W), T, power, equations)
-    own, n_target = max(equations.n_own), E.shape[-1]
-    turned = between[:, :own] @ X_1
-    left = between[:, own:] + turned[:, :n_target]
-    E_01 = left[own:] + adjoint(X_0[:, :n_target]) @ left[:own]
-    S_01 = S + adjoint(X_0[:, n_target:]) @ turned[:own, n_target:]
-    E, S = _hermitian(E), _hermitian(S + added)
-    E = jnp.block([[E[0], E_01], [adjoint(E_01), E[1]]])
-    S = jnp.stack([jnp.stack([S[0], S_01]), jnp.stack([adjoint(S_01), S[1]])])
-    return G, S, E, pivot
-
-
-def _several_equations(A: Gram, B, T, S, power, equations: Equations):
-    """The same for any number of equations, small ones: the products of all of them at once."""
-    count = len(equations.n_own)
-    each, own, top = len(power) // count, max(equations.n_own), equations.n_top
-    W = A.block(equations.n_common + np.arange(len(power))) - B @ adjoint(B)
-    blocks = W.reshape(count, each, count, each).swapaxes(1, 2)
-    on_diagonal = np.arange(count)
-    G, _, _, X, pivot = _each_equation(blocks[on_diagonal, on_diagonal], T, power, equations)
-    itself = np.broadcast_to(np.eye(each - own), (count, each - own, each - own))
-    errors = _block_diagonal(jnp.concatenate([X[..., : each - own], itself], axis=1))
-    effects = _block_diagonal(X[..., each - own :])
-    inner = blocks[:, :, :own, :own].swapaxes(1, 2).reshape(count * own, count * own)
-    E = adjoint(errors) @ (W @ errors)
-    added = _hermitian(adjoint(effects) @ (inner @ effects)).reshape(count, top, count, top)
-    return G, _hermitian(S) + added.swapaxes(1, 2), _hermitian(E), pivot
-
-
-def _each_equation(W, T, power, equations: Equations):
-    """From what the common columns leave of the products of each equation, (eq, col, col): G (target, top); of each
-    equation the products of its residuals, what its own columns add to S, and X = [-D, F]: its residuals are its
-    columns times [-D; I], and what its own add to the influence of the rows on G is F; the smallest pivot."""
-    count, each = W.shape[:2]
-    own, top = max(equations.n_own), equations.n_top
+def _each_equation(A: Gram, B, T, power, equations: Equations) -> _Each:
+    """From what the common columns leave of the products A of each equation's own columns and targets, where these
+    explain B B^H, and from the top coefficients T of all of them."""
+    count, own, top = len(equations.n_own), max(equations.n_own), equations.n_top
+    each = len(power) // count
     n_target = each - own
+    column = equations.n_common + np.arange(len(power)).reshape(count, each)
+    B = B.reshaped(count, each, B.shape[1])
+    W = A.block(column, column[:, :own]).less_times_adjoint(B, B[:own, :])
+    of_targets = A.block(column[:, own:], column[:, own:]).less_times_adjoint(B[own:, :], B[own:, :])
     spare = np.arange(own) >= np.asarray(equations.n_own)[:, None]
+    W = W.plus_diagonal(spare.astype(float)) if spare.any() else W
+    T = T.reshaped(top, count, each).moved(-2, -3)
+    found = type(W).joined([W, T[:, :own]], -2).eliminated()
+    half = found.rows
+    left, influence = half[:n_target, :], half[n_target:, :]
+    solved = found.back(half.adjoint)
+    power = power.reshape(count, each, *power.shape[1:])[:, :own]
+    pivots = found.pivot / jnp.where(spare.reshape(*spare.shape, *[1] * (power.ndim - 2)), 1.0, power)
+    return _Each(
+        G=T[:, own:].less_times_adjoint(influence, left).transpose,
+        E=of_targets.less_times_adjoint(left, left),
+        added=influence.times_adjoint(influence).hermitian,
+        D=solved[:, :n_target],
+        F=solved[:, n_target:],
+        pivot=jnp.min(pivots, axis=(0, 1)),
+    )
 
-    def one_equation(W, T, power, spare):
-        L = linalg.cholesky(W[:own, :own] + jnp.diag(jnp.where(spare, 1.0, 0.0)), symmetrize_input=False)
-        right = jnp.concatenate([-W[:own, own:], adjoint(T[:, :own])], axis=1)
-        half = linalg.triangular_solve(L, right, left_side=True, lower=True)
-        found = linalg.triangular_solve(L, half, left_side=True, lower=True, transpose_a=True, conjugate_a=True)
-        products = adjoint(half) @ half
-        G = (T[:, own:] + products[n_target:, :n_target]).T
-        E, added = W[own:, own:] - products[:n_target, :n_target], products[n_target:, n_target:]
-        pivots = jnp.diagonal(L).real ** 2 / jnp.where(spare, 1.0, power[:own])
-        return G, E, added, found, jnp.min(pivots)
 
-    parts = T.reshape(top, count, each).swapaxes(0, 1)
-    G, E, added, X, pivot = jax.vmap(one_equation)(W, parts, power.reshape(count, each), spare)
-    return G.reshape(-1, top), E, added, X, jnp.min(pivot)
+def _two_equations(A: Gram, B, S, each: _Each, equations: Equations):
+    """E and S of both equations."""
+    kind, own, count = type(B), each.D.shape[0], B.shape[0] // 2
+    column = equations.n_common + np.arange(2 * count)
+    between = A.block(column[:count], column[count:]).less_times_adjoint(B[:count, :], B[count:, :])
+    inner, beside = between[:own, :own], between[own:, :own]
+    E_01 = between[own:, own:].less_times(beside, each.D.at(1))
+    effect = inner.times(each.D.at(1))
+    E_01 = E_01.less_adjoint_times(each.D.at(0), between[:own, own:] - effect)
+    S_01 = S + each.F.at(0).adjoint_times(inner.times(each.F.at(1)))
+    E, S = each.E, S + each.added
+    E = kind.joined([kind.joined([E.at(0), E_01], -1), kind.joined([E_01.adjoint, E.at(1)], -1)], -2)
+    return E, kind.stacked([kind.stacked([S.at(0), S_01]), kind.stacked([S_01.adjoint, S.at(1)])])
 
 
-def _block_diagonal(x):
-    """(block, row, col) to (block*row, block*col), zero beside the blocks."""
-    count, n_row, n_col = x.shape
-    wide = jnp.where(np.eye(count, dtype=bool)[:, None, :, None], x[:, :, None, :], 0)
-    return wide.reshape(count * n_row, count * n_col)
+def _several_equations(A: Gram, B, S, each: _Each, equations: Equations):
+    """The same of any number of equations, small ones: of all pairs at once."""
+    count, own = len(equations.n_own), each.D.shape[0]
+    column = equations.n_common + np.arange(B.shape[0])
+    W = A.block(column, column).less_times_adjoint(B, B)
+    size = W.shape[0] // count
+    W = W.reshaped(count, size, count, size).moved(-2, -3)  # (eq, eq, row, col)
+    D, F = ([x.reshaped(*axes, *x.shape) for axes in ((count, 1), (1, count))] for x in (each.D, each.F))
+    right = W[:, own:].less_times(W[:, :own], D[1])
+    E = right[own:, :].less_adjoint_times(D[0], right[:own, :])
+    added = F[0].adjoint_times(W[:own, :own].times(F[1]))
+    n_target = count * (size - own)
+    added = (added + added.moved(-3, -4).adjoint) * 0.5  # pairs (t, u) and (u, t) are each other's adjoint
+    return E.moved(-2, -3).reshaped(n_target, n_target), S + added
 
 
 def solve_rows(K: Complex[Array, "row col"], equations: Equations) -> Solution:
@@ -221,9 +226,9 @@ def solve_rows(K: Complex[Array, "row col"], equations: Equations) -> Solution:
     slots, targets = equations.slots, _target_columns(equations)
     V = jnp.moveaxis(V, 0, 1).reshape(K.shape[0], -1)[:, slots]
     return Solution(
-        G=G.reshape(-1, top)[slots],
-        S=S,
-        E=_hermitian(V.T @ V.conj()),
+        G=Whole(G.reshape(-1, top)[slots]),
+        S=Whole(S),
+        E=Whole(V.T @ V.conj()).hermitian,
         power=jnp.sum(jnp.abs(K[:, n:][:, targets]) ** 2, axis=0),
         pivot=jnp.ones(()),
         residual=jnp.ones(()),
@@ -247,8 +252,3 @@ def _target_columns(equations: Equations) -> np.ndarray:
     most, own = max(len(x) for x in equations.targets), max(equations.n_own)
     number, place = np.divmod(equations.slots, most)
     return number * (own + most) + own + place
-
-
-def _hermitian(x):
-    """Without the rounding by which a matrix is not its own adjoint."""
-    return (x + adjoint(x)) / 2

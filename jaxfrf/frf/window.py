@@ -21,8 +21,11 @@ from jaxtyping import Bool, Complex, Float, Int
 from .._device import at_once, on_accelerator
 from .._errors import input_error
 from .._types import Array
+from .lanes import LANES, Lanes
+from .matrices import AbstractMatrices, Whole
 
 _PART, _LEAST_PART = 16, 4  # neighbouring windows whose moments are one product, which meets the lines of all of them
+_SMALL = 80  # columns, up to which windows go side by side: what belongs to eight of more leaves the cache
 _TILE = 48  # windows that are solved together
 _CACHE = 1.4e6  # bytes of Gram matrices of a tile: a core has about as much for itself
 _WIDE = 4  # times as many lines as columns: moments of such windows take as long as the rest, parts are to be large
@@ -94,80 +97,109 @@ class Group(NamedTuple):
     second: tuple[int, ...]
 
 
-def products(signals: Complex[Array, "exp freq sig"], columns: Columns) -> list[Float[Array, "freq pair"]]:
+def products(signals: Complex[Array, "exp freq sig"], columns: Columns) -> list[Float[Array, "pair freq"]]:
     """conj(s_a) s_b of the pairs of every group, summed over experiments: real parts, then imaginary parts."""
-    every = jnp.einsum("efa,efb->fab", signals.conj(), signals)
-    found = [every[:, list(group.first), list(group.second)] for group in _groups(columns)]
-    return [jnp.concatenate([x.real, x.imag], axis=-1) for x in found]
+    every = jnp.einsum("efa,efb->abf", signals.conj(), signals)
+    found = [every[np.array(group.first), np.array(group.second)] for group in _groups(columns)]
+    return [jnp.concatenate([x.real, x.imag]) for x in found]
 
 
-def moments(x: Float[Array, "line"], inside: Bool[Array, "line"], products, columns: Columns) -> Float[Array, "moment"]:
-    """sum_j x_j^p conj(s_a) s_b of one window from the `products` of every group, (line, pair): of every group, power
-    and pair, real parts beside imaginary ones."""
+def moments(
+    x: Float[Array, "*window line"], inside: Bool[Array, "*window line"], products, columns: Columns
+) -> Float[Array, "moment *window"]:
+    """sum_j x_j^p conj(s_a) s_b from the `products` of every group, (pair, line): of every group, its real parts and
+    then imaginary ones, of every pair its powers one behind the other."""
     powers = jnp.stack([jnp.where(inside, x**p, 0.0) for p in range(2 * max(columns.power) + 1)])
-    found = [powers[: g.highest + 1] @ of for g, of in zip(_groups(columns), products, strict=True)]
-    return jnp.concatenate([x.ravel() for x in found])
+    found = [
+        jnp.tensordot(of, powers[: g.highest + 1], (1, -1)) for g, of in zip(_groups(columns), products, strict=True)
+    ]
+    return jnp.concatenate([m.reshape(-1, *x.shape[:-1]) for m in found])
 
 
 class Gram(eqx.Module):
-    """K^H K of one window, K the columns at its lines: (col, col), of which only those blocks are made that are asked
-    for."""
+    """K^H K of one window, or of several side by side, K the columns at its lines: (col, col), of which only those
+    blocks are made that are asked for."""
 
-    moments: Float[Array, "moment"]
+    moments: Float[Array, "moment *window"]
     columns: Columns
+    first: Int[Array, ""] | int = 0  # of its own among the moments
 
-    def block(self, rows: np.ndarray, columns: np.ndarray | None = None) -> Complex[jax.Array, "row col"]:
+    def block(self, rows: Int[np.ndarray, "*batch row"], columns: Int[np.ndarray, "*batch col"]) -> AbstractMatrices:
         """The products of some columns with others, or with each other."""
-        place = _places(self.columns)
-        of = np.ix_(rows, rows if columns is None else columns)
-        real, imaginary = self.moments[place.real[of]], self.moments[place.imaginary[of]]
-        return jax.lax.complex(real * place.there[of], imaginary * place.sign[of])
+        of, place = (rows[..., :, None], columns[..., None, :]), _places(self.columns)
+        which = np.stack([place.real[of], place.imaginary[of]])
+        sign = np.stack([place.there[of], place.sign[of]])
+        parts = self.moments[self.first + which]
+        if self.moments.ndim > 1:
+            return Lanes(parts * sign[..., None])
+        return Whole(jax.lax.complex(*(parts * sign)))
 
     @property
-    def power(self) -> Float[Array, "col"]:
+    def power(self) -> Float[Array, "col *window"]:
         """Of every column, summed over its rows."""
-        place = _places(self.columns)
-        return self.moments[np.diagonal(place.real)] * np.diagonal(place.there)
+        place, there = _places(self.columns), np.diagonal(_places(self.columns).there)
+        return self.moments[self.first + np.diagonal(place.real)] * there.reshape(-1, *[1] * (self.moments.ndim - 1))
 
 
 def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequence[Windows], columns: Columns):
     """`solve(A, number)` of every window of every one of several `Windows`, A its `Gram` matrix: a pytree with leading
     axes (number, freq).
 
-    One window after the other is written here; `vmap` takes it over neighbouring lines, `lax.map` over tiles of them,
-    so that only what `solve` returns is ever kept of all.
+    Neighbouring windows go side by side through the registers of a processor (`lanes`), one group after the other
+    (`lax.map`), so that only what `solve` returns is ever kept of all. Large ones, and all on an accelerator, are taken
+    one by one by `vmap`.
     """
     n_freq, of = signals.shape[1], products(signals, columns)
-    accelerated = on_accelerator()
-    tile = at_once(len(columns.power)) if accelerated else _windows_of_tile(len(columns.power))
-    wide = max(windows.width for windows in several) > _WIDE * len(columns.power)
-    size = min(_PART, max(tile // len(several), _PART if wide else _LEAST_PART), n_freq)
-    n_part = max(min(tile // len(several), n_freq + size - 1) // size, 1)
-    number = np.repeat(np.arange(len(several)), n_part * size)
+    in_lanes = len(columns.power) <= _SMALL and not on_accelerator()
+    size, n_part = (LANES, 1) if in_lanes else _parts(several, n_freq, len(columns.power))
 
     def one_part(windows, first):
         lines = jnp.minimum(first + np.arange(size), n_freq - 1)
         span = min(size - 1 + windows.width, n_freq)
         source = jnp.clip(jnp.asarray(windows.start)[lines[0]], 0, n_freq - span)
-        part = [jax.lax.dynamic_slice_in_dim(x, source, span, 0) for x in of]
+        part = [jax.lax.dynamic_slice_in_dim(x, source, span, 1) for x in of]
         near = source + np.arange(span)
-        return jax.vmap(lambda line: moments(*local_variable(windows, line, near), part, columns))(lines)
+        of_each = lambda line: local_variable(windows, line, near)
+        if in_lanes:
+            return moments(*jax.vmap(of_each)(lines), part, columns)
+        return jax.vmap(lambda line: moments(*of_each(line), part, columns))(lines)
 
     def parts(windows, first):
-        if accelerated:
+        if on_accelerator():
             every = jax.vmap(lambda i: one_part(windows, first + i * size))(np.arange(n_part))
             return [every.reshape(-1, every.shape[-1])]
         return [one_part(windows, first + i * size) for i in range(n_part)]
 
     def one_tile(first):
+        if in_lanes:
+            every = [one_part(windows, first) for windows in several]
+            of_one = lambda number: solve(Gram(jnp.concatenate(every), columns, number * len(every[0])), number)
+            return _of_each(of_one, len(several))
         every = jnp.concatenate([x for windows in several for x in parts(windows, first)])
-        return jax.vmap(lambda moments, number: solve(Gram(moments, columns), number))(every, number)
+        number = np.repeat(np.arange(len(several)), n_part * size)
+        found = jax.vmap(lambda moments, number: solve(Gram(moments, columns), number))(every, number)
+        return jax.tree.map(lambda x: x.reshape(len(several), n_part * size, *x.shape[1:]), found)
 
     def in_order(x):
-        x = jnp.moveaxis(x.reshape(len(x), len(several), n_part * size, *x.shape[2:]), 1, 0)
+        x = jnp.moveaxis(x, 1, 0)
         return x.reshape(len(several), -1, *x.shape[3:])[:, :n_freq]
 
     return jax.tree.map(in_order, jax.lax.map(one_tile, jnp.arange(0, n_freq, n_part * size)))
+
+
+def _of_each(solve, count: int):
+    """`solve(number)` of every number, stacked."""
+    if count == 1:
+        return jax.tree.map(lambda x: x[None], solve(0))
+    return jax.lax.map(solve, jnp.arange(count))
+
+
+def _parts(several: Sequence[Windows], n_freq: int, n_column: int) -> tuple[int, int]:
+    """Neighbouring windows whose moments are one product, and how many such parts of each of `several` make a tile."""
+    tile = at_once(n_column) if on_accelerator() else _windows_of_tile(n_column)
+    wide = max(windows.width for windows in several) > _WIDE * n_column
+    size = min(_PART, max(tile // len(several), _PART if wide else _LEAST_PART), n_freq)
+    return size, max(min(tile // len(several), n_freq + size - 1) // size, 1)
 
 
 def _windows_of_tile(n_column: int) -> int:
@@ -210,15 +242,16 @@ class _Places(NamedTuple):
 @functools.lru_cache(maxsize=64)
 def _places(columns: Columns) -> _Places:
     power, signal = np.asarray(columns.power), np.asarray(columns.signal)
-    at_power_zero, n_pair = np.zeros((2, max(signal) + 1, max(signal) + 1), int)
+    at_power_zero, to_imaginary = np.zeros((2, max(signal) + 1, max(signal) + 1), int)
     first = 0
     for group in _groups(columns):
         count = len(group.first)
-        at_power_zero[group.first, group.second] = first + np.arange(count)
-        n_pair[group.first, group.second] = count
-        first += 2 * count * (group.highest + 1)
+        powers = group.highest + 1
+        at_power_zero[group.first, group.second] = first + np.arange(count) * powers
+        to_imaginary[group.first, group.second] = count * powers
+        first += 2 * count * powers
     pair = np.minimum.outer(signal, signal), np.maximum.outer(signal, signal)
     there = pair[0] >= 0
-    real = np.where(there, at_power_zero[pair] + 2 * n_pair[pair] * np.add.outer(power, power), 0)
-    imaginary = np.where(there, real + n_pair[pair], 0)
+    real = np.where(there, at_power_zero[pair] + np.add.outer(power, power), 0)
+    imaginary = np.where(there, real + to_imaginary[pair], 0)
     return _Places(real, imaginary, np.sign(signal[None] - signal[:, None]) * there, there.astype(float))
