@@ -368,7 +368,7 @@ def _eliminated(A: Lanes, unit: int) -> _ByColumns:
     n_row, n = A.shape
     L: list[Lanes] = []
     panels: list[Lanes] = []
-    pivots, diagonal = [], []
+    diagonal: list[Array] = []
     for first in range(0, n, _PANEL):
         panel = A[first:, first : first + _PANEL]
         if panels:
@@ -376,22 +376,20 @@ def _eliminated(A: Lanes, unit: int) -> _ByColumns:
             panel = panel.less_times_adjoint(known, known[: panel.shape[1], :])
         for k in range(panel.shape[1]):
             of_panel = tuple(_last_rows(x, panel.shape[0] - k) for x in L[first:])
-            column, pivot, inverse = _next_column(panel[k:, k : k + 1], of_panel)
+            column, inverse = _next_column(panel[k:, k : k + 1], of_panel)
             L.append(column)
-            pivots.append(pivot)
             diagonal.append(inverse)
         panels.append(Lanes.joined([_last_rows(x, L[-1].shape[0]) for x in L[first:]], -1))
     rows = _beside([_last_rows(x, n_row - n) for x in panels])
-    return _ByColumns(rows, jnp.stack(pivots, axis=-2), tuple(L), tuple(diagonal), unit)
+    return _ByColumns(rows, jnp.stack(diagonal, axis=-2) ** -2, tuple(L), tuple(diagonal), unit)
 
 
 @apart
 def _next_column(A: Lanes, known: tuple[Lanes, ...]):
-    """A column of L below the diagonal, |diag|^2, 1/diag, from what the columns before it leave to be taken off."""
+    """A column of L below the diagonal, and 1 over the diagonal, where those before it are known."""
     left = A.parts - _sum([(x, x[:1, :]) for x in known], _COLUMN, _COLUMN) if known else A.parts
-    pivot = left[0, ..., 0, 0, :]
-    inverse = 1 / jnp.sqrt(pivot)
-    return Lanes(left[..., 1:, :, :] * inverse[..., None, None, :]), pivot, inverse
+    inverse = 1 / jnp.sqrt(left[0, ..., 0, 0, :])
+    return Lanes(left[..., 1:, :, :] * inverse[..., None, None, :]), inverse
 
 
 @apart
