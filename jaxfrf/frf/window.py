@@ -26,6 +26,7 @@ from .matrices import AbstractMatrices, Whole
 
 _PART, _LEAST_PART = 16, 4  # neighbouring windows whose moments are one product, which meets the lines of all of them
 _SMALL = 80  # columns, up to which windows go side by side: what belongs to eight of more leaves the cache
+_MANY = 64  # lines, from which on that is worth its compilation, which takes half a second to two more
 _TILE = 48  # windows that are solved together
 _CACHE = 1.4e6  # bytes of Gram matrices of a tile: a core has about as much for itself
 _WIDE = 4  # times as many lines as columns: moments of such windows take as long as the rest, parts are to be large
@@ -150,7 +151,7 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequen
     one by one by `vmap`.
     """
     n_freq, of = signals.shape[1], products(signals, columns)
-    in_lanes = len(columns.power) <= _SMALL and not on_accelerator()
+    in_lanes = len(columns.power) <= _SMALL and n_freq >= _MANY and not on_accelerator()
     size, n_part = (LANES, 1) if in_lanes else _parts(several, n_freq, len(columns.power))
 
     def one_part(windows, first):

@@ -54,18 +54,25 @@ def row_wise(U, Y, R, width, order=2):
     return G
 
 
+def side_by_side(monkeypatch, lines: int):
+    """Windows go side by side through the processor from so many lines on; tests have fewer than users."""
+    monkeypatch.setattr("jaxfrf.frf.window._MANY", lines)
+
+
 @pytest.mark.parametrize(
-    "method",
+    "method, lines",
     [
-        jf.JointInputOutput(jf.LRM(width=12)),
-        slow(jf.MisoLRM(width=10)),
-        slow(jf.LogMean()),
-        slow(jf.LogMean(jf.JointInputOutput(jf.LPM(width=10)))),
+        (jf.JointInputOutput(jf.LRM(width=12)), 1),
+        slow(jf.JointInputOutput(jf.LRM(width=12)), 1000),
+        slow(jf.MisoLRM(width=10), 1),
+        slow(jf.LogMean(), 1),
+        slow(jf.LogMean(jf.JointInputOutput(jf.LPM(width=10))), 1000),
     ],
-    ids=["jio-lrm", "miso", "log", "log-jio-lpm"],
+    ids=["jio-lrm", "jio-lrm one by one", "miso", "log", "log-jio-lpm"],
 )
-def test_derivative_of_the_response(method):
+def test_derivative_of_the_response(monkeypatch, method, lines):
     """d G / d(U, Y, R) along a random direction: forwards against central differences, backwards against forwards."""
+    side_by_side(monkeypatch, lines)
     data, rng = records(), np.random.default_rng(0)
     at = tuple(jnp.asarray(X[0]) for X in (data.U, data.Y, data.R))
     along = tuple(jnp.asarray(plants.circular(rng, x.shape)) * jnp.std(x) for x in at)
@@ -91,9 +98,41 @@ def test_composed_in_a_program_of_the_users():
     assert np.linalg.norm(G - expected) < 1e-11 * np.linalg.norm(expected)
 
 
+@pytest.mark.parametrize(
+    "method",
+    [
+        jf.LPM(width=10),
+        jf.LRM(width=13, transient=1),
+        jf.MisoLRM(width=10),
+        jf.JointInputOutput(jf.LPM(width=9)),
+        jf.JointInputOutput(jf.LRM(width=12, order=1)),
+        slow(jf.JointInputOutput(jf.MisoLRM(width=12))),
+        jf.JointInputOutput(jf.CommonDenominatorLRM(width=12)),
+        slow(jf.CommonDenominatorLRM(width=12)),
+        jf.JointInputOutput(jf.LRM(width=14)),
+    ],
+)
+@pytest.mark.parametrize("lines", [1, 1000], ids=["side by side", "one by one"])
+def test_windows_against_their_rows(monkeypatch, method, lines):
+    """Gram matrices in either kind of matrices, against singular values of every window's rows."""
+    side_by_side(monkeypatch, lines)
+    data = records(n=3 if "LPM" in str(method) else 2)
+    signals = Signals(*(jnp.asarray(X[0]) for X in (data.U, data.Y, data.R)), None, jnp.asarray(data.frequency))
+    every = np.arange(len(LINES))
+    found, expected = jax.jit(lambda signals: (method.at_point(signals), method.at_point(signals, every)))(signals)
+    assert not found.doubtful.any()
+    np.testing.assert_array_equal(found.dof, expected.dof)
+    np.testing.assert_array_equal(found.status, expected.status)
+    for ours, theirs in ((found.G, expected.G), (dense(found.cov), dense(expected.cov))):
+        np.testing.assert_array_less(
+            np.linalg.norm(ours - theirs, axis=(1, 2)), 1e-7 * np.linalg.norm(theirs, axis=(1, 2))
+        )
+
+
 @pytest.mark.parametrize("n_exp, width", [(1, 36), (6, 12)])
-def test_six_axes_at_their_resonances_against_qr_of_the_rows(n_exp, width):
+def test_six_axes_at_their_resonances_against_qr_of_the_rows(monkeypatch, n_exp, width):
     """R3X between its first antiresonance and resonance, in a velocity loop with noise."""
+    side_by_side(monkeypatch, 1)
     robot, rng = jf.robot.r3x(), np.random.default_rng(1)
     lines = np.arange(200, 500, 6)
     f = lines / 28
@@ -200,8 +239,9 @@ def test_classical_lines_with_nearly_dependent_inputs_are_solved_again(through, 
     assert np.linalg.norm(found.G[0, 5] - expected) < 1e-6 * np.linalg.norm(expected)
 
 
-def test_doubtful_windows_are_solved_again_from_their_rows():
+def test_doubtful_windows_are_solved_again_from_their_rows(monkeypatch):
     """A reference that nearly repeats itself over half of the band: the Gram matrix is not accurate there."""
+    side_by_side(monkeypatch, 1)
     data = records(noise=0.01)
     R = data.R.copy()
     R[:, :, :12, 1] = R[:, :, :12, 0] * (1 + 1e-5 * np.arange(12)) + 1e-6 * R[:, :, :12, 1]
