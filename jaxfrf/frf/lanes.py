@@ -24,7 +24,7 @@ from .matrices import AbstractElimination, AbstractMatrices
 LANES = 8  # lines side by side; of more, matrices leave the innermost cache
 _TERMS = 40  # of a sum that are written out; of longer ones parts go round
 _PART = 16  # terms of such a part
-_PANEL = 6  # columns that are eliminated together
+_PANEL = 8  # columns that are eliminated together
 _LARGE = 24  # rows, from which on LAPACK is as fast and shorter to compile
 _ROW, _COLUMN = -3, -2  # axes
 _Sums = tuple[Array, Array] | None
