@@ -258,8 +258,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "two_cores": lambda: speed(2),
     "jax12": lambda: speed(1, "local_jax12.txt"),
     "jax12_two_cores": lambda: speed(2, "local_jax12.txt"),
-    "again": lambda: speed(1, "local_again.txt"),
-    "again_two_cores": lambda: speed(2, "local_again.txt"),
     "amd": lambda: speed(1, "local_amd.txt"),
     "amd_two_cores": lambda: speed(2, "local_amd.txt"),
     "growth": growth,

@@ -25,7 +25,7 @@ from .lanes import LANES, Lanes
 from .matrices import AbstractMatrices, Whole
 
 _PART, _LEAST_PART = 16, 4  # neighbouring windows whose moments are one product, which meets the lines of all of them
-_SMALL = 80  # columns, up to which windows go side by side: what belongs to eight of more leaves the cache
+_SMALL = 56  # columns, up to which windows go side by side: more leave the cache, and compile for 5 s longer
 _MANY = 64  # lines, from which on that is worth its compilation, which takes half a second to two more
 _TILE = 48  # windows that are solved together
 _CACHE = 1.4e6  # bytes of Gram matrices of a tile: a core has about as much for itself

@@ -89,8 +89,9 @@ def test_derivative_of_the_response(monkeypatch, method, lines):
     np.testing.assert_allclose(backwards, jnp.sum(2 * weight * (G.conj() * slope).real), rtol=1e-8)
 
 
-def test_composed_in_a_program_of_the_users():
+def test_composed_in_a_program_of_the_users(monkeypatch):
     """`vmap` over operating points inside `jit` is what `estimate` returns."""
+    side_by_side(monkeypatch, 1)
     data = records()
     method = jf.JointInputOutput(jf.LRM(width=12))
     G = jax.jit(jax.vmap(response(method, data)))(data.U, data.Y, data.R)
