@@ -103,6 +103,7 @@ def test_effects_that_a_robot_has_are_calibrated():
         assert found.values[name] == pytest.approx(value, rel=known), name
 
 
+@pytest.mark.slow
 def test_friction_a_moment_later():
     """Its column against the same friction of a motion shifted by a sample to both sides."""
     record = measured(played())

@@ -69,6 +69,7 @@ def close(data, angle, within):
 
 
 class TestInTheSimulation:
+    @pytest.mark.slow
     def test_friction_and_arm(self):
         robot = one_joint().with_effects(
             ef.CoulombFriction(0, 0.05),

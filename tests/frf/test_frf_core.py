@@ -102,13 +102,13 @@ def test_composed_in_a_program_of_the_users(monkeypatch):
 @pytest.mark.parametrize(
     "method",
     [
-        jf.LPM(width=10),
+        slow(jf.LPM(width=10)),
         jf.LRM(width=13, transient=1),
         jf.MisoLRM(width=10),
-        jf.JointInputOutput(jf.LPM(width=9)),
-        jf.JointInputOutput(jf.LRM(width=12, order=1)),
+        slow(jf.JointInputOutput(jf.LPM(width=9))),
+        slow(jf.JointInputOutput(jf.LRM(width=12, order=1))),
         slow(jf.JointInputOutput(jf.MisoLRM(width=12))),
-        jf.JointInputOutput(jf.CommonDenominatorLRM(width=12)),
+        slow(jf.JointInputOutput(jf.CommonDenominatorLRM(width=12))),
         slow(jf.CommonDenominatorLRM(width=12)),
         jf.JointInputOutput(jf.LRM(width=14)),
     ],

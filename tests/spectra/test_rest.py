@@ -54,7 +54,12 @@ def record(excitation, n_exp=1, noise=0.01, seed=1, n=N):
 
 @pytest.mark.parametrize(
     ("excitation", "n_exp"),
-    [(blow, 3), (burst, 1), pytest.param(long_burst, 1, marks=pytest.mark.slow), (fast_sweep, 1)],
+    [
+        (blow, 3),
+        pytest.param(burst, 1, marks=pytest.mark.slow),
+        pytest.param(long_burst, 1, marks=pytest.mark.slow),
+        (fast_sweep, 1),
+    ],
 )
 def test_from_rest_to_rest(excitation, n_exp):
     """With a transient term the noise of u alone would tell G: |G| was half of what is true, or a thirtieth."""
