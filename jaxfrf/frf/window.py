@@ -108,12 +108,15 @@ def products(signals: Complex[Array, "exp freq sig"], columns: Columns) -> list[
 def moments(
     x: Float[Array, "*window line"], inside: Bool[Array, "*window line"], products, columns: Columns
 ) -> Float[Array, "moment *window"]:
-    """sum_j x_j^p conj(s_a) s_b from the `products` of every group, (pair, line): of every group, its real parts and
-    then imaginary ones, of every pair its powers one behind the other."""
+    """sum_j x_j^p conj(s_a) s_b from the `products` of every group, (pair, line), real parts and then imaginary ones.
+
+    Group by group; of one window by powers, then pairs; of several by pairs, then powers, so that windows stay
+    innermost."""
     powers = jnp.stack([jnp.where(inside, x**p, 0.0) for p in range(2 * max(columns.power) + 1)])
-    found = [
-        jnp.tensordot(of, powers[: g.highest + 1], (1, -1)) for g, of in zip(_groups(columns), products, strict=True)
-    ]
+    found = []
+    for group, of in zip(_groups(columns), products, strict=True):
+        of_group = powers[: group.highest + 1]
+        found.append(of_group @ of.T if x.ndim == 1 else jnp.tensordot(of, of_group, (1, -1)))
     return jnp.concatenate([m.reshape(-1, *x.shape[:-1]) for m in found])
 
 
@@ -127,7 +130,7 @@ class Gram(eqx.Module):
 
     def block(self, rows: Int[np.ndarray, "*batch row"], columns: Int[np.ndarray, "*batch col"]) -> AbstractMatrices:
         """The products of some columns with others, or with each other."""
-        of, place = (rows[..., :, None], columns[..., None, :]), _places(self.columns)
+        of, place = (rows[..., :, None], columns[..., None, :]), self._places
         which = np.stack([place.real[of], place.imaginary[of]])
         sign = np.stack([place.there[of], place.sign[of]])
         parts = self.moments[self.first + which]
@@ -138,8 +141,12 @@ class Gram(eqx.Module):
     @property
     def power(self) -> Float[Array, "col *window"]:
         """Of every column, summed over its rows."""
-        place, there = _places(self.columns), np.diagonal(_places(self.columns).there)
-        return self.moments[self.first + np.diagonal(place.real)] * there.reshape(-1, *[1] * (self.moments.ndim - 1))
+        real, there = (np.diagonal(x) for x in (self._places.real, self._places.there))
+        return self.moments[self.first + real] * there.reshape(-1, *[1] * (self.moments.ndim - 1))
+
+    @property
+    def _places(self) -> "_Places":
+        return _places(self.columns, self.moments.ndim == 1)
 
 
 def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequence[Windows], columns: Columns):
@@ -241,18 +248,19 @@ class _Places(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _places(columns: Columns) -> _Places:
+def _places(columns: Columns, of_one: bool) -> _Places:
     power, signal = np.asarray(columns.power), np.asarray(columns.signal)
-    at_power_zero, to_imaginary = np.zeros((2, max(signal) + 1, max(signal) + 1), int)
+    at_power_zero, to_imaginary, to_next_power = np.zeros((3, max(signal) + 1, max(signal) + 1), int)
     first = 0
     for group in _groups(columns):
-        count = len(group.first)
-        powers = group.highest + 1
-        at_power_zero[group.first, group.second] = first + np.arange(count) * powers
-        to_imaginary[group.first, group.second] = count * powers
+        count, powers = len(group.first), group.highest + 1
+        of_pair, of_power = (1, 2 * count) if of_one else (powers, 1)
+        at_power_zero[group.first, group.second] = first + np.arange(count) * of_pair
+        to_imaginary[group.first, group.second] = count * of_pair
+        to_next_power[group.first, group.second] = of_power
         first += 2 * count * powers
     pair = np.minimum.outer(signal, signal), np.maximum.outer(signal, signal)
     there = pair[0] >= 0
-    real = np.where(there, at_power_zero[pair] + np.add.outer(power, power), 0)
+    real = np.where(there, at_power_zero[pair] + to_next_power[pair] * np.add.outer(power, power), 0)
     imaginary = np.where(there, real + to_imaginary[pair], 0)
     return _Places(real, imaginary, np.sign(signal[None] - signal[:, None]) * there, there.astype(float))
