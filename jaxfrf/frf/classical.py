@@ -223,10 +223,10 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
     G = None if response is None else jax.vmap(lambda U, Y: response(U.T, Y.T), in_axes=1)(of_U, of_Y)
     U, Y = lanes.of_signal(of_U if G is None else after(of_U, G)), lanes.of_signal(of_Y)
     Z = U if of_Z is None else lanes.of_signal(of_Z)
-    X = lanes.inverse_of_products(U) if Z is U else lanes.inverse(U.times_adjoint(Z))
+    X = lanes.inverse_of_products(U) if Z is U else U.times_adjoint(Z).inverse
     influence = Z.adjoint_times(X)
     in_lanes = Y.times(influence) if G is None else lanes.of_lines(G)
-    residual = Y.less_times(in_lanes, U)
+    residual = Y - in_lanes.times(U)
     G = lanes.lines(in_lanes, n_line) if G is None else G
     S = lanes.lines(X if Z is U else influence.adjoint_times(influence), n_line)
     C = lanes.lines(residual.times_adjoint(residual), n_line) / (dof if dof > 0 else jnp.nan)

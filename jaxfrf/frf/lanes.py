@@ -31,8 +31,7 @@ _Sums = tuple[Array, Array] | None
 
 
 class Lanes(AbstractMatrices):
-    """Matrices of groups of neighbouring lines, by real and imaginary parts. The last group is filled up by repeats of
-    the last line.
+    """Matrices of neighbouring lines, by real and imaginary parts.
 
     `pieces`: one beside the other. `first`: the row that each begins with, of as many as there are in `n_row`;
     `columns`: first and last of all; so that who reads a part need not copy it first."""
@@ -110,8 +109,8 @@ class Lanes(AbstractMatrices):
     def transpose(self) -> "Lanes":
         return Lanes(self.parts.swapaxes(_ROW, _COLUMN))
 
-    def at(self, *batch: int) -> "Lanes":
-        return Lanes(tuple(_at(x, batch) for x in self.pieces), self.first, self.n_row, self.columns)
+    def at(self, number: int) -> "Lanes":
+        return Lanes(tuple(x[:, number] for x in self.pieces), self.first, self.n_row, self.columns)
 
     def plus_diagonal(self, more: np.ndarray) -> "Lanes":
         real = more[..., None, :] * np.eye(*self.shape)
@@ -126,18 +125,9 @@ class Lanes(AbstractMatrices):
     def times_adjoint(self, other: "Lanes") -> "Lanes":
         return _times_adjoint(self, other)
 
-    def less_times(self, A: "Lanes", B: "Lanes") -> "Lanes":
-        return self - A.times(B)
-
-    def less_adjoint_times(self, A: "Lanes", B: "Lanes") -> "Lanes":
-        return self - A.adjoint_times(B)
-
-    def less_times_adjoint(self, A: "Lanes", B: "Lanes") -> "Lanes":
-        return self - A.times_adjoint(B)
-
     @property
     def inverse(self) -> "Lanes":
-        return inverse(self)
+        return _inverse(self) if self.n_row <= _LARGE else _by_lapack(by_line.inverse, self)
 
     @property
     def diagonal(self) -> Float[Array, "*batch row lane"]:
@@ -168,17 +158,14 @@ class Lanes(AbstractMatrices):
         return Lanes(jnp.stack([x.parts for x in several], axis=1))
 
 
-def _at(x, batch: tuple[int, ...]):
-    return functools.reduce(lambda x, k: x[:, k], batch, x)
-
-
 def of_signal(X: Complex[Array, "exp line channel"]) -> Lanes:
     """A signal as matrices (channel, exp): experiments side by side as columns."""
     return of_lines(X.transpose(1, 2, 0))
 
 
 def of_lines(X: Complex[Array, "line row col"]) -> Lanes:
-    """Matrices of every line, in groups: one axis `batch`."""
+    """Matrices of every line, in groups along one axis `batch`. The last group is filled up by repeats of the last
+    line."""
     missing = -len(X) % LANES
     X = jnp.pad(X, ((0, missing), (0, 0), (0, 0)), mode="edge") if missing else X
     X = X.reshape(-1, LANES, *X.shape[1:]).transpose(0, 2, 3, 1)
@@ -197,9 +184,7 @@ def identity(like: Lanes) -> Lanes:
 
 def lines(A: Lanes, n_line: int) -> Complex[Array, "line row col"]:
     """The matrices line by line."""
-    X = jnp.moveaxis(A.parts, -1, 2)
-    X = jax.lax.complex(X[0], X[1])
-    return X.reshape(-1, *A.shape)[:n_line]
+    return A.by_window.swapaxes(0, 1).reshape(-1, *A.shape)[:n_line]
 
 
 def some_lines(A: Lanes, which: np.ndarray) -> Complex[Array, "chosen row col"]:
@@ -344,23 +329,20 @@ class _ByColumns(AbstractElimination):
 
     @property
     def end(self) -> Lanes:
-        """Column by column: 1 times L_e^-H."""
-        found: list[Lanes] = []
-        L, diagonal = self.L[-self.unit :], self.inverse_diagonal[-self.unit :]
-        unit = Lanes(_unit(self.unit, L[0]))
-        for k in range(self.unit):
-            at_k = tuple((X, L[j][k - j - 1 : k - j, :]) for j, X in enumerate(found))
-            found.append(_next_unit(unit[:, k : k + 1], at_k, diagonal[k]))
-        return _beside(found)
+        return _back(self.L[-self.unit :], self.inverse_diagonal[-self.unit :], Lanes(_unit(self.unit, self.L[0])))
 
     def back(self, Y: Lanes) -> Lanes:
-        """From the last row on."""
-        n = len(self.L)
-        found: dict[int, Lanes] = {}
-        for k in reversed(range(n)):
-            known = tuple((self.L[k][i - k - 1 : i - k, :], X) for i, X in found.items())
-            found[k] = _next_row(Y[k : k + 1, :], known, self.inverse_diagonal[k])
-        return Lanes.joined([found[k] for k in range(n)], -2)
+        return _back(self.L, self.inverse_diagonal, Y)
+
+
+def _back(L, inverse_diagonal, Y: Lanes) -> Lanes:
+    """L^-H Y, from the last row on."""
+    n = len(L)
+    found: dict[int, Lanes] = {}
+    for k in reversed(range(n)):
+        known = tuple((L[k][i - k - 1 : i - k, :], X) for i, X in found.items())
+        found[k] = _next_row(Y[k : k + 1, :], known, inverse_diagonal[k])
+    return Lanes.joined([found[k] for k in range(n)], -2)
 
 
 def _eliminated(A: Lanes, unit: int) -> _ByColumns:
@@ -373,7 +355,7 @@ def _eliminated(A: Lanes, unit: int) -> _ByColumns:
         panel = A[first:, first : first + _PANEL]
         if panels:
             known = _beside([_last_rows(x, n_row - first) for x in panels])
-            panel = panel.less_times_adjoint(known, known[: panel.shape[1], :])
+            panel = panel - known.times_adjoint(known[: panel.shape[1], :])
         for k in range(panel.shape[1]):
             of_panel = tuple(_last_rows(x, panel.shape[0] - k) for x in L[first:])
             column, inverse = _next_column(panel[k:, k : k + 1], of_panel)
@@ -393,13 +375,8 @@ def _next_column(A: Lanes, known: tuple[Lanes, ...]):
 
 
 @apart
-def _next_unit(A: Lanes, known, factor) -> Lanes:
-    left = A.parts - _sum(known, _COLUMN, _COLUMN) if known else A.parts
-    return Lanes(left * factor[..., None, None, :])
-
-
-@apart
 def _next_row(A: Lanes, known, factor) -> Lanes:
+    """A row of L^-H Y, where those behind it are known."""
     left = A.parts - _sum(known, _ROW, _ROW) if known else A.parts
     return Lanes(left * factor[..., None, None, :])
 
@@ -409,7 +386,7 @@ def _last_rows(A: Lanes, count: int) -> Lanes:
 
 
 def _beside(columns: Sequence[Lanes]) -> Lanes:
-    """Single columns of the same rows side by side, without a copy."""
+    """Matrices of the same rows side by side, without a copy."""
     first = tuple(k for x in columns for k in x.first)
     return Lanes(tuple(piece for x in columns for piece in x.pieces), first, columns[0].n_row)
 
@@ -422,11 +399,6 @@ def _beside_unit(A: Lanes) -> Float[Array, "2 *batch row col lane"]:
 
 def _slice(x, k, axis: int):
     return jax.lax.dynamic_slice_in_dim(x, k, 1, axis=x.ndim + axis)
-
-
-def inverse(A: Lanes) -> Lanes:
-    """A^-1, NaN where it is singular."""
-    return _inverse(A) if A.shape[0] <= _LARGE else _by_lapack(by_line.inverse, A)
 
 
 def inverse_of_products(X: Lanes) -> Lanes:

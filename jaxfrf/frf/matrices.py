@@ -58,8 +58,8 @@ class AbstractMatrices(eqx.Module):
         return (self + self.adjoint) * 0.5
 
     @abc.abstractmethod
-    def at(self, *batch: int) -> Self:
-        """One of `batch`."""
+    def at(self, number: int) -> Self:
+        """One along the first axis `batch`."""
 
     @abc.abstractmethod
     def plus_diagonal(self, more: np.ndarray) -> Self:
@@ -76,18 +76,6 @@ class AbstractMatrices(eqx.Module):
     @abc.abstractmethod
     def times_adjoint(self, other: Self) -> Self:
         """A B^H."""
-
-    @abc.abstractmethod
-    def less_times(self, A: Self, B: Self) -> Self:
-        """X - A B."""
-
-    @abc.abstractmethod
-    def less_adjoint_times(self, A: Self, B: Self) -> Self:
-        """X - A^H B."""
-
-    @abc.abstractmethod
-    def less_times_adjoint(self, A: Self, B: Self) -> Self:
-        """X - A B^H."""
 
     @property
     @abc.abstractmethod
@@ -182,8 +170,8 @@ class Whole(AbstractMatrices):
     def transpose(self) -> "Whole":
         return Whole(self.array.mT)
 
-    def at(self, *batch: int) -> "Whole":
-        return Whole(self.array[batch])
+    def at(self, number: int) -> "Whole":
+        return Whole(self.array[number])
 
     def plus_diagonal(self, more: np.ndarray) -> "Whole":
         return Whole(jnp.asarray(self.array) + more[..., None, :] * np.eye(*self.shape))
@@ -196,15 +184,6 @@ class Whole(AbstractMatrices):
 
     def times_adjoint(self, other: "Whole") -> "Whole":
         return Whole(self.array @ adjoint(other.array))
-
-    def less_times(self, A: "Whole", B: "Whole") -> "Whole":
-        return self - A.times(B)
-
-    def less_adjoint_times(self, A: "Whole", B: "Whole") -> "Whole":
-        return self - A.adjoint_times(B)
-
-    def less_times_adjoint(self, A: "Whole", B: "Whole") -> "Whole":
-        return self - A.times_adjoint(B)
 
     @property
     def inverse(self) -> "Whole":

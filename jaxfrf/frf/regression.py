@@ -106,7 +106,7 @@ def solve_gram(A: Gram, equations: Equations) -> Solution:
     S = end.times_adjoint(end).hermitian
     pivot = jnp.min(common.pivot / power[:n], axis=0)
     if max(equations.n_own) == 0:
-        G, E, S = T.transpose, A.block(every[n:], every[n:]).less_times_adjoint(B, B), S.reshaped(1, 1, top, top)
+        G, E, S = T.transpose, A.block(every[n:], every[n:]) - B.times_adjoint(B), S.reshaped(1, 1, top, top)
     else:
         each = _each_equation(A, B, T, power[n:], equations)
         pivot = jnp.minimum(pivot, each.pivot)
@@ -151,8 +151,8 @@ def _each_equation(A: Gram, B, T, power, equations: Equations) -> _Each:
     n_target = each - own
     column = equations.n_common + np.arange(len(power)).reshape(count, each)
     B = B.reshaped(count, each, B.shape[1])
-    W = A.block(column, column[:, :own]).less_times_adjoint(B, B[:own, :])
-    of_targets = A.block(column[:, own:], column[:, own:]).less_times_adjoint(B[own:, :], B[own:, :])
+    W = A.block(column, column[:, :own]) - B.times_adjoint(B[:own, :])
+    of_targets = A.block(column[:, own:], column[:, own:]) - B[own:, :].times_adjoint(B[own:, :])
     spare = np.arange(own) >= np.asarray(equations.n_own)[:, None]
     W = W.plus_diagonal(spare.astype(float)) if spare.any() else W
     T = T.reshaped(top, count, each).moved(-2, -3)
@@ -163,8 +163,8 @@ def _each_equation(A: Gram, B, T, power, equations: Equations) -> _Each:
     power = power.reshape(count, each, *power.shape[1:])[:, :own]
     pivots = found.pivot / jnp.where(spare.reshape(*spare.shape, *[1] * (power.ndim - 2)), 1.0, power)
     return _Each(
-        G=T[:, own:].less_times_adjoint(influence, left).transpose,
-        E=of_targets.less_times_adjoint(left, left),
+        G=(T[:, own:] - influence.times_adjoint(left)).transpose,
+        E=of_targets - left.times_adjoint(left),
         added=influence.times_adjoint(influence).hermitian,
         D=solved[:, :n_target],
         F=solved[:, n_target:],
@@ -176,12 +176,10 @@ def _two_equations(A: Gram, B, S, each: _Each, equations: Equations):
     """E and S of both equations."""
     kind, own, count = type(B), each.D.shape[0], B.shape[0] // 2
     column = equations.n_common + np.arange(2 * count)
-    between = A.block(column[:count], column[count:]).less_times_adjoint(B[:count, :], B[count:, :])
-    inner, beside = between[:own, :own], between[own:, :own]
-    E_01 = between[own:, own:].less_times(beside, each.D.at(1))
-    effect = inner.times(each.D.at(1))
-    E_01 = E_01.less_adjoint_times(each.D.at(0), between[:own, own:] - effect)
-    S_01 = S + each.F.at(0).adjoint_times(inner.times(each.F.at(1)))
+    between = A.block(column[:count], column[count:]) - B[:count, :].times_adjoint(B[count:, :])
+    right = between[:, own:] - between[:, :own].times(each.D.at(1))
+    E_01 = right[own:, :] - each.D.at(0).adjoint_times(right[:own, :])
+    S_01 = S + each.F.at(0).adjoint_times(between[:own, :own].times(each.F.at(1)))
     E, S = each.E, S + each.added
     E = kind.joined([kind.joined([E.at(0), E_01], -1), kind.joined([E_01.adjoint, E.at(1)], -1)], -2)
     return E, kind.stacked([kind.stacked([S.at(0), S_01]), kind.stacked([S_01.adjoint, S.at(1)])])
@@ -191,12 +189,12 @@ def _several_equations(A: Gram, B, S, each: _Each, equations: Equations):
     """The same of any number of equations, small ones: of all pairs at once."""
     count, own = len(equations.n_own), each.D.shape[0]
     column = equations.n_common + np.arange(B.shape[0])
-    W = A.block(column, column).less_times_adjoint(B, B)
+    W = A.block(column, column) - B.times_adjoint(B)
     size = W.shape[0] // count
     W = W.reshaped(count, size, count, size).moved(-2, -3)  # (eq, eq, row, col)
     D, F = ([x.reshaped(*axes, *x.shape) for axes in ((count, 1), (1, count))] for x in (each.D, each.F))
-    right = W[:, own:].less_times(W[:, :own], D[1])
-    E = right[own:, :].less_adjoint_times(D[0], right[:own, :])
+    right = W[:, own:] - W[:, :own].times(D[1])
+    E = right[own:, :] - D[0].adjoint_times(right[:own, :])
     added = F[0].adjoint_times(W[:own, :own].times(F[1]))
     n_target = count * (size - own)
     added = (added + added.moved(-3, -4).adjoint) * 0.5  # pairs (t, u) and (u, t) are each other's adjoint

@@ -180,9 +180,9 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequen
 
     def one_tile(first):
         if in_lanes:
-            every = [one_part(windows, first) for windows in several]
-            of_one = lambda number: solve(Gram(jnp.concatenate(every), columns, number * len(every[0])), number)
-            return _of_each(of_one, len(several))
+            every = jnp.concatenate([one_part(windows, first) for windows in several])
+            count = len(every) // len(several)
+            return _of_each(lambda number: solve(Gram(every, columns, number * count), number), len(several))
         every = jnp.concatenate([x for windows in several for x in parts(windows, first)])
         number = np.repeat(np.arange(len(several)), n_part * size)
         found = jax.vmap(lambda moments, number: solve(Gram(moments, columns), number))(every, number)
