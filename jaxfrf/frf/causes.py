@@ -15,6 +15,7 @@ from .aperiodic import has_fractions, uses_reference, uses_windows
 from .average import AbstractAverage
 from .classical import channel_size
 from .covariance import variances
+from .inverse import squares
 from .method import AbstractMethod, Estimate
 from .running import running_mean
 from .scaled import Widened, scaled
@@ -61,7 +62,7 @@ def residual_level(estimate: Estimate, spectra: Spectra) -> np.ndarray:
 
     The residual is too small by what the estimate has adapted to the data: its own variance."""
     U, Y = np.asarray(spectra.U), np.asarray(spectra.Y)
-    rest = np.mean(_squares(Y - np.einsum("pfoi,pefi->pefo", estimate.G, U)), axis=1)
+    rest = np.mean(squares(Y - np.einsum("pfoi,pefi->pefo", estimate.G, U)), axis=1)
     adapted = np.einsum("pfoi,pefi->pfo", variance_of(estimate.cov, spectra.n_out), np.abs(U) ** 2) / U.shape[1]
     reach = np.round(np.asarray(estimate.window) / 2).astype(int)
     return running_mean(rest + np.nan_to_num(adapted), reach)
@@ -108,7 +109,7 @@ def _with_bias(estimate: Estimate, spectra: Spectra, method: AbstractMethod) -> 
     apart = np.maximum(np.abs(variance - own), _LEAST * np.minimum(variance, own))
     difference = variance if _averages_single(method, spectra) else apart
     usable = np.isfinite(pointwise) & (difference > 0)
-    excess = np.where(usable, _squares(estimate.G - pointwise) / np.where(usable, difference, 1.0), 0.0)
+    excess = np.where(usable, squares(estimate.G - pointwise) / np.where(usable, difference, 1.0), 0.0)
     excess = (1 - _OTHERS) * excess + _OTHERS * excess.mean(axis=(-2, -1), keepdims=True)
     reach = np.maximum(np.asarray(estimate.window) // _NEAR, _LEAST_NEAR).astype(int)
     found = np.maximum(running_mean(excess, reach) - 1, 0)
@@ -141,11 +142,11 @@ def _pointwise(spectra: Spectra, Z):
     inverse, singular = _inverse(product)
     influence = H / size_z[..., None, :] @ inverse / size_u[..., None, :]  # (exp, in)
     G = np.where(singular[..., None, None], np.nan, Y @ influence)
-    weight = np.sum(_squares(influence), axis=-2)
+    weight = np.sum(squares(influence), axis=-2)
     left = spectra.n_exp - spectra.n_in
     if left < 1:
         return G, weight, None
-    rest = np.sum(_squares(Y - np.nan_to_num(G) @ U), axis=-1) / left
+    rest = np.sum(squares(Y - np.nan_to_num(G) @ U), axis=-1) / left
     return G, weight, running_mean(rest, _NOISE_LINES)
 
 
@@ -160,11 +161,6 @@ def _inverse(A) -> tuple[np.ndarray, np.ndarray]:
         except np.linalg.LinAlgError:  # for all lines, where one is exactly singular
             singular |= ~(np.linalg.cond(A) < _SINGULAR)
             inverse = np.linalg.inv(np.where(singular[..., None, None], one, A))
-        sizes = [np.sqrt(np.sum(_squares(X), axis=(-2, -1))) for X in (A, inverse)]
+        sizes = [np.sqrt(np.sum(squares(X), axis=(-2, -1))) for X in (A, inverse)]
         singular |= ~(sizes[0] * sizes[1] < _SINGULAR)
     return np.where(singular[..., None, None], one, inverse), singular
-
-
-def _squares(X) -> np.ndarray:
-    """|X|^2, without the roots that `abs` takes."""
-    return np.square(X.real) + np.square(X.imag)

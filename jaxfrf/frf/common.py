@@ -10,12 +10,13 @@ import numpy as np
 
 from ..spectra import Spectra
 from .covariance import dense
+from .gram import Columns
 from .inverse import adjoint, inverse
 from .local import AbstractLocal, default_width
 from .matrices import Whole
 from .method import Signals
 from .regression import Equations, Solution
-from .window import Columns, Windows
+from .window import Windows
 
 
 class CommonDenominatorLRM(AbstractLocal):

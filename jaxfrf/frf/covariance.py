@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from .._types import Array
+from .inverse import squares
 
 
 class AbstractFactors(eqx.Module, np.lib.mixins.NDArrayOperatorsMixin):
@@ -122,7 +123,7 @@ class OuterSum(AbstractFactors):
         return self.columns @ self.columns.conj().mT
 
     def diagonal(self):
-        return (self.columns.real**2 + self.columns.imag**2).sum(axis=-1)
+        return squares(self.columns).sum(axis=-1)
 
 
 def variances(cov) -> Float[Array, "*batch vec"]:

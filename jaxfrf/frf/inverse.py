@@ -1,4 +1,4 @@
-"""Products and inverses of small matrices of which single ones in a batch may be singular."""
+"""Products and inverses of small matrices of which single ones in a batch may be singular, squares of elements."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -38,3 +38,8 @@ def product(A, B):
 
 def adjoint(A):
     return A.conj().mT
+
+
+def squares(X):
+    """|X|^2 of every element of an array, NumPy's or JAX's, without the root that `abs` takes."""
+    return X.real**2 + X.imag**2

@@ -6,7 +6,6 @@ is written down (`apart`), as XLA would otherwise work it out anew wherever the 
 it: its batched calls copy matrices, and hand work to threads that wait for each other.
 """
 
-import functools
 import operator
 from collections.abc import Sequence
 
@@ -25,6 +24,7 @@ LANES = 8  # lines side by side; of more, matrices leave the innermost cache
 _TERMS = 40  # of a sum that are written out; of longer ones parts go round
 _PART = 16  # terms of such a part
 _PANEL = 8  # columns that are eliminated together
+_TIE = 1e-15  # by which the first of rows with equal elements counts as larger
 _LARGE = 24  # rows, from which on LAPACK is as fast and shorter to compile
 _ROW, _COLUMN = -3, -2  # axes
 _Sums = tuple[Array, Array] | None
@@ -391,12 +391,6 @@ def _beside(columns: Sequence[Lanes]) -> Lanes:
     return Lanes(tuple(piece for x in columns for piece in x.pieces), first, columns[0].n_row)
 
 
-@apart
-def _beside_unit(A: Lanes) -> Float[Array, "2 *batch row col lane"]:
-    """[A, 1]."""
-    return jnp.concatenate([A.parts, _unit(A.shape[0], A)], axis=_COLUMN)
-
-
 def _slice(x, k, axis: int):
     return jax.lax.dynamic_slice_in_dim(x, k, 1, axis=x.ndim + axis)
 
@@ -418,55 +412,59 @@ def _by_lapack(function, A: Lanes) -> Lanes:
 
 
 def _inverse(A: Lanes) -> Lanes:
-    """Gauss and Jordan's, by the largest element that a column has in rows that are left."""
+    """Gauss and Jordan's, in place: in every step the unknown of a column changes sides with the right-hand side of the
+    row that has the largest element there, of those rows that have not yet."""
     n = A.shape[0]
 
-    def without(k, state):
+    def exchanged(k, state):
         W, chosen, used = state
         this = _largest(W, used, k)
-        W = _without_column(W, this, _pivot_row(W, this, k), k)
+        W = _exchanged(W, this, _pivot_row(W, this, k), k)
         return W, jax.lax.dynamic_update_slice_in_dim(chosen, this[None], k, axis=0), used + this
 
     none = jnp.zeros((n, *A.batch, n, A.n_lane))
-    W, chosen, _ = jax.lax.fori_loop(0, n, without, (_beside_unit(A), none, none[0]))
+    W, chosen, _ = jax.lax.fori_loop(0, n, exchanged, (A.parts, none, none[0]))
     return _in_order(W, chosen)
 
 
 @apart
 def _largest(W, used, k) -> Float[Array, "*batch row lane"]:
     """1 at the row of the largest element of column k, of those that are not used, the first of equal ones."""
-    size = jnp.sum(jnp.square(_slice(W, k, _COLUMN)), axis=0)[..., 0, :] * (1 - used) - used
-    return _first_largest(size)
+    first = 1 - _TIE * np.arange(W.shape[_ROW])[:, None]
+    size = jnp.sum(jnp.square(_slice(W, k, _COLUMN)), axis=0)[..., 0, :] * first * (1 - used) - used
+    return _at_largest(size)
 
 
 @apart
-def _first_largest(size):
-    each = [size[..., j : j + 1, :] for j in range(size.shape[-2])]
-    before = [np.arange(size.shape[-2])[:, None] > j for j in range(size.shape[-2])]
-    first = [jnp.logical_or(size > one, (size == one) & ~later) for one, later in zip(each, before, strict=True)]
-    return functools.reduce(jnp.logical_and, first).astype(float)
+def _at_largest(size):
+    return (size == jnp.max(size, axis=-2, keepdims=True)).astype(float)
 
 
 @apart
 def _pivot_row(W, this, k) -> Float[Array, "2 *batch 1 col lane"]:
-    """The row that is taken, with 1 at column k."""
+    """The row that is taken, solved for the unknown of column k."""
     row = sum(W[..., i, :, :] * this[..., i, None, :] for i in range(W.shape[_ROW]))[..., None, :, :]
-    return _over(row, _slice(row, k, _COLUMN))
+    one = np.array([1.0, 0.0]).reshape(2, *[1] * (row.ndim - 1))
+    return _over(jnp.where(_is_column(W, k), one, row), _slice(row, k, _COLUMN))
 
 
 @apart
-def _without_column(W, this, row, k):
-    """That row, and what it leaves of the others."""
-    return jnp.where(this[..., :, None, :] > 0, row, W - _product(_slice(W, k, _COLUMN), row))
+def _exchanged(W, this, row, k):
+    """That row, and what it makes of the others."""
+    others = jnp.where(_is_column(W, k), 0.0, W) - _product(_slice(W, k, _COLUMN), row)
+    return jnp.where(this[..., :, None, :] > 0, row, others)
+
+
+def _is_column(W, k):
+    return (np.arange(W.shape[_COLUMN]) == k)[:, None]
 
 
 @apart
 def _in_order(W, chosen) -> Lanes:
-    """The inverse, its rows in the order of columns; NaN where it is not finite."""
+    """The inverse, its rows in the order of columns and its columns in that of rows; NaN where it is not finite."""
     n = W.shape[_ROW]
-    right = W[..., n:, :]
-    rows = [sum(right[..., i, :, :] * chosen[k, ..., i, None, :] for i in range(n)) for k in range(n)]
-    found = jnp.stack(rows, axis=_ROW)
+    rows = jnp.stack([sum(W[..., i, :, :] * chosen[k, ..., i, None, :] for i in range(n)) for k in range(n)], _ROW)
+    found = sum(rows[..., k, None, :] * chosen[k, ..., None, :, :] for k in range(n))
     finite = jnp.isfinite(jnp.sum(found, axis=(0, _ROW, _COLUMN)))
     return Lanes(jnp.where(finite[..., None, None, :], found, jnp.nan))
 

@@ -13,9 +13,10 @@ from .._errors import input_error
 from .._types import Array
 from ..spectra import Spectra
 from .combine import direct, through_ratio
+from .gram import Columns
 from .method import AbstractMethod, Estimate, Signals, flags
 from .regression import PIVOT, RESIDUAL, Equations, solve_gram, solve_rows
-from .window import Columns, Windows, over_windows, rows
+from .window import Windows, over_windows, rows
 
 
 class AbstractLeastSquares(AbstractMethod):

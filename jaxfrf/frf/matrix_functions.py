@@ -12,7 +12,7 @@ from jaxtyping import Complex, Float
 from .._threads import shared
 from .._types import Array
 from . import lanes
-from .inverse import inverse
+from .inverse import squares
 from .lanes import Lanes
 
 
@@ -50,7 +50,7 @@ def _derivative(f, primals, tangents):
 
 def _eigen(A):
     values, V = jax.lax.platform_dependent(A, cpu=lambda a: tuple(jnp.linalg.eig(a)), default=eigen_on_host)
-    return values, V, jax.vmap(inverse)(V)
+    return values, V, lanes.lines(lanes.of_lines(V).inverse, len(V))
 
 
 def eigen_on_host(A: Complex[Array, "n n"]) -> tuple[Complex[Array, " n"], Complex[Array, "n n"]]:
@@ -81,7 +81,7 @@ def _composed(values, V, V_inverse):
 
 
 def _norm(A):
-    return jnp.sqrt(jnp.sum(jnp.square(A.real) + jnp.square(A.imag), axis=(-2, -1)))
+    return jnp.sqrt(jnp.sum(squares(A), axis=(-2, -1)))
 
 
 _BLOCK = 256  # matrices that one core takes: some 20 ms
@@ -139,7 +139,7 @@ def _units(A) -> Float[Array, "line n"]:
     """The d for which diag(1/d) A diag(d) has rows as large as columns, by the mean logarithm of elements' ratios,
     where that makes A smaller; powers of 2, so that nothing is rounded."""
     A = jax.lax.stop_gradient(A)
-    size = jnp.square(A.real) + jnp.square(A.imag)
+    size = squares(A)
     least = _LEAST * size.max(axis=(1, 2), keepdims=True) + _LEAST
     told = (size > least) & (size.mT > least)
     logs = jnp.where(told, jnp.log2(jnp.maximum(size, least)), 0.0)

@@ -23,9 +23,9 @@ from jaxtyping import Complex, Float, Int
 
 from .._compile import after
 from .._types import Array
+from .gram import AbstractGram
 from .inverse import adjoint
 from .matrices import AbstractMatrices, Whole
-from .window import Gram
 
 PIVOT = 1e-8
 """Smallest accepted pivot, relative to its column. A Gram matrix squares the condition number: the relative error of
@@ -91,7 +91,7 @@ class Solution(eqx.Module):
     missing: Int[Array, ""]
 
 
-def solve_gram(A: Gram, equations: Equations) -> Solution:
+def solve_gram(A: AbstractGram, equations: Equations) -> Solution:
     """All equations of a window from the Gram matrix of its columns.
 
     The common columns are eliminated first, W being what they leave of the products of all others; each equation then
@@ -143,7 +143,7 @@ class _Each(eqx.Module):
     pivot: Float[Array, "*window"]
 
 
-def _each_equation(A: Gram, B, T, power, equations: Equations) -> _Each:
+def _each_equation(A: AbstractGram, B, T, power, equations: Equations) -> _Each:
     """From what the common columns leave of the products A of each equation's own columns and targets, where these
     explain B B^H, and from the top coefficients T of all of them."""
     count, own, top = len(equations.n_own), max(equations.n_own), equations.n_top
@@ -172,7 +172,7 @@ def _each_equation(A: Gram, B, T, power, equations: Equations) -> _Each:
     )
 
 
-def _two_equations(A: Gram, B, S, each: _Each, equations: Equations):
+def _two_equations(A: AbstractGram, B, S, each: _Each, equations: Equations):
     """E and S of both equations."""
     kind, own, count = type(B), each.D.shape[0], B.shape[0] // 2
     column = equations.n_common + np.arange(2 * count)
@@ -185,7 +185,7 @@ def _two_equations(A: Gram, B, S, each: _Each, equations: Equations):
     return E, kind.stacked([kind.stacked([S.at(0), S_01]), kind.stacked([S_01.adjoint, S.at(1)])])
 
 
-def _several_equations(A: Gram, B, S, each: _Each, equations: Equations):
+def _several_equations(A: AbstractGram, B, S, each: _Each, equations: Equations):
     """The same of any number of equations, small ones: of all pairs at once."""
     count, own = len(equations.n_own), each.D.shape[0]
     column = equations.n_common + np.arange(B.shape[0])

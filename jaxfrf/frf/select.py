@@ -17,6 +17,7 @@ from .._types import Array
 from ..spectra import Spectra
 from .classical import H1
 from .covariance import KroneckerSum, dense, variances
+from .inverse import squares
 from .joint import JointInputOutput
 from .local import LRM, AbstractLocal
 from .method import AbstractMethod, Estimate, Signals, arrays_of, on_host, run, solve_again
@@ -257,7 +258,7 @@ def _local_noise(tried: Estimate, U, Y, widths: tuple[int, ...]):
     knows less of G than it states then.
     """
     narrow = min(len(widths) - 1, 1 + (widths[0] == 1))
-    left = jnp.abs(Y - jnp.einsum("foi,efi->efo", tried.G[narrow], U)) ** 2
+    left = squares(Y - jnp.einsum("foi,efi->efo", tried.G[narrow], U))
     power = jnp.where(jnp.isfinite(left), left, 0.0).mean(axis=0)
     n_exp, n_freq = Y.shape[:2]
 
@@ -291,7 +292,7 @@ def _blend(tried: Estimate, widths: tuple[int, ...], noise) -> Estimate:
         wide = jnp.minimum(own, variance)
         known = jnp.isfinite(variance) & (variance > 0)  # that of a channel without any signal is zero
         between = jnp.where(known, jnp.maximum(variance - wide, _LEAST * variance), 1.0)
-        excess = jnp.where(known, jnp.abs(G_wide - G) ** 2 / between, 0.0)
+        excess = jnp.where(known, squares(G_wide - G) / between, 0.0)
         bias = jnp.maximum(_mean(excess, near) - 1, 0)
         keep = bias / (1 + bias)
         told = (1 - _OTHERS) * excess + _OTHERS * excess.mean(axis=(-2, -1), keepdims=True)

@@ -24,11 +24,12 @@ from jaxtyping import Complex
 
 from .._compile import after
 from .._types import Array
+from .gram import Columns
 from .least_squares import Plan, estimate_several, estimate_windows, side_by_side
 from .local import AbstractLocal
 from .method import Estimate, Signals
 from .regression import Equations
-from .window import Columns, Windows
+from .window import Windows
 
 
 def has_second_stage(method: AbstractLocal) -> bool:

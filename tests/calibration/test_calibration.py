@@ -115,6 +115,7 @@ def test_friction_a_moment_later():
     np.testing.assert_allclose(later[:, low], shifted[:, low], atol=0.02 * np.abs(shifted).max())
 
 
+@pytest.mark.slow
 def test_no_record_tells_how_heavy_all_is():
     """All of a robot heavier by one part, its motors stronger by as much, moves alike, ripple and all: not a part in
     1e8 of what motors give is left, or a record seems to know it, 2 to 4 % off on R3X."""

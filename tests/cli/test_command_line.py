@@ -705,7 +705,7 @@ def interrupted(tmp_path, monkeypatch, capsys, data, *arguments, at=3):
     assert not (tmp_path / "frf.npz").exists() and (tmp_path / "frf.npz.parts").is_dir()
 
 
-@pytest.mark.parametrize("method", ["h1", "lrm-mimo"])
+@pytest.mark.parametrize("method", ["h1", pytest.param("lrm-mimo", marks=pytest.mark.slow)])
 def test_resume(tmp_path, monkeypatch, capsys, method):
     data = positions(tmp_path)
     assert estimate(data, "-o", tmp_path / "whole.npz", "--method", method) == 0

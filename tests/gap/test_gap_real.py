@@ -39,6 +39,7 @@ def emps(measured, emps_robot):
     )
 
 
+@pytest.mark.slow
 def test_emps_names_its_friction(emps):
     assert emps.verdict == "named"
     assert [e.name for e in emps.effects] == ["coulomb_friction", "friction_asymmetry"]
@@ -74,6 +75,7 @@ def test_emps_by_the_command(measured, emps, emps_robot, tmp_path):
     assert "coulomb" in page.read_text()
 
 
+@pytest.mark.slow
 def test_emps_gap_on_the_pulses(measured, emps):
     """Before and after on the record that was opened once, against the published model in plain NumPy."""
     data = emps_record(measured, "DATA_EMPS_PULSES")
@@ -94,6 +96,7 @@ def test_emps_gap_on_the_pulses(measured, emps):
     assert gap.floor < gap.after
 
 
+@pytest.mark.slow
 def test_emps_friction_differs_by_direction(emps):
     """What remains is even in the speed: the published variant with two viscous coefficients, which no effect of the
     library has; it is told, not named."""

@@ -276,6 +276,7 @@ def test_identify_asks_after_signs_and_channels():
     assert "shoulder is like that of elbow" in "".join(jf.calibrate(arm(tolerance=0.05), exchanged).doubts())
 
 
+@pytest.mark.slow
 def test_what_the_library_lacks_is_not_named():
     """A torque that depends on both angles, as no effect does."""
     more = lambda q, v, a: 0.3 * (np.sin(9 * q[:, :1]) * np.cos(11 * q[:, 1:])) * [0, 1]
