@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from .._compile import apart
+from .._compile import after, apart
 from .._types import Array
 from . import lanes
 from .gram import AbstractGram, Columns, Group, Places, groups_of, highest_power, places_of, powers_of
@@ -127,7 +127,7 @@ def _moments(windows: Neighbours, here: _Lines, columns: Columns):
         parts = []
         for group, of_group, first, last in zip(groups, tables, ends[:-1], ends[1:], strict=True):
             part = group.highest + 1, int(first), int(last)
-            parts.append(_summed(of_group[number], (core[number], *edges), part))
+            parts.append(_summed(of_group[number], (core[number], *edges), part, parts[-1:]))
         return _one_behind_the_other([*parts, *(-x[len(x) // 2 :] for x in parts)])
 
     return of_width
@@ -140,16 +140,18 @@ def _of_group(table, group: Group, highest: int) -> Float[Array, "width term num
     return of_powers.reshape(*of_powers.shape[:2], -1)
 
 
-def _summed(table, values, part: tuple[int, int, int]) -> Float[Array, "moment window"]:
-    """Sum over powers of the core and lines of the edges, of some products."""
+def _summed(table, values, part: tuple[int, int, int], before) -> Float[Array, "moment window"]:
+    """Sum over powers of the core and lines of the edges, of some products, `before` being there: what has to wait for
+    nothing XLA hands to another core, which takes longer than the sum."""
     n_core, first, last = part
 
     @apart
-    def summed(table, core, *edges):
+    def summed(before, table, core, *edges):
         terms = zip([row[first:last, None] for x in (core[:n_core], *edges) for row in x], table, strict=True)
-        return sum(products * numbers for products, numbers in terms)
+        total = sum(products * numbers for products, numbers in terms)
+        return functools.reduce(after, before, total)
 
-    return summed(table, *values).reshape(-1, LANES)
+    return summed(before, table, *values).reshape(-1, LANES)
 
 
 def _one_behind_the_other(parts) -> Float[Array, "row window"]:
