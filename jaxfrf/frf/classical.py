@@ -15,7 +15,7 @@ from ..spectra import Spectra
 from . import lanes
 from .alike import few_lines, looks_alike, spread_lines
 from .covariance import KroneckerSum
-from .inverse import adjoint, inverse, product
+from .inverse import adjoint, inverse, product, squares
 from .least_squares import AbstractLeastSquares, check_steady
 from .method import AbstractMethod, Estimate, Signals, flags
 from .regression import PIVOT
@@ -251,8 +251,8 @@ def _largest(X, Z, U) -> Float[Array, "freq"]:
     """The largest entry of X for signals of unit length."""
     size_U = lanes.squares(U)
     size_Z = size_U if Z is U else lanes.squares(Z)
-    squares = (jnp.square(X.real) + jnp.square(X.imag)) * size_Z[:, :, None] * size_U[:, None]
-    return jnp.sqrt(jnp.max(functools.reduce(jnp.maximum, jnp.moveaxis(squares, 1, 0)), axis=1).ravel())
+    sizes = squares(X) * size_Z[:, :, None] * size_U[:, None]
+    return jnp.sqrt(jnp.max(functools.reduce(jnp.maximum, jnp.moveaxis(sizes, 1, 0)), axis=1).ravel())
 
 
 def _alike(residual, influence, U, n_line: int):

@@ -43,7 +43,7 @@ class Group(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def groups_of(columns: Columns) -> tuple[Group, ...]:
-    """The moments that the products of these columns are made of, by their highest power."""
+    """The moments that the products of these columns are made of."""
     powers: dict[int, list[int]] = {}
     for power, signal in zip(columns.power, columns.signal, strict=True):
         powers.setdefault(signal, []).append(power)
@@ -51,8 +51,7 @@ def groups_of(columns: Columns) -> tuple[Group, ...]:
     for pair in itertools.combinations_with_replacement(sorted(powers.keys() - {-1}), 2):
         of = [powers[signal] for signal in pair]
         alike.setdefault((sum(map(min, of)), sum(map(max, of))), []).append(pair)
-    by_highest = sorted(alike.items(), key=lambda each: each[0][::-1])
-    return tuple(Group(*reach, *zip(*pairs, strict=True)) for reach, pairs in by_highest)
+    return tuple(Group(*reach, *zip(*pairs, strict=True)) for reach, pairs in alike.items())
 
 
 def highest_power(columns: Columns) -> int:

@@ -196,8 +196,7 @@ def some_lines(A: Lanes, which: np.ndarray) -> Complex[Array, "chosen row col"]:
 @apart
 def squares(A: Lanes) -> Float[Array, "*batch row lane"]:
     """The sum of squares of every row."""
-    each = jnp.square(A.real) + jnp.square(A.imag)
-    return jnp.sum(each, axis=_COLUMN)
+    return jnp.sum(by_line.squares(A), axis=_COLUMN)
 
 
 # Products -------------------------------------------------------------------------------------------------------------

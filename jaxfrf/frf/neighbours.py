@@ -224,7 +224,6 @@ def _places(columns: Columns) -> Places:
     return Places(np.where(there > 0, with_signs.real, zero), np.where(sign != 0, imaginary, zero), sign, there)
 
 
-@functools.lru_cache(maxsize=64)
 def _negative(columns: Columns) -> np.ndarray:
     """For every moment that is an imaginary part, the place of the same with the other sign."""
     found, first, at = np.zeros(_n_moment(columns), int), 0, _n_moment(columns)
