@@ -5,7 +5,7 @@ import contextlib
 import functools
 import os
 import pathlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from typing import Any, Generic, ParamSpec, TypeVar, overload
 
 import jax
@@ -83,6 +83,22 @@ def shared(work: Callable[[Item], Result], items: Iterable[Item], threads: int |
         return [work(item) for item in items]
     with concurrent.futures.ThreadPoolExecutor(threads) as pool:
         return list(pool.map(with_settings(work), items))
+
+
+_compiled: set[Hashable] = set()
+
+
+def of_one_program(
+    work: Callable[[Item], Result], items: Sequence[Item], threads: int, program: Hashable
+) -> Iterator[Result]:
+    """Every item's result, in order, as they come. `program`: which program `work` runs: the first item is worked on
+    alone where it is not known to be compiled yet, so that not every thread compiles it."""
+    first = 0 if program in _compiled else 1
+    yield from map(work, items[:first])
+    _compiled.add(program)
+    if len(items) > first:
+        with concurrent.futures.ThreadPoolExecutor(threads) as pool:
+            yield from pool.map(with_settings(work), items[first:])
 
 
 @functools.cache

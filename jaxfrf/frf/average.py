@@ -60,10 +60,17 @@ class AbstractAverage(AbstractMethod):
         own = self.inner.residual_dof(_first(signals, size))
         return own * (signals.n_exp // size) if own > 0 else signals.n_exp // size - 1.0
 
-    def estimate(self, spectra: Spectra) -> Estimate:
+    @property
+    def shares_lines(self) -> bool:
+        return self.inner.shares_lines
+
+    def n_window(self, spectra: Spectra) -> int:
+        return spectra.n_exp // self.block_size(spectra) * self.inner.n_window(spectra)
+
+    def estimate(self, spectra: Spectra, n_part: int = 1) -> Estimate:
         """As everywhere; but a method that mends doubtful lines before it goes on does so for every block."""
         if type(self.inner).estimate is AbstractMethod.estimate:
-            return super().estimate(spectra)
+            return super().estimate(spectra, n_part)
         blocks = _block_by_block(spectra, self.block_size(spectra))
         each = self.inner.estimate(blocks)
         each = jax.tree.map(lambda x: x.reshape(spectra.n_pos, -1, *x.shape[1:]), each)
@@ -211,6 +218,10 @@ class RobustMean(AbstractAverage):
                 "at least three, of which most agree",
                 "Take another mean (log), or add experiments.",
             )
+
+    @property
+    def shares_lines(self) -> bool:
+        return False  # weights look at neighbours
 
     def mean(self, G):
         return G.mean(axis=1), jnp.zeros(len(G), bool)

@@ -218,6 +218,9 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
     experiment, C from the residuals Y - G U, which are orthogonal to Z.
     """
     dof = signals.n_exp - signals.n_in
+    looks = lines is None and signals.part is None
+    if signals.part is not None and lines is None:
+        lines = signals.part.lines(signals.U.shape[1])
     of_U, of_Y, of_Z, noise = _at(lines, signals.U, signals.Y, instrument, signals.noise)
     n_line = of_U.shape[1]
     G = None if response is None else jax.vmap(lambda U, Y: response(U.T, Y.T), in_axes=1)(of_U, of_Y)
@@ -242,7 +245,7 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
         window=every + 1,
         doubtful=every > 0,
         cov_noise=told,
-        alike=_alike(residual, influence, U, n_line) if lines is None and dof > 0 else None,
+        alike=_alike(residual, influence, U, n_line) if looks and dof > 0 else None,
     )
     return estimate, _largest(X, Z, U)[:n_line]
 

@@ -1,6 +1,5 @@
 """The verb of this package: spectra, or a record, and a method to an FRF."""
 
-import concurrent.futures
 import dataclasses
 import os
 from collections.abc import Callable, Iterator
@@ -13,7 +12,7 @@ from .._arguments import expect_callable, wrong_kind
 from .._device import on_accelerator
 from .._errors import input_error
 from .._status import SERIOUS, Status, describe
-from .._threads import lapack_threads, one_blas_thread, with_settings
+from .._threads import lapack_threads, of_one_program, one_blas_thread
 from .._types import require_x64
 from ..experiment import Experiment
 from ..spectra import Spectra, select_positions
@@ -28,8 +27,7 @@ from .weighed import weighed
 
 _BLOCK_BYTES = 8e8  # operating points are estimated in groups that need about this much memory
 _ACCELERATED = 20  # times as much, on a GPU: to start a group takes longer than the arithmetic of a few points
-_SHARED = 1000  # lines of all operating points, from which on more than one core takes part
-_compiled: set = set()  # programs that the first group has compiled for the others
+_SHARED = 600  # windows of all operating points, from which on more than one core takes part
 _FEW = 4  # times as many rows as channels, that mostly tell the rank
 _WEAK = 1e-6  # power of a channel at a line, relative to its median line, that counts as almost none
 
@@ -167,20 +165,25 @@ def _groups(spectra: Spectra) -> list[np.ndarray]:
     return [np.minimum(np.arange(i, i + size), last) for i in range(0, spectra.n_pos, size)]
 
 
+def _parts(spectra: Spectra, method: AbstractMethod) -> int:
+    """In how many parts the cores share the lines of a single operating point."""
+    few = len(spectra.lines) * method.n_window(spectra) <= _SHARED
+    alone = few or spectra.n_pos > 1 or method.looks or not method.shares_lines or on_accelerator()
+    return 1 if alone else lapack_threads()
+
+
 def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray]) -> Iterator[Estimate]:
     """The estimate of every group of operating points, in threads of their own once the program is compiled."""
 
+    if len(groups) == 1:
+        yield method.estimate(spectra, _parts(spectra, method))
+        return
+
     def estimated(group):
-        return method.estimate(spectra if len(groups) == 1 else select_positions(spectra, group))
+        return method.estimate(select_positions(spectra, group))
 
     program = describe_method(method), spectra.U.shape[1:], len(groups[0])
-    first = 0 if program in _compiled and len(groups) > 1 else 1
-    yield from map(estimated, groups[:first])
-    _compiled.add(program)
-    if len(groups) == first:
-        return
-    with concurrent.futures.ThreadPoolExecutor(lapack_threads()) as pool:
-        yield from pool.map(with_settings(estimated), groups[first:])
+    yield from of_one_program(estimated, groups, lapack_threads(), program)
 
 
 def _everywhere(spectra: Spectra, method: AbstractMethod, progress) -> Estimate:

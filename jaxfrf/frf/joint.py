@@ -38,6 +38,10 @@ class JointInputOutput(AbstractMethod):
     def looks(self) -> bool:
         return self.method.looks
 
+    @property
+    def shares_lines(self) -> bool:
+        return self.method.shares_lines
+
     def check(self, spectra: Spectra) -> None:
         if spectra.R is None:
             raise input_error(

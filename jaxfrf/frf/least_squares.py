@@ -1,6 +1,7 @@
 """Estimators that are one linear least-squares problem in every window: the model, its solution, its covariance."""
 
 import abc
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -44,6 +45,10 @@ class AbstractLeastSquares(AbstractMethod):
     @abc.abstractmethod
     def windows(self, spectra: Spectra | Signals, n_parameters: int) -> Windows:
         """The windows, given the unknowns of one target."""
+
+    @property
+    def shares_lines(self) -> bool:
+        return True
 
     def block_size(self, spectra: Spectra | Signals) -> int:
         return 1
@@ -110,6 +115,8 @@ class AbstractLeastSquares(AbstractMethod):
         n_targets = [data.n_out, data.n_in] if joint else [data.n_out]
         columns, equations = self.model(data.n_exp, data.n_in, n_targets)
         windows = self.windows(data, equations.n_regressor)
+        if isinstance(data, Signals):
+            windows = dataclasses.replace(windows, part=data.part)
         spent = equations.n_regressor + self.shared_parameters(data.n_out)
         return Plan(columns, equations, windows, spent, float(data.n_exp * windows.width - spent))
 
@@ -186,7 +193,7 @@ def estimate_several(signals, plan: Plan, combine, several: Sequence[Windows]) -
         return _of_window(solve_gram(A, plan.equations), plan, combine, dofs[number])
 
     G, cov, dof, deficient, doubtful = over_windows(one_window, signals, several, plan.columns)
-    at_edge = ~np.stack([windows.centred for windows in several])
+    at_edge = ~jnp.asarray(np.stack([windows.centred for windows in several]))[:, several[0].lines]
     return _estimate(G, cov, dof, deficient, doubtful, at_edge, np.array([[windows.width] for windows in several]))
 
 

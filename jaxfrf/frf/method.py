@@ -14,9 +14,11 @@ from .._annotated import check_fields
 from .._compile import compiled
 from .._device import at_once, on_accelerator
 from .._status import Status
+from .._threads import of_one_program
 from .._types import Array
 from ..spectra import Spectra
 from .covariance import AbstractFactors
+from .part import Part, joined, parts_of
 
 _BATCHES = (8, 64)  # lines that are solved again at once: few numbers, so that few programs are compiled
 
@@ -26,7 +28,8 @@ class Signals(eqx.Module):
 
     **Fields:** `U`, `Y`, `R`: Fourier coefficients of input, output and reference, (exp, freq, channel). `noise`:
     covariance of [Y; U] between periods, (exp, freq, sig, sig). `frequency`: (freq,), Hz. `R` and `noise` are `None`
-    where they are unknown.
+    where they are unknown. `part`: the lines that are to be estimated, all where it is `None`; see
+    `AbstractMethod.shares_lines`.
     """
 
     U: Complex[Array, "exp freq in"]
@@ -34,6 +37,7 @@ class Signals(eqx.Module):
     R: Complex[Array, "exp freq ref"] | None
     noise: Complex[Array, "exp freq sig sig"] | None
     frequency: Float[Array, "freq"]
+    part: Part | None = None
 
     @property
     def n_exp(self) -> int:
@@ -120,13 +124,25 @@ class AbstractMethod(eqx.Module):
         """Whether its estimate says in `Estimate.alike` if experiments are of one noise."""
         return False
 
+    @property
+    def shares_lines(self) -> bool:
+        """Whether `estimate` can take the lines in parts, which cores share; `at_point` then heeds `Signals.part`."""
+        return False
+
+    def n_window(self, spectra: Spectra) -> int:
+        """Windows that are solved for the estimate of one line: what it takes, about."""
+        return 1
+
     def remarks(self, spectra: Spectra) -> tuple[str, ...]:
         """Sentences on what of these spectra the method does not use."""
         return ()
 
-    def estimate(self, spectra: Spectra) -> Estimate:
-        """The estimate at every operating point: `at_point`, and the doubtful lines solved again."""
-        return solved_again(on_host(run(_at_point, self, spectra)), self, spectra)
+    def estimate(self, spectra: Spectra, n_part: int = 1) -> Estimate:
+        """The estimate at every operating point: `at_point`, and the doubtful lines solved again. `n_part`: parts of
+        the lines that are estimated at the same time."""
+        parts = run_in_parts(_at_point, self, spectra, n_part)
+        found = joined([on_host(x) for x in parts], len(spectra.frequency), axis=1)
+        return solved_again(found, self, spectra)
 
 
 def solved_again(estimate: Estimate, method: AbstractMethod, spectra: Spectra) -> Estimate:
@@ -166,25 +182,43 @@ def arrays_of(spectra: Spectra) -> tuple[dict, Array]:
     return {k: None if x is None else np.asarray(x) for k, x in signals.items()}, np.asarray(spectra.frequency)
 
 
-def run(estimate, method: AbstractMethod, spectra: Spectra):
-    """`estimate(method, signals)` of every operating point, as one compiled program."""
-    return compiled(_run)(estimate, method, *arrays_of(spectra))
+def run(estimate, method: AbstractMethod, spectra: Spectra, *more, part: Part | None = None):
+    """`estimate(method, signals, *more)` of every operating point, as one compiled program; `more`: what else there is
+    of every point."""
+    return compiled(_run)(estimate, method, *arrays_of(spectra), more, part)
+
+
+def run_in_parts(estimate, method: AbstractMethod, spectra: Spectra, n_part: int, *more) -> list:
+    """The same of every part of the lines, each by a core of its own."""
+    if n_part == 1:
+        return [run(estimate, method, spectra, *more)]
+
+    def of_part(part):
+        return jax.block_until_ready(run(estimate, method, spectra, *more, part=part))
+
+    program = estimate, jax.tree.structure(method), spectra.U.shape, spectra.Y.shape, n_part
+    return list(of_one_program(of_part, parts_of(len(spectra.frequency), n_part), n_part, program))
 
 
 def _at_point(method: AbstractMethod, signals: Signals) -> Estimate:
     return method.at_point(signals)
 
 
-def _run(estimate, method: AbstractMethod, points: dict, frequency):
-    return over_points(lambda point: estimate(method, Signals(**point, frequency=frequency)), points)
+def _run(estimate, method: AbstractMethod, points: dict, frequency, more, part):
+    def one_point(point, *more):
+        return estimate(method, Signals(**point, frequency=frequency, part=part), *more)
+
+    return over_points(one_point, points, *more)
 
 
-def over_points(estimate, points: dict):
-    """`estimate(point)` of every operating point, whose arrays are `points` without their leading axis: one after the
-    other, as the moments of one fit the cache; on an accelerator as many at once as it holds."""
+def over_points(estimate, points: dict, *more):
+    """`estimate(point, *more)` of every operating point, whose arrays are these without their leading axis: one after
+    the other, as the moments of one fit the cache; on an accelerator as many at once as it holds."""
+    every = (points, *more)
     if points["U"].shape[0] == 1:
-        return jax.tree.map(lambda x: x[None], estimate(jax.tree.map(lambda x: x[0], points)))
-    return jax.lax.map(estimate, points, batch_size=_points_at_once(points) if on_accelerator() else None)
+        return jax.tree.map(lambda x: x[None], estimate(*jax.tree.map(lambda x: x[0], every)))
+    at_once = _points_at_once(points) if on_accelerator() else None
+    return jax.lax.map(lambda point: estimate(*point), every, batch_size=at_once)
 
 
 def _points_at_once(points: dict) -> int:

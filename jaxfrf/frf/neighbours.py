@@ -64,29 +64,37 @@ class Neighbours(eqx.Module):
 
 
 def over_neighbours(solve, signals: Complex[Array, "exp freq sig"], several: Sequence["Windows"], columns: Columns):
-    """`solve(A, number)` of every window of every one of several `Windows` of the same lines: a pytree with leading
-    axes (number, freq)."""
-    n_freq, of = signals.shape[1], products(signals, columns)
-    n_line = min(max(windows.width for windows in several) + LANES - 1, n_freq)
-
-    coordinate = jnp.asarray(several[0].coordinate, float)
+    """`solve(A, number)` of every window of every one of several `Windows` around the same lines: a pytree with leading
+    axes (number, line)."""
+    n_freq, count, widest = signals.shape[1], several[0].count, max(windows.width for windows in several)
+    every = _lines_of_windows(several, min(count + widest + LANES, n_freq))
+    of = products(jax.lax.dynamic_slice_in_dim(signals, every[0], len(every), axis=1), columns)
+    coordinate = jnp.asarray(several[0].coordinate, float)[every]
+    n_line = min(widest + LANES - 1, len(every))
 
     def around(first):
         near = neighbours(several, jnp.minimum(first + np.arange(LANES), n_freq - 1))
-        source = jnp.minimum(jnp.min(near.begin), n_freq - n_line)
-        here = (jax.lax.dynamic_slice_in_dim(x, source, n_line) for x in (coordinate, of))
+        source = jnp.minimum(jnp.min(near.begin), every[-1] + 1 - n_line)
+        here = (jax.lax.dynamic_slice_in_dim(x, source - every[0], n_line) for x in (coordinate, of))
         moments = _moments(near, _Lines(source + np.arange(n_line), *here), columns)
         return _of_each(lambda number: solve(NeighbouringGrams(moments(number), columns), number), len(several))
 
-    return by_number(jax.lax.map(around, jnp.arange(0, n_freq, LANES)), n_freq)
+    return by_number(jax.lax.map(around, several[0].first + jnp.arange(0, count, LANES)), count)
 
 
-def by_number(found, n_freq: int):
-    """(tile, number, line, ...) as (number, freq, ...)."""
+def _lines_of_windows(several: Sequence["Windows"], count: int) -> Int[Array, "line"]:
+    """So many lines, among which are all of the windows."""
+    n_freq, first = len(several[0].coordinate), several[0].first
+    begin = functools.reduce(jnp.minimum, [jnp.asarray(windows.start)[first] for windows in several])
+    return jnp.minimum(begin, n_freq - count) + np.arange(count)
+
+
+def by_number(found, n_line: int):
+    """(tile, number, line, ...) as (number, line, ...)."""
 
     def in_order(x):
         x = jnp.moveaxis(x, 1, 0)
-        return x.reshape(x.shape[0], -1, *x.shape[3:])[:, :n_freq]
+        return x.reshape(x.shape[0], -1, *x.shape[3:])[:, :n_line]
 
     return jax.tree.map(in_order, found)
 

@@ -20,7 +20,8 @@ from .covariance import KroneckerSum, dense, variances
 from .inverse import squares
 from .joint import JointInputOutput
 from .local import LRM, AbstractLocal
-from .method import AbstractMethod, Estimate, Signals, arrays_of, on_host, run, solve_again
+from .method import AbstractMethod, Estimate, Signals, arrays_of, on_host, run, run_in_parts, solve_again
+from .part import joined
 from .scaled import Scaled
 from .two_stage import has_second_stage, prediction, second_stage
 
@@ -129,21 +130,33 @@ class Auto(AbstractMethod):
         return self._with_width(self.candidates(signals)[0], signals).residual_dof(signals)
 
     def at_point(self, signals: Signals, lines=None) -> Estimate:
-        tried, _ = self._tried(signals)
+        predicted, pilot = self._before(signals)
+        if pilot is not None:
+            signals = dataclasses.replace(signals, U=after(signals.U, pilot.G))
+        tried = _with_pilot(pilot, self._tried(signals, predicted))
         widths = self._reach(signals)
         blended = _blend(tried, widths, _local_noise(tried, signals.U, signals.Y, widths))
         return blended if lines is None else jax.tree.map(lambda x: x[lines], blended)
 
-    def estimate(self, spectra: Spectra) -> Estimate:
+    @property
+    def shares_lines(self) -> bool:
+        return True
+
+    def n_window(self, spectra: Spectra) -> int:
+        return len(self.candidates(spectra))
+
+    def estimate(self, spectra: Spectra, n_part: int = 1) -> Estimate:
         """As everywhere; but doubtful lines are solved again before the windows are compared."""
-        tried, predicted = run(Auto._tried, self, spectra)
-        if np.asarray(tried.doubtful).any():
-            tried = self._solved_again(tried, predicted, spectra)
-        return on_host(compiled(_blended)(tried, np.asarray(spectra.U), np.asarray(spectra.Y), self._reach(spectra)))
+        predicted, pilot = run(Auto._before, self, spectra)
+        parts = run_in_parts(Auto._tried, self, spectra, n_part, predicted)
+        if any(np.asarray(part.doubtful).any() for part in parts):
+            parts = [self._solved_again(joined(parts, len(spectra.frequency), axis=2), predicted, spectra)]
+        arrays = np.asarray(spectra.U), np.asarray(spectra.Y)
+        return on_host(compiled(_blended)(pilot, parts, *arrays, self._reach(spectra)))
 
     def _solved_again(self, tried: Estimate, predicted, spectra: Spectra) -> Estimate:
         tried, (points, frequency) = jax.tree.map(np.array, tried), arrays_of(spectra)
-        widths = self._reach(spectra)
+        widths = self.candidates(spectra)
         for pos, number in np.argwhere(tried.doubtful.any(axis=-1)):
             point, here = (jax.tree.map(lambda x, pos=pos: x[pos], x) for x in (points, predicted))
             one_width = _OneWidth(self, widths[number], here)
@@ -158,23 +171,26 @@ class Auto(AbstractMethod):
     def _has_pilot(self, spectra: Spectra | Signals) -> bool:
         return self.method.transient is None and spectra.n_exp > spectra.n_in
 
-    def _tried(self, signals: Signals) -> tuple[Estimate, Array | None]:
-        """The estimates with every width, which is the leading axis, the pilot in front of them; and the prediction
-        that fits in two stages have made."""
+    def _before(self, signals: Signals) -> tuple[Array | None, Estimate | None]:
+        """What is there before windows are tried: the prediction for fits in two stages, and the pilot, which has no
+        window; `None` where there is none."""
+        joint = self.through_reference(signals)
+        predicted = self._prediction(signals, joint) if self._two_stages else None
+        if not self._has_pilot(signals):
+            return predicted, None
+        if predicted is not None:
+            signals = dataclasses.replace(signals, U=after(signals.U, predicted))
+        return predicted, _pilot(JointInputOutput(H1()) if joint else H1(), signals)
+
+    def _tried(self, signals: Signals, predicted: Array | None) -> Estimate:
+        """The estimates with every width, which is the leading axis."""
         joint = self.through_reference(signals)
         methods = [dataclasses.replace(self.method, width=w) for w in self.candidates(signals)]
         plans = [method.plan(signals, joint) for method in methods]
         windows = [plan.windows for plan in plans]
-        predicted = self._prediction(signals, joint) if self._two_stages else None
-        if self._two_stages:
-            found = second_stage(methods[0], signals, joint, predicted, windows)
-        else:
-            found = self.method.regressed_with(signals, joint, plans[0], windows)
-        if not self._has_pilot(signals):
-            return found, predicted
-        waiting = dataclasses.replace(signals, U=after(signals.U, found.G))
-        pilot = _pilot(JointInputOutput(H1()) if joint else H1(), waiting, found)
-        return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pilot, found), predicted
+        if predicted is not None:
+            return second_stage(methods[0], signals, joint, predicted, windows)
+        return self.method.regressed_with(signals, joint, plans[0], windows)
 
     @property
     def _two_stages(self) -> bool:
@@ -219,22 +235,28 @@ class _OneWidth(AbstractMethod):
         return method.regressed(signals, joint, lines)
 
 
-def _pilot(method: AbstractMethod, signals: Signals, like: Estimate) -> Estimate:
-    """H1 with its noise averaged over some lines, with a covariance of the kind that `like` has."""
+def _pilot(method: AbstractMethod, signals: Signals) -> Estimate:
+    """H1 with its noise averaged over some lines."""
     found = method.at_point(signals)
     assert isinstance(found.cov, KroneckerSum)
     right = _mean(found.cov.right, _neighbours(signals.U.shape[1], _PILOT_LINES))
-    lines = 2 * _PILOT_LINES + 1
-    noise = found.cov_noise
-    assert noise is None or isinstance(noise, KroneckerSum)
     return dataclasses.replace(
         found,
-        cov=_of_kind(KroneckerSum(found.cov.left, right), like.cov),
-        dof=found.dof * min(lines, len(right)),
+        cov=KroneckerSum(found.cov.left, right),
+        dof=found.dof * min(2 * _PILOT_LINES + 1, len(right)),
         doubtful=jnp.zeros_like(found.doubtful),
         alike=None,
-        cov_noise=None if like.cov_noise is None or noise is None else _of_kind(noise, like.cov_noise),
+        cov_noise=None,
     )
+
+
+def _with_pilot(pilot: Estimate | None, found: Estimate) -> Estimate:
+    """The estimates with every window, (width, freq, ...), the pilot in front of them."""
+    if pilot is None:
+        return found
+    assert isinstance(pilot.cov, KroneckerSum) and found.cov_noise is None
+    pilot = dataclasses.replace(pilot, cov=_of_kind(pilot.cov, found.cov))
+    return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pilot, found)
 
 
 def _of_kind(cov: KroneckerSum, like):
@@ -246,9 +268,14 @@ def _of_kind(cov: KroneckerSum, like):
     return KroneckerSum(wide(cov.left), wide(cov.right)) if missing else cov
 
 
-def _blended(tried: Estimate, U, Y, widths: tuple[int, ...]) -> Estimate:
-    """`_blend` at every operating point, from (pos, width, freq, ...)."""
-    return jax.vmap(lambda x, u, y: _blend(x, widths, _local_noise(x, u, y, widths)))(tried, U, Y)
+def _blended(pilot: Estimate | None, parts: list[Estimate], U, Y, widths: tuple[int, ...]) -> Estimate:
+    """`_blend` at every operating point, from (pos, width, line, ...) of every part of the lines."""
+
+    def one_point(pilot, found, u, y):
+        tried = _with_pilot(pilot, found)
+        return _blend(tried, widths, _local_noise(tried, u, y, widths))
+
+    return jax.vmap(one_point)(pilot, joined(parts, U.shape[2], axis=2), U, Y)
 
 
 def _local_noise(tried: Estimate, U, Y, widths: tuple[int, ...]):

@@ -17,6 +17,7 @@ from .._errors import input_error
 from .._types import Array
 from .gram import Columns, Gram, moments, products
 from .neighbours import by_number, over_neighbours
+from .part import Part
 
 _PART, _LEAST_PART = 16, 4  # neighbouring windows whose moments are one product, which meets the lines of all of them
 _SMALL = 56  # columns, up to which windows go side by side: more leave the cache, and compile for 5 s longer
@@ -27,17 +28,19 @@ _WIDE = 4  # times as many lines as columns: moments of such windows take as lon
 
 
 class Windows(eqx.Module):
-    """Where the window of every line stands.
+    """Where the window of every line stands, and around which lines windows are wanted.
 
     - `coordinate`: (freq,), the local variable before centring and scaling: line index or frequency.
     - `start`, `stop`: (freq,), first line of each window, and the one after its last. Even widths 2b reach from -b to
       b-1 (the paper's window), odd ones are symmetric; near the ends of the band windows are shifted inwards and no
       longer centred.
+    - `part`: those lines; all where it is `None`.
     """
 
     coordinate: Float[Array, "freq"]
     start: Int[Array, "freq"]
     stop: Int[Array, "freq"]
+    part: Part | None = None
 
     @property
     def width(self) -> int:
@@ -47,6 +50,21 @@ class Windows(eqx.Module):
     def centred(self) -> Bool[Array, "freq"]:
         """Whether each window stands around its line."""
         return self.start == np.arange(len(self.start)) - self.width // 2
+
+    @property
+    def first(self):
+        """The first line of the part."""
+        return 0 if self.part is None else self.part.first
+
+    @property
+    def count(self) -> int:
+        """Lines of the part."""
+        return len(self.start) if self.part is None else self.part.count
+
+    @property
+    def lines(self) -> Int[Array, "line"]:
+        """The lines of the part."""
+        return np.arange(len(self.start)) if self.part is None else self.part.lines(len(self.start))
 
 
 def windows(coordinate, width: int) -> Windows:
@@ -78,8 +96,8 @@ def local_variable(windows: Windows, line, near) -> tuple[Float[Array, "line"], 
 
 
 def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequence[Windows], columns: Columns):
-    """`solve(A, number)` of every window of every one of several `Windows` of the same lines, A its Gram matrix: a
-    pytree with leading axes (number, freq).
+    """`solve(A, number)` of every window of every one of several `Windows` around the same lines, A its Gram matrix: a
+    pytree with leading axes (number, line).
 
     Neighbouring windows go side by side through the registers of a processor (`lanes`), one group after the other
     (`lax.map`), so that only what `solve` returns is ever kept of all. Large ones, and all on an accelerator, are taken
@@ -91,7 +109,8 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequen
 
 def _one_by_one(solve, signals, several: Sequence[Windows], columns: Columns):
     n_freq, of = signals.shape[1], products(signals, columns)
-    size, n_part = _parts(several, n_freq, len(columns.power))
+    count = several[0].count
+    size, n_part = _parts(several, count, len(columns.power))
 
     def one_part(windows, first):
         lines = jnp.minimum(first + np.arange(size), n_freq - 1)
@@ -113,15 +132,15 @@ def _one_by_one(solve, signals, several: Sequence[Windows], columns: Columns):
         found = jax.vmap(lambda moments, number: solve(Gram(moments, columns), number))(every, number)
         return jax.tree.map(lambda x: x.reshape(len(several), n_part * size, *x.shape[1:]), found)
 
-    return by_number(jax.lax.map(one_tile, jnp.arange(0, n_freq, n_part * size)), n_freq)
+    return by_number(jax.lax.map(one_tile, several[0].first + jnp.arange(0, count, n_part * size)), count)
 
 
-def _parts(several: Sequence[Windows], n_freq: int, n_column: int) -> tuple[int, int]:
+def _parts(several: Sequence[Windows], n_line: int, n_column: int) -> tuple[int, int]:
     """Neighbouring windows whose moments are one product, and how many such parts of each of `several` make a tile."""
     tile = at_once(n_column) if on_accelerator() else _windows_of_tile(n_column)
     wide = max(windows.width for windows in several) > _WIDE * n_column
-    size = min(_PART, max(tile // len(several), _PART if wide else _LEAST_PART), n_freq)
-    return size, max(min(tile // len(several), n_freq + size - 1) // size, 1)
+    size = min(_PART, max(tile // len(several), _PART if wide else _LEAST_PART), n_line)
+    return size, max(min(tile // len(several), n_line + size - 1) // size, 1)
 
 
 def _windows_of_tile(n_column: int) -> int:
