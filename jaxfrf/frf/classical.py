@@ -252,8 +252,8 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
 
 def _largest(X, Z, U) -> Float[Array, "freq"]:
     """The largest entry of X for signals of unit length."""
-    size_U = lanes.squares(U)
-    size_Z = size_U if Z is U else lanes.squares(Z)
+    size_U = U.power
+    size_Z = size_U if Z is U else Z.power
     sizes = squares(X) * size_Z[:, :, None] * size_U[:, None]
     return jnp.sqrt(jnp.max(functools.reduce(jnp.maximum, jnp.moveaxis(sizes, 1, 0)), axis=1).ravel())
 

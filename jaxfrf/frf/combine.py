@@ -7,15 +7,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from .covariance import KroneckerSum
-from .matrices import AbstractMatrices, each_window
+from .matrices import each_window
 from .regression import Solution
+from .residuals import AbstractResiduals, in_parts
 
 _FEW = 2  # equations; between more of them the factors take more room than the covariance
 
 
 def direct(solution: Solution, of_target: np.ndarray, dof) -> tuple:
     """G and Cov(vec G) when the regressors are the inputs themselves; `of_target`: the equation of each target."""
-    return solution.G.by_window, _covariance(solution.S, None, _noise(solution, dof), of_target)
+    C = solution.E.whole * _each_dof(dof)
+    if solution.S.batch[0] == 1:
+        return solution.G.by_window, _product(solution.S, C)
+    cov = each_window(lambda S, C: _written_out(_each_pair(S, C, of_target)), solution.S, C)
+    return solution.G.by_window, cov
 
 
 def through_ratio(solution: Solution, of_target: np.ndarray, dof) -> tuple:
@@ -29,36 +34,28 @@ def through_ratio(solution: Solution, of_target: np.ndarray, dof) -> tuple:
     G = solution.G[:-n_in, :].times(W)
     W = W.transpose
     S = W.times(solution.S).times_adjoint(W)
-    return G.by_window, _covariance(S, G, _noise(solution, dof), of_target)
+    return G.by_window, _of_ratio(S, G, solution.E, _each_dof(dof), of_target)
 
 
-def _noise(solution: Solution, dof) -> AbstractMatrices:
-    """C; NaN without degrees of freedom."""
-    return solution.E * (1.0 / jnp.where(dof > 0, dof, jnp.nan))
+def _each_dof(dof):
+    """By which E is C; NaN without degrees of freedom."""
+    return 1.0 / jnp.where(dof > 0, dof, jnp.nan)
 
 
-def _in_parts(G, C) -> list:
-    """M C M^H, M = [I, -G], as four terms: of the errors of y, of both in either order, of those of u."""
-    n_out = G.shape[0]
-    of_u = C[:, n_out:].times_adjoint(G)
-    both = of_u[:n_out, :] * -1.0
-    return [C[:n_out, :n_out], both, both.adjoint, G.times(of_u[n_out:, :])]
-
-
-def _covariance(S, G, C, of_target: np.ndarray):
-    """sum_tu S_tu (x) (M_t C M_u^H), M = [I, -G], or the identity where no G is given."""
-    n_in = S.shape[0]
+def _of_ratio(S, G, E: AbstractResiduals, factor, of_target: np.ndarray):
+    """sum_tu S_tu (x) (M_t C M_u^H)."""
     count = S.batch[0]
     if count == 1:
-        parts = None if G is None else _in_parts(G, C)
-        right = C if parts is None else parts[0] + parts[1] + parts[2] + parts[3]
-        return KroneckerSum(S.reshaped(1, n_in, n_in).by_window, right.reshaped(1, *right.shape).by_window)
-    if G is not None and count <= _FEW:  # y has the first equation and u the second: M_0 = [I, 0], M_1 = [0, -G]
-        right = type(C).stacked(_in_parts(G, C))
-        return KroneckerSum(S.reshaped(-1, n_in, n_in).by_window, right.by_window)
-    if G is None:
-        return each_window(lambda S, C: _written_out(_each_pair(S, C, of_target)), S, C)
+        return _product(S, E.of_ratio(G) * factor)
+    C = E.whole * factor
+    if count <= _FEW:  # y has the first equation and u the second: M_0 = [I, 0], M_1 = [0, -G]
+        return KroneckerSum(S.reshaped(-1, *S.shape).by_window, type(C).stacked(in_parts(G, C)).by_window)
     return each_window(lambda S, C, G: _written_out(_turned(G, _each_pair(S, C, of_target))), S, C, G)
+
+
+def _product(S, C) -> KroneckerSum:
+    """S (x) C of one equation."""
+    return KroneckerSum(S.reshaped(1, *S.shape).by_window, C.reshaped(1, *C.shape).by_window)
 
 
 def _each_pair(S, C, of_target: np.ndarray):

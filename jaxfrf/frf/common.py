@@ -16,6 +16,7 @@ from .local import AbstractLocal, default_width
 from .matrices import Whole
 from .method import Signals
 from .regression import Equations, Solution
+from .residuals import Residuals
 from .window import Windows
 
 
@@ -90,7 +91,7 @@ class _SharedDenominator(eqx.Module):
         def one_window(G, S, E, power, dof):
             return self._of_window(G, E, 1 / power, lambda G, E: _replaced(solution, G, S, E), of_target, dof)
 
-        arrays = [x.by_window for x in (solution.G, solution.S, solution.E)]
+        arrays = [x.by_window for x in (solution.G, solution.S, solution.E.whole)]
         each: Callable = one_window if isinstance(solution.G, Whole) else jax.vmap(one_window)
         return each(*arrays, solution.power.T, dof)
 
@@ -128,7 +129,7 @@ class _SharedDenominator(eqx.Module):
 
 
 def _replaced(solution: Solution, G, S, E) -> Solution:
-    return dataclasses.replace(solution, G=Whole(G), S=Whole(S), E=Whole(E))
+    return dataclasses.replace(solution, G=Whole(G), S=Whole(S), E=Residuals(Whole(E)))
 
 
 def _normal(E, weight):

@@ -133,6 +133,10 @@ class Lanes(AbstractMatrices):
     def diagonal(self) -> Float[Array, "*batch row lane"]:
         return jnp.moveaxis(jnp.diagonal(self.real, axis1=_ROW, axis2=_COLUMN), -1, -2)
 
+    @property
+    def power(self) -> Float[Array, "*batch row lane"]:
+        return _power(self)
+
     def eliminated(self, unit: int = 0) -> "_ByColumns":
         return _eliminated(self, unit)
 
@@ -194,7 +198,7 @@ def some_lines(A: Lanes, which: np.ndarray) -> Complex[Array, "chosen row col"]:
 
 
 @apart
-def squares(A: Lanes) -> Float[Array, "*batch row lane"]:
+def _power(A: Lanes) -> Float[Array, "*batch row lane"]:
     """The sum of squares of every row."""
     return jnp.sum(by_line.squares(A), axis=_COLUMN)
 

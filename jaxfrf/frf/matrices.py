@@ -11,7 +11,7 @@ from jax.lax import linalg
 from jaxtyping import Complex, Float
 
 from .._types import Array
-from .inverse import adjoint, inverse
+from .inverse import adjoint, inverse, squares
 
 
 class AbstractMatrices(eqx.Module):
@@ -86,6 +86,11 @@ class AbstractMatrices(eqx.Module):
     @abc.abstractmethod
     def diagonal(self) -> Float[Array, "*batch row"]:
         """Real parts on the diagonal, with the axis of windows behind where there are several."""
+
+    @property
+    @abc.abstractmethod
+    def power(self) -> Float[Array, "*batch row"]:
+        """The sum of squares of every row, with the axis of windows behind where there are several."""
 
     @abc.abstractmethod
     def eliminated(self, unit: int = 0) -> "AbstractElimination":
@@ -192,6 +197,10 @@ class Whole(AbstractMatrices):
     @property
     def diagonal(self):
         return jnp.diagonal(self.array, axis1=-2, axis2=-1).real
+
+    @property
+    def power(self):
+        return jnp.sum(squares(self.array), axis=-1)
 
     def eliminated(self, unit: int = 0) -> "_ByLapack":
         n = self.shape[1]

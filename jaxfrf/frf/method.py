@@ -141,7 +141,9 @@ class AbstractMethod(eqx.Module):
         """The estimate at every operating point: `at_point`, and the doubtful lines solved again. `n_part`: parts of
         the lines that are estimated at the same time."""
         parts = run_in_parts(_at_point, self, spectra, n_part)
-        found = joined([on_host(x) for x in parts], len(spectra.frequency), axis=1)
+        found = on_host(parts[0])
+        if n_part > 1:
+            found = joined([found, *map(on_host, parts[1:])], len(spectra.frequency), axis=1)
         return solved_again(found, self, spectra)
 
 

@@ -26,6 +26,7 @@ from .._types import Array
 from .gram import AbstractGram
 from .inverse import adjoint
 from .matrices import AbstractMatrices, Whole
+from .residuals import AbstractResiduals, Residuals, Unexplained
 
 PIVOT = 1e-8
 """Smallest accepted pivot, relative to its column. A Gram matrix squares the condition number: the relative error of
@@ -75,8 +76,8 @@ class Equations(eqx.Module):
 class Solution(eqx.Module):
     """A solved window, or several side by side, whose axis stands behind all others of numbers that are real.
 
-    - `G`: responses of all targets, (target, top). `S`: of every pair of equations, (eq, eq, top, top). `E`: q times C,
-      of all targets.
+    - `G`: responses of all targets, (target, top). `S`: of every pair of equations, (eq, eq, top, top). `E`: products of
+      residuals, q times C, of all targets.
     - `power`: of every target, summed over the rows.
     - `pivot`: smallest relative pivot (0: singular, NaN: not factorised). `residual`: smallest relative residual power.
     - `missing`: rank that the regressors of the worst equation lack.
@@ -84,7 +85,7 @@ class Solution(eqx.Module):
 
     G: AbstractMatrices
     S: AbstractMatrices
-    E: AbstractMatrices
+    E: AbstractResiduals
     power: Float[Array, "target *window"]
     pivot: Float[Array, "*window"]
     residual: Float[Array, "*window"]
@@ -105,25 +106,26 @@ def solve_gram(A: AbstractGram, equations: Equations) -> Solution:
     T = end.times_adjoint(B[:, n - top :])  # top coefficients of every other column regressed on the common ones
     S = end.times_adjoint(end).hermitian
     pivot = jnp.min(common.pivot / power[:n], axis=0)
+    targets = _target_columns(equations)
     if max(equations.n_own) == 0:
-        G, E, S = T.transpose, A.block(every[n:], every[n:]) - B.times_adjoint(B), S.reshaped(1, 1, top, top)
+        G, S = T.transpose, S.reshaped(1, 1, top, top)
+        E: AbstractResiduals = Unexplained(A.block(every[n:], every[n:]), B)
     else:
         each = _each_equation(A, B, T, power[n:], equations)
         pivot = jnp.minimum(pivot, each.pivot)
         join = _two_equations if len(equations.n_own) == 2 else _several_equations
-        G = each.G.reshaped(-1, top)
-        E, S = join(A, B, S, each, equations)
-    slots, targets = equations.slots, _target_columns(equations)
-    if not np.array_equal(slots, np.arange(E.shape[0])):
-        G, E = G[slots, :], E[slots, slots]
-    power, E = power[n:][targets], E.hermitian
+        G, (whole, S), slots = each.G.reshaped(-1, top), join(A, B, S, each, equations), equations.slots
+        if not np.array_equal(slots, np.arange(whole.shape[0])):
+            G, whole = G[slots, :], whole[slots, slots]
+        E = Residuals(whole.hermitian.conjugate)
+    power = power[n:][targets]
     return Solution(
         G=G,
         S=S,
-        E=E.conjugate,
+        E=E,
         power=power,
         pivot=pivot,
-        residual=jnp.min(E.diagonal / power, axis=0),
+        residual=jnp.min(E.power / power, axis=0),
         missing=jnp.zeros((), int),
     )
 
@@ -226,7 +228,7 @@ def solve_rows(K: Complex[Array, "row col"], equations: Equations) -> Solution:
     return Solution(
         G=Whole(G.reshape(-1, top)[slots]),
         S=Whole(S),
-        E=Whole(V.T @ V.conj()).hermitian,
+        E=Residuals(Whole(V.T @ V.conj()).hermitian),
         power=jnp.sum(jnp.abs(K[:, n:][:, targets]) ** 2, axis=0),
         pivot=jnp.ones(()),
         residual=jnp.ones(()),

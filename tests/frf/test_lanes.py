@@ -20,7 +20,7 @@ def test_lines_in_groups(n_line):
     @jax.jit
     def ours(A, B):
         A, B = lanes.of_lines(A), lanes.of_lines(B)
-        squares = lanes.squares(A).swapaxes(1, 2).reshape(-1, 4)[:n_line]
+        squares = A.power.swapaxes(1, 2).reshape(-1, 4)[:n_line]
         half = lanes.inverse_of_products(B.adjoint)
         return lanes.lines(A.times(B), n_line), squares, lanes.some_lines(A, some), lanes.lines(half, n_line)
 
