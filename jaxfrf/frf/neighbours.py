@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from .window import Windows
 
 
+_APART = 60  # lines that one width would have to have less, for two products of matrices to be faster than one
+
+
 class NeighbouringGrams(AbstractGram):
     """Those of neighbouring windows.
 
@@ -76,7 +79,7 @@ def over_neighbours(solve, signals: Complex[Array, "exp freq sig"], several: Seq
         near = neighbours(several, jnp.minimum(first + np.arange(LANES), n_freq - 1))
         source = jnp.minimum(jnp.min(near.begin), every[-1] + 1 - n_line)
         here = (jax.lax.dynamic_slice_in_dim(x, source - every[0], n_line) for x in (coordinate, of))
-        moments = _moments(near, _Lines(source + np.arange(n_line), *here), columns)
+        moments = _moments(near, _Lines(source + np.arange(n_line), *here), columns, [w.width for w in several])
         return _of_each(lambda number: solve(NeighbouringGrams(moments(number), columns), number), len(several))
 
     return by_number(jax.lax.map(around, several[0].first + jnp.arange(0, count, LANES)), count)
@@ -123,10 +126,10 @@ class _Lines(eqx.Module):
     products: Float[Array, "line product"]
 
 
-def _moments(windows: Neighbours, here: _Lines, columns: Columns):
+def _moments(windows: Neighbours, here: _Lines, columns: Columns, widths: list[int]):
     """What takes the number of a width to the moments of its windows."""
     highest, groups = highest_power(columns), groups_of(columns)
-    core, (table, *places) = _core(windows, here, highest), _tables(windows, here, highest)
+    core, (table, *places) = _cores(windows, here, highest, widths), _tables(windows, here, highest)
     tables = [_of_group(table, group, highest) for group in groups]
     ends = np.cumsum([0, *(2 * len(group.first) for group in groups)])
 
@@ -171,8 +174,37 @@ def _one_behind_the_other(parts) -> Float[Array, "row window"]:
     return found
 
 
-def _core(windows: Neighbours, here: _Lines, highest: int) -> Float[Array, "width power product"]:
+def _cores(windows: Neighbours, here: _Lines, highest: int, widths: list[int]) -> Float[Array, "width power product"]:
     """Moments of the lines that all windows of a width have, about the middle."""
+    parts = [(_some(windows, which), max(widths[which])) for which in _together(widths)]
+    return jnp.concatenate([_core(part, _about(part, here, widest), highest) for part, widest in parts])
+
+
+def _together(widths: list[int]) -> list[slice]:
+    """Widths that are taken together: all, or the first and the last ones by themselves where that is less to multiply,
+    as narrow windows have few of the lines."""
+
+    def cost(first: int) -> int:
+        return sum(len(part) * (max(part) + LANES) + _APART for part in (widths[:first], widths[first:]) if part)
+
+    first = min(range(len(widths)), key=cost)
+    return [part for part in (slice(first), slice(first, None)) if widths[part]]
+
+
+def _some(windows: Neighbours, which: slice) -> Neighbours:
+    """Those of some widths."""
+    begin, end, reach = (x[which] for x in (windows.begin, windows.end, windows.reach))
+    return Neighbours(begin, end, windows.centre, reach, windows.middle)
+
+
+def _about(windows: Neighbours, here: _Lines, widest: int) -> _Lines:
+    """The lines that hold them."""
+    count = min(widest + LANES - 1, len(here.number))
+    first = jnp.minimum(jnp.min(windows.begin) - here.number[0], len(here.number) - count)
+    return jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, count), here)
+
+
+def _core(windows: Neighbours, here: _Lines, highest: int) -> Float[Array, "width power product"]:
     inside = (here.number >= windows.begin[:, -1:]) & (here.number < windows.end[:, :1])
     powers = jnp.where(inside[:, None], powers_of(here.coordinate - windows.middle, highest), 0.0)
     return (powers.reshape(-1, inside.shape[1]) @ here.products).reshape(*powers.shape[:2], -1)

@@ -76,8 +76,8 @@ class Equations(eqx.Module):
 class Solution(eqx.Module):
     """A solved window, or several side by side, whose axis stands behind all others of numbers that are real.
 
-    - `G`: responses of all targets, (target, top). `S`: of every pair of equations, (eq, eq, top, top). `E`: products of
-      residuals, q times C, of all targets.
+    - `G`: responses of all targets, (target, top). `S`: of every pair of equations, (eq, eq, top, top). `E`: products
+      of residuals of all targets, q times C.
     - `power`: of every target, summed over the rows.
     - `pivot`: smallest relative pivot (0: singular, NaN: not factorised). `residual`: smallest relative residual power.
     - `missing`: rank that the regressors of the worst equation lack.

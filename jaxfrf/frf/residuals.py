@@ -14,9 +14,12 @@ from .matrices import AbstractMatrices
 
 
 class AbstractResiduals(eqx.Module):
-    """E, (target, target): `whole`."""
+    """E, (target, target)."""
 
-    whole: eqx.AbstractVar[AbstractMatrices]
+    @property
+    @abc.abstractmethod
+    def whole(self) -> AbstractMatrices:
+        """E."""
 
     @property
     @abc.abstractmethod
@@ -31,14 +34,18 @@ class AbstractResiduals(eqx.Module):
 class Residuals(AbstractResiduals):
     """As it is."""
 
-    whole: AbstractMatrices
+    E: AbstractMatrices
+
+    @property
+    def whole(self):
+        return self.E
 
     @property
     def power(self):
-        return self.whole.diagonal
+        return self.E.diagonal
 
     def of_ratio(self, G):
-        first, *others = in_parts(G, self.whole)
+        first, *others = in_parts(G, self.E)
         return sum(others, first)
 
 

@@ -1,13 +1,15 @@
 """The estimator that chooses its windows from the data."""
 
 import dataclasses
+import functools
 import math
 import numbers
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 
 from .._annotated import check_fields
 from .._compile import after, compiled
@@ -113,15 +115,14 @@ class Auto(AbstractMethod):
         n_lines = len(spectra.frequency)
         if self.widths is not None:
             return tuple(sorted({int(w) for w in self.widths}))
-        n = self.method.n_parameters(spectra, spectra.n_in, max(spectra.n_out, spectra.n_in))
-        least = min(-(-n // spectra.n_exp) + max(4, -(-n // (2 * spectra.n_exp))), n_lines)
-        most = max(n_lines // 3, least)
-        count = max(6, 1 + math.ceil(math.log(most / least, _STEP)))
-        return tuple(sorted({round(w) for w in np.geomspace(least, most, count)}))
+        return _widths(self._n_parameters(spectra), spectra.n_exp, n_lines)
+
+    def _n_parameters(self, spectra: Spectra | Signals) -> int:
+        return self.method.n_parameters(spectra, spectra.n_in, max(spectra.n_out, spectra.n_in))
 
     def without_windows(self, spectra: Spectra) -> AbstractMethod:
         """This, or the estimate line by line where there are too few lines for any window and experiments enough."""
-        n = self.method.n_parameters(spectra, spectra.n_in, max(spectra.n_out, spectra.n_in))
+        n = self._n_parameters(spectra)
         if len(spectra.frequency) * spectra.n_exp >= n or spectra.n_exp < spectra.n_in:
             return self
         return JointInputOutput(H1()) if self.through_reference(spectra) else H1()
@@ -133,8 +134,7 @@ class Auto(AbstractMethod):
         predicted, pilot = self._before(signals)
         if pilot is not None:
             signals = dataclasses.replace(signals, U=after(signals.U, pilot.G))
-        tried = _with_pilot(pilot, self._tried(signals, predicted))
-        widths = self._reach(signals)
+        tried, widths = _Tried(pilot, self._tried(signals, predicted)), self._reach(signals)
         blended = _blend(tried, widths, _local_noise(tried, signals.U, signals.Y, widths))
         return blended if lines is None else jax.tree.map(lambda x: x[lines], blended)
 
@@ -209,6 +209,14 @@ class Auto(AbstractMethod):
         return JointInputOutput(method) if self.through_reference(spectra) else method
 
 
+@functools.lru_cache(maxsize=64)
+def _widths(n_parameters: int, n_exp: int, n_lines: int) -> tuple[int, ...]:
+    least = min(-(-n_parameters // n_exp) + max(4, -(-n_parameters // (2 * n_exp))), n_lines)
+    most = max(n_lines // 3, least)
+    count = max(6, 1 + math.ceil(math.log(most / least, _STEP)))
+    return tuple(sorted({round(w) for w in np.geomspace(least, most, count)}))
+
+
 class _OneWidth(AbstractMethod):
     """The estimate of `Auto` with one of its windows, for lines that are solved again.
 
@@ -250,13 +258,31 @@ def _pilot(method: AbstractMethod, signals: Signals) -> Estimate:
     )
 
 
-def _with_pilot(pilot: Estimate | None, found: Estimate) -> Estimate:
-    """The estimates with every window, (width, freq, ...), the pilot in front of them."""
-    if pilot is None:
-        return found
-    assert isinstance(pilot.cov, KroneckerSum) and found.cov_noise is None
-    pilot = dataclasses.replace(pilot, cov=_of_kind(pilot.cov, found.cov))
-    return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pilot, found)
+class _Tried(eqx.Module):
+    """The estimates with every window, (width, freq, ...): a pilot where there is one, then the others, which are not
+    copied to stand behind it."""
+
+    pilot: Estimate | None
+    windows: Estimate
+
+    def every(self, of):
+        """`of(estimate)` of all."""
+        found = of(self.windows)
+        return found if self.pilot is None else jnp.concatenate([of(self.pilot)[None], found])
+
+    def chosen(self, number: Int[Array, "freq"]) -> Estimate:
+        """One at every line."""
+        line = np.arange(len(number))
+        if self.pilot is None:
+            return jax.tree.map(lambda x: x[number, line], self.windows)
+        assert isinstance(self.pilot.cov, KroneckerSum)
+        pilot = dataclasses.replace(self.pilot, cov=_of_kind(self.pilot.cov, self.windows.cov))
+
+        def one(first, others):
+            is_pilot = (number == 0).reshape(-1, *[1] * (first.ndim - 1))
+            return jnp.where(is_pilot, first, others[jnp.maximum(number - 1, 0), line])
+
+        return jax.tree.map(one, pilot, self.windows)
 
 
 def _of_kind(cov: KroneckerSum, like):
@@ -272,20 +298,20 @@ def _blended(pilot: Estimate | None, parts: list[Estimate], U, Y, widths: tuple[
     """`_blend` at every operating point, from (pos, width, line, ...) of every part of the lines."""
 
     def one_point(pilot, found, u, y):
-        tried = _with_pilot(pilot, found)
+        tried = _Tried(pilot, found)
         return _blend(tried, widths, _local_noise(tried, u, y, widths))
 
     return jax.vmap(one_point)(pilot, joined(parts, U.shape[2], axis=2), U, Y)
 
 
-def _local_noise(tried: Estimate, U, Y, widths: tuple[int, ...]):
+def _local_noise(tried: _Tried, U, Y, widths: tuple[int, ...]):
     """How much more noise a line has than the mean of each window around it, at least 1: (width, freq, out).
 
     A window takes its noise as of one size. That of a torque's disturbance is largest at resonances, where a window
     knows less of G than it states then.
     """
-    narrow = min(len(widths) - 1, 1 + (widths[0] == 1))
-    left = squares(Y - jnp.einsum("foi,efi->efo", tried.G[narrow], U))
+    narrow = tried.windows.G[:2][-1]
+    left = squares(Y - jnp.einsum("foi,efi->efo", narrow, U))
     power = jnp.where(jnp.isfinite(left), left, 0.0).mean(axis=0)
     n_exp, n_freq = Y.shape[:2]
 
@@ -298,16 +324,18 @@ def _local_noise(tried: Estimate, U, Y, widths: tuple[int, ...]):
     return jnp.stack([more(width) if width > 1 else jnp.ones_like(power) for width in widths])
 
 
-def _blend(tried: Estimate, widths: tuple[int, ...], noise) -> Estimate:
-    """From narrow to wide windows, (width, freq, ...), the mean that errs least; see `Auto`.
+def _blend(tried: _Tried, widths: tuple[int, ...], noise) -> Estimate:
+    """From narrow to wide windows, the mean that errs least; see `Auto`.
 
     `noise`: by which the variance of each output's row is larger than stated, (width, freq, out)."""
     if len(widths) == 1:
-        return jax.tree.map(lambda x: x[0], dataclasses.replace(tried, cov=_as_it_is(tried.cov)))
-    own = jnp.maximum(variances(tried.cov), 0)
-    every = own.reshape(*own.shape[:2], tried.G.shape[3], tried.G.shape[2]).mT * noise[..., None]
+        only = jax.tree.map(lambda x: x[0], tried.windows)
+        return dataclasses.replace(only, cov=_as_it_is(only.cov))
+    own = jnp.maximum(tried.every(lambda x: variances(x.cov)), 0)
+    G, dof, window = (tried.every(of) for of in (lambda x: x.G, lambda x: x.dof, lambda x: x.window))
+    every = own.reshape(*own.shape[:2], G.shape[3], G.shape[2]).mT * noise[..., None]
     every = jnp.where(jnp.isfinite(every), every, jnp.inf)
-    n_freq = tried.G.shape[1]
+    n_freq = G.shape[1]
     near, far = (
         jnp.asarray([_neighbours(n_freq, max(_LEAST_NEAR, width // part)) for width in widths[1:]], int)
         for part in (_NEAR, _FAR)
@@ -338,12 +366,10 @@ def _blend(tried: Estimate, widths: tuple[int, ...], noise) -> Estimate:
         )
         return after, None
 
-    first = (tried.G[0], every[0], every[0], tried.dof[0], tried.window[0], jnp.zeros(n_freq, int))
-    rest = (tried.G, every, tried.dof, tried.window)
-    number = jnp.arange(1, len(widths))
-    found = (number, *(x[1:] for x in rest), near, far)
+    first = (G[0], every[0], every[0], dof[0], window[0], jnp.zeros(n_freq, int))
+    found = (jnp.arange(1, len(widths)), *(x[1:] for x in (G, every, dof, window)), near, far)
     (G, _, stated, dof, window, choice), _ = jax.lax.scan(wider, first, found)
-    chosen = jax.tree.map(lambda x: x[choice, jnp.arange(len(choice))], tried)
+    chosen = tried.chosen(choice)
     of = jnp.take_along_axis(own, choice[None, :, None], axis=0)[0]
     scale = jnp.sqrt(stated.mT.reshape(of.shape) / jnp.where(of > 0, of, 1.0))
     return dataclasses.replace(

@@ -32,7 +32,7 @@ def written_out(signals, x, start, width: int, line: int, columns: Columns):
 
 @pytest.mark.parametrize("over", [over_neighbours, window._one_by_one], ids=["side by side", "one by one"])
 @pytest.mark.parametrize("columns", COLUMNS.values(), ids=COLUMNS.keys())
-@pytest.mark.parametrize("widths", [(1, 6, 13, 30), (N_LINE,)], ids=["several", "all lines"])
+@pytest.mark.parametrize("widths", [(1, 6, 9, 13, 40), (N_LINE,)], ids=["several", "all lines"])
 def test_against_columns(over, columns, widths):
     rng = np.random.default_rng(len(widths))
     signals = rng.normal(size=(3, N_LINE, 4)) + 1j * rng.normal(size=(3, N_LINE, 4))
