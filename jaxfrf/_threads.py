@@ -5,6 +5,7 @@ import contextlib
 import functools
 import os
 import pathlib
+import threading
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from typing import Any, Generic, ParamSpec, TypeVar, overload
 
@@ -50,6 +51,17 @@ def lapack_threads() -> int:
     stated = os.environ.get("NPROC", "")
     pool = _pool() or (int(stated) if stated.isdigit() else os.cpu_count() or 1)
     return max(1, min(cores(), pool // _CALLS))
+
+
+_alone = threading.Lock()
+
+
+@contextlib.contextmanager
+def lapack_alone() -> Iterator[None]:
+    """Within it batched LAPACK calls are those of one program: of several that run at the same time, where only some
+    come to make any."""
+    with _alone if lapack_waits() else contextlib.nullcontext():
+        yield
 
 
 @functools.cache

@@ -64,6 +64,9 @@ class AbstractAverage(AbstractMethod):
     def shares_lines(self) -> bool:
         return self.inner.shares_lines
 
+    def calls_lapack(self, spectra: Spectra) -> bool:
+        return self.inner.calls_lapack(spectra)
+
     def n_window(self, spectra: Spectra) -> int:
         return spectra.n_exp // self.block_size(spectra) * self.inner.n_window(spectra)
 
@@ -177,6 +180,9 @@ class LogMean(AbstractAverage):
                 "Average element by element (option elementwise=true), or stack the experiments instead of averaging.",
             )
         super().check(spectra)
+
+    def calls_lapack(self, spectra: Spectra) -> bool:
+        return not self.elementwise or super().calls_lapack(spectra)  # eigenvalues
 
     def mean(self, G):
         if G.shape[1] == 1:

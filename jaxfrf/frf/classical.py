@@ -75,6 +75,9 @@ class H1(AbstractLineByLine, AbstractLeastSquares):
     def fractions(self, n_target: int):
         return (tuple(range(n_target)),)
 
+    def calls_lapack(self, spectra: Spectra, joint: bool = False) -> bool:
+        return not lanes.in_registers(spectra.n_in)
+
     def windows(self, spectra: Spectra | Signals, n_parameters: int) -> Windows:
         check_experiments(spectra, n_parameters)
         return windows(np.arange(len(spectra.frequency)), 1)

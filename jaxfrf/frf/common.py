@@ -66,6 +66,9 @@ class CommonDenominatorLRM(AbstractLocal):
     def shared_parameters(self, n_target: int) -> float:
         return self.order / n_target
 
+    def calls_lapack(self, spectra: Spectra, joint: bool = False) -> bool:
+        return True  # for the denominator
+
     def model(self, n_exp: int, n_top: int, n_targets: list[int]) -> tuple[Columns, Equations]:
         """One equation: the numerator columns explain every x^s z, s = 0..R (s by s)."""
         columns, numerator = super().model(n_exp, n_top, [sum(n_targets)])

@@ -10,6 +10,7 @@ import numpy as np
 from .. import __version__
 from .._arguments import expect_callable, wrong_kind
 from .._device import on_accelerator
+from .._environment import cores
 from .._errors import input_error
 from .._status import SERIOUS, Status, describe
 from .._threads import lapack_threads, of_one_program, one_blas_thread
@@ -148,7 +149,12 @@ def describe_method(method: AbstractMethod) -> str:
     return f"{type(method).__name__}({options})"
 
 
-def _groups(spectra: Spectra) -> list[np.ndarray]:
+def _threads(spectra: Spectra, method: AbstractMethod) -> int:
+    """Programs that run at the same time."""
+    return lapack_threads() if method.calls_lapack(spectra) else cores()
+
+
+def _groups(spectra: Spectra, threads: int) -> list[np.ndarray]:
     """Operating points that are estimated together, as many for every thread: groups of one size, the last filled up
     with the last point, so that one compilation serves them."""
     if spectra.n_pos == 1:
@@ -159,38 +165,39 @@ def _groups(spectra: Spectra) -> list[np.ndarray]:
     available = _BLOCK_BYTES * (_ACCELERATED if accelerated else 1)
     n_group = -(-spectra.n_pos // max(1, int(available / bytes_each)))
     if spectra.n_pos * len(spectra.lines) > _SHARED and not accelerated:
-        n_group = -(-n_group // lapack_threads()) * lapack_threads()
+        n_group = -(-n_group // threads) * threads
     size = -(-spectra.n_pos // n_group)
     last = spectra.n_pos - 1
     return [np.minimum(np.arange(i, i + size), last) for i in range(0, spectra.n_pos, size)]
 
 
-def _parts(spectra: Spectra, method: AbstractMethod) -> int:
-    """In how many parts the cores share the lines of a single operating point."""
+def _parts(spectra: Spectra, method: AbstractMethod, threads: int) -> int:
+    """In how many parts the lines of a single operating point are shared out."""
     few = len(spectra.lines) * method.n_window(spectra) <= _SHARED
     alone = few or spectra.n_pos > 1 or method.looks or not method.shares_lines or on_accelerator()
-    return 1 if alone else lapack_threads()
+    return 1 if alone else threads
 
 
-def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray]) -> Iterator[Estimate]:
+def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray], threads: int) -> Iterator[Estimate]:
     """The estimate of every group of operating points, in threads of their own once the program is compiled."""
 
     if len(groups) == 1:
-        yield method.estimate(spectra, _parts(spectra, method))
+        yield method.estimate(spectra, _parts(spectra, method, threads))
         return
 
     def estimated(group):
         return method.estimate(select_positions(spectra, group))
 
     program = describe_method(method), spectra.U.shape[1:], len(groups[0])
-    yield from of_one_program(estimated, groups, lapack_threads(), program)
+    yield from of_one_program(estimated, groups, threads, program)
 
 
 def _everywhere(spectra: Spectra, method: AbstractMethod, progress) -> Estimate:
     """The estimate at every operating point, group by group."""
-    groups = _groups(spectra)
+    threads = _threads(spectra, method)
+    groups = _groups(spectra, threads)
     stored = None
-    for group, part in zip(groups, _estimates(spectra, method, groups), strict=True):
+    for group, part in zip(groups, _estimates(spectra, method, groups, threads), strict=True):
         stored = _stored(stored, part, group, spectra.n_pos)
         if progress is not None:
             progress(int(group[-1]) + 1, spectra.n_pos)

@@ -42,6 +42,9 @@ class JointInputOutput(AbstractMethod):
     def shares_lines(self) -> bool:
         return self.method.shares_lines
 
+    def calls_lapack(self, spectra: Spectra) -> bool:
+        return self.method.calls_lapack(spectra, joint=True)
+
     def check(self, spectra: Spectra) -> None:
         if spectra.R is None:
             raise input_error(

@@ -127,7 +127,7 @@ class Lanes(AbstractMatrices):
 
     @property
     def inverse(self) -> "Lanes":
-        return _inverse(self) if self.n_row <= _LARGE else _by_lapack(by_line.inverse, self)
+        return _inverse(self) if in_registers(self.n_row) else _by_lapack(by_line.inverse, self)
 
     @property
     def diagonal(self) -> Float[Array, "*batch row lane"]:
@@ -179,6 +179,11 @@ def of_lines(X: Complex[Array, "line row col"]) -> Lanes:
 def of_numbers(x: Float[Array, "line"]) -> Float[Array, "group 1 1 lane"]:
     """A number of every line, beside the numbers of matrices."""
     return of_lines(x[:, None, None]).real
+
+
+def in_registers(n_row: int) -> bool:
+    """Whether inverses of so many rows are made here, and not by LAPACK."""
+    return n_row <= _LARGE
 
 
 def identity(like: Lanes) -> Lanes:
@@ -401,7 +406,7 @@ def _slice(x, k, axis: int):
 def inverse_of_products(X: Lanes) -> Lanes:
     """(X X^H)^-1, NaN where it is singular."""
     A = X.times_adjoint(X)
-    if A.shape[0] <= _LARGE:
+    if in_registers(A.shape[0]):
         half = A.eliminated(unit=A.shape[0]).end
     else:
         half = _by_lapack(by_line.positive_half_inverse, A).adjoint

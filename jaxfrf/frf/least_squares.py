@@ -17,7 +17,7 @@ from .combine import direct, through_ratio
 from .gram import Columns
 from .method import AbstractMethod, Estimate, Signals, flags
 from .regression import PIVOT, RESIDUAL, Equations, solve_gram, solve_rows
-from .window import Windows, over_windows, rows
+from .window import Windows, over_windows, rows, side_by_side
 
 
 class AbstractLeastSquares(AbstractMethod):
@@ -49,6 +49,9 @@ class AbstractLeastSquares(AbstractMethod):
     @property
     def shares_lines(self) -> bool:
         return True
+
+    def calls_lapack(self, spectra: Spectra, joint: bool = False) -> bool:
+        return not side_by_side(self.plan(spectra, joint).columns, len(spectra.lines))
 
     def block_size(self, spectra: Spectra | Signals) -> int:
         return 1
@@ -134,12 +137,12 @@ class AbstractLeastSquares(AbstractMethod):
 
     def regressed(self, signals: Signals, joint: bool, lines=None) -> Estimate:
         plan = self.plan(signals, joint)
-        every = side_by_side(signals, joint, self.transient_order)
+        every = all_signals(signals, joint, self.transient_order)
         return estimate_windows(every, plan, self.combined(joint), lines)
 
     def regressed_with(self, signals: Signals, joint: bool, plan: "Plan", several: Sequence[Windows]) -> Estimate:
         """The estimates with several `Windows`, stacked along a leading axis that the result has too."""
-        every = side_by_side(signals, joint, self.transient_order)
+        every = all_signals(signals, joint, self.transient_order)
         return estimate_several(every, plan, self.combined(joint), several)
 
 
@@ -220,7 +223,7 @@ def _estimate(G, cov, dof, deficient, doubtful, at_edge, width) -> Estimate:
     )
 
 
-def side_by_side(signals: Signals, joint: bool, transient: int | None):
+def all_signals(signals: Signals, joint: bool, transient: int | None):
     """All signals side by side, with one constant per experiment where a transient is wanted: (exp, freq, sig)."""
     parts = [signals.R, signals.Y, signals.U] if joint else [signals.U, signals.Y]
     if transient is not None:

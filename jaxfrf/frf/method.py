@@ -14,7 +14,7 @@ from .._annotated import check_fields
 from .._compile import compiled
 from .._device import at_once, on_accelerator
 from .._status import Status
-from .._threads import of_one_program
+from .._threads import lapack_alone, of_one_program
 from .._types import Array
 from ..spectra import Spectra
 from .covariance import AbstractFactors
@@ -129,6 +129,11 @@ class AbstractMethod(eqx.Module):
         """Whether `estimate` can take the lines in parts, which cores share; `at_point` then heeds `Signals.part`."""
         return False
 
+    def calls_lapack(self, spectra: Spectra) -> bool:
+        """Whether `at_point` makes batched LAPACK calls for all lines: few such programs may run at the same time
+        (`jaxfrf._threads.lapack_threads`)."""
+        return True
+
     def n_window(self, spectra: Spectra) -> int:
         """Windows that are solved for the estimate of one line: what it takes, about."""
         return 1
@@ -163,7 +168,8 @@ def solve_again(estimate: Estimate, method: AbstractMethod, signals: Signals) ->
     """Write the doubtful lines of one operating point, by orthogonal factorisation, into the estimate's arrays."""
     estimate = dataclasses.replace(estimate, alike=None)  # which is no line's
     for lines, count in _batches(np.flatnonzero(estimate.doubtful)):
-        again = on_host(compiled(_run_again)(method, signals, lines))
+        with lapack_alone():
+            again = on_host(compiled(_run_again)(method, signals, lines))
         jax.tree.map(lambda old, new, at=lines[:count]: old.__setitem__(at, new[: len(at)]), estimate, again)
         estimate.status[lines[:count]] |= int(Status.REFINED)
 

@@ -142,6 +142,11 @@ class Auto(AbstractMethod):
     def shares_lines(self) -> bool:
         return True
 
+    def calls_lapack(self, spectra: Spectra) -> bool:
+        if self.method.transient is not None:  # the prediction can have more columns than the windows
+            return True
+        return H1().calls_lapack(spectra) or self.method.calls_lapack(spectra, self.through_reference(spectra))
+
     def n_window(self, spectra: Spectra) -> int:
         return len(self.candidates(spectra))
 

@@ -25,7 +25,7 @@ from jaxtyping import Complex
 from .._compile import after
 from .._types import Array
 from .gram import Columns
-from .least_squares import Plan, estimate_several, estimate_windows, side_by_side
+from .least_squares import Plan, all_signals, estimate_several, estimate_windows
 from .local import AbstractLocal
 from .method import Estimate, Signals
 from .regression import Equations
@@ -75,7 +75,7 @@ def second_stage(
 ) -> Estimate:
     """The estimate of the second stage, with the method's own window at `lines` (all by default), or with each of
     `several` windows, stacked, as a leading axis of the result."""
-    every = side_by_side(signals, joint, method.transient)
+    every = all_signals(signals, joint, method.transient)
     changed = _one_regression if _is_one_regression(method, signals, joint) else _on_prediction
     plan = changed(method.plan(signals, joint), signals.n_in, every.shape[-1], predicted.shape[-1])
     every = jnp.concatenate([every, predicted], axis=-1)

@@ -103,8 +103,13 @@ def over_windows(solve, signals: Complex[Array, "exp freq sig"], several: Sequen
     (`lax.map`), so that only what `solve` returns is ever kept of all. Large ones, and all on an accelerator, are taken
     one by one by `vmap`.
     """
-    many = len(columns.power) <= _SMALL and signals.shape[1] >= _MANY and not on_accelerator()
-    return (over_neighbours if many else _one_by_one)(solve, signals, several, columns)
+    over = over_neighbours if side_by_side(columns, signals.shape[1]) else _one_by_one
+    return over(solve, signals, several, columns)
+
+
+def side_by_side(columns: Columns, n_line: int) -> bool:
+    """Whether windows of so many lines go through the registers, and not through LAPACK."""
+    return len(columns.power) <= _SMALL and n_line >= _MANY and not on_accelerator()
 
 
 def _one_by_one(solve, signals, several: Sequence[Windows], columns: Columns):

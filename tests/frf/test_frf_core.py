@@ -295,7 +295,7 @@ def test_positions_in_threads_are_those_one_by_one(monkeypatch):
     """Three positions for two threads: groups of two, the last filled up."""
     module = importlib.import_module("jaxfrf.frf.estimate")
     monkeypatch.setattr(module, "_SHARED", 1)
-    monkeypatch.setattr(module, "lapack_threads", lambda: 2)
+    monkeypatch.setattr(module, "_threads", lambda spectra, method: 2)
     spectra, told = records(n_pos=3).spectra(), []
     with jax.default_device(jax.devices("cpu")[0]):  # a GPU takes them all at once
         for _ in range(2):  # compiled by the first group, then by none

@@ -78,6 +78,31 @@ def test_part_of_a_line_alone(spectra):
     ],
 )
 def test_who_shares_lines(monkeypatch, spectra, method, parts):
-    monkeypatch.setattr(module, "lapack_threads", lambda: 4)
     monkeypatch.setattr(module, "_SHARED", 400)
-    assert module._parts(spectra, method) == parts
+    assert module._parts(spectra, method, 4) == parts
+
+
+@pytest.mark.parametrize(
+    ("method", "calls"),
+    [
+        (jf.Auto(), False),
+        (jf.JointInputOutput(jf.MisoLRM()), False),
+        (jf.JointInputOutput(), False),
+        (jf.ArithmeticMean(jf.LPM()), False),
+        (jf.LogMean(elementwise=True), False),
+        (jf.LogMean(jf.LRM()), True),
+        (jf.CommonDenominatorLRM(), True),
+        (jf.H2(), True),
+    ],
+    ids=lambda x: type(x).__name__,
+)
+def test_which_programs_call_lapack(spectra, method, calls):
+    """Any number of those that say that they do not may run at the same time."""
+    signals = Signals(spectra.U[0], spectra.Y[0], spectra.R[0], None, spectra.frequency)
+    assert method.calls_lapack(spectra) == calls
+    assert ("lapack" in jax.jit(method.at_point).lower(signals).as_text()) == calls
+
+
+def test_large_windows_are_for_lapack(spectra):
+    assert jf.LRM(order=20).calls_lapack(spectra)
+    assert jf.Auto(jf.LRM(transient=1)).calls_lapack(spectra)
