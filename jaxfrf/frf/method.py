@@ -28,8 +28,8 @@ class Signals(eqx.Module):
 
     **Fields:** `U`, `Y`, `R`: Fourier coefficients of input, output and reference, (exp, freq, channel). `noise`:
     covariance of [Y; U] between periods, (exp, freq, sig, sig). `frequency`: (freq,), Hz. `R` and `noise` are `None`
-    where they are unknown. `part`: the lines that are to be estimated, all where it is `None`; see
-    `AbstractMethod.shares_lines`.
+    where they are unknown. `part`: the lines that are to be estimated, all where it is `None`; only methods that say so
+    (`AbstractMethod.shares_lines`) are given one.
     """
 
     U: Complex[Array, "exp freq in"]

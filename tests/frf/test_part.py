@@ -82,6 +82,14 @@ def test_who_shares_lines(monkeypatch, spectra, method, parts):
     assert module._parts(spectra, method, 4) == parts
 
 
+def test_methods_of_the_users_share_nothing():
+    class Own(jf.LRM):
+        def at_point(self, signals, lines=None):
+            return super().at_point(signals, lines)
+
+    assert jf.LRM().shares_lines and not Own().shares_lines and not jf.JointInputOutput(Own()).shares_lines
+
+
 @pytest.mark.parametrize(
     ("method", "calls"),
     [
