@@ -2,9 +2,9 @@
 
 import functools
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.experimental.xla_metadata import set_xla_metadata
 
 _OPTIONS = {
@@ -34,8 +34,28 @@ _NEVER = 1e300
 
 @functools.cache
 def compiled(function):
-    """`equinox.filter_jit` of a function that is called by the user's Python, not within another program."""
-    return eqx.filter_jit(function, compiler_options=_known({**_OPTIONS, **_OF_ESTIMATORS}))
+    """`jax.jit` of a function that is called by the user's Python, not within another program: of all arrays among its
+    arguments; what else there is, options of methods, is part of the program. As `equinox.filter_jit`, which takes
+    .2 ms more to call: `H1` takes one."""
+
+    def with_arrays(structure, others, arrays):
+        arrays = iter(arrays)
+        return function(*jax.tree.unflatten(structure, [next(arrays) if x is _ARRAY else x for x in others]))
+
+    with_arrays.__name__ = function.__name__
+    options = _known({**_OPTIONS, **_OF_ESTIMATORS})
+    program = jax.jit(with_arrays, static_argnums=(0, 1), compiler_options=options)
+
+    def call(*arguments):
+        leaves, structure = jax.tree.flatten(arguments)
+        arrays = [x for x in leaves if isinstance(x, jax.Array | np.ndarray)]
+        others = tuple(_ARRAY if isinstance(x, jax.Array | np.ndarray) else x for x in leaves)
+        return program(structure, others, arrays)
+
+    return call
+
+
+_ARRAY = object()  # in the place of one
 
 
 def apart(function):
