@@ -4,6 +4,7 @@ much XLA optimises; and how many processes share the tests."""
 import gc
 import os
 import pathlib
+import time
 
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 os.environ.setdefault("NPROC", "64")
@@ -19,7 +20,21 @@ from jaxfrf._environment import known_flags
 
 gc.set_threshold(50_000, 20, 10)  # what tracing allocates stays: looking for garbage at every turn costs a tenth
 WORKERS = min(4, os.cpu_count() or 1)  # each needs some 3 GB
+BEGAN = time.monotonic()
 MAPS = 15_000  # of the 65 530 that the system allows a process; some 2 GB of programs
+
+
+def pytest_addoption(parser):
+    text = "skip tests that would begin later, but those of real measurements: for slow machines with a time limit"
+    parser.addoption("--within", type=float, metavar="MINUTES", help=text)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    minutes = item.config.getoption("--within")
+    late = minutes is not None and time.monotonic() - BEGAN > 60 * minutes
+    if late and item.get_closest_marker("data") is None:
+        pytest.skip(f"{minutes:g} minutes are over (--within)")
 
 
 @pytest.hookimpl(tryfirst=True)
