@@ -204,7 +204,8 @@ def run_in_parts(estimate, method: AbstractMethod, spectra: Spectra, n_part: int
     def of_part(part):
         return jax.block_until_ready(run(estimate, method, spectra, *more, part=part))
 
-    program = estimate, jax.tree.structure(method), spectra.U.shape, spectra.Y.shape, n_part
+    options, structure = jax.tree.flatten(method)
+    program = estimate, structure, str(options), spectra.U.shape, spectra.Y.shape, n_part
     return list(of_one_program(of_part, parts_of(len(spectra.frequency), n_part), n_part, program))
 
 
@@ -225,8 +226,8 @@ def over_points(estimate, points: dict, *more):
     every = (points, *more)
     if points["U"].shape[0] == 1:
         return jax.tree.map(lambda x: x[None], estimate(*jax.tree.map(lambda x: x[0], every)))
-    at_once = _points_at_once(points) if on_accelerator() else None
-    return jax.lax.map(lambda point: estimate(*point), every, batch_size=at_once)
+    together = _points_at_once(points) if on_accelerator() else None
+    return jax.lax.map(lambda point: estimate(*point), every, batch_size=together)
 
 
 def _points_at_once(points: dict) -> int:
