@@ -181,9 +181,6 @@ class LogMean(AbstractAverage):
             )
         super().check(spectra)
 
-    def calls_lapack(self, spectra: Spectra) -> bool:
-        return not self.elementwise or super().calls_lapack(spectra)  # eigenvalues
-
     def mean(self, G):
         if G.shape[1] == 1:
             return G[:, 0], jnp.zeros(len(G), bool)

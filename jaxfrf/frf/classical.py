@@ -22,6 +22,7 @@ from .regression import PIVOT
 from .window import Windows, windows
 
 DEPENDENT = 1e-9  # singular values this small, relative to the largest, are rounding
+_ELEMENTS = 1728  # of a signal's matrices that go side by side
 _AT_ONCE = 16  # lines whose rank is looked at together
 _ANY_UNIT = 1e-4  # as large a least singular value needs no common unit of channels
 _SCALED_BY = 16  # lines that tell the size of channels
@@ -227,11 +228,12 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
     of_U, of_Y, of_Z, noise = _at(lines, signals.U, signals.Y, instrument, signals.noise)
     n_line = of_U.shape[1]
     G = None if response is None else jax.vmap(lambda U, Y: response(U.T, Y.T), in_axes=1)(of_U, of_Y)
-    U, Y = lanes.of_signal(of_U if G is None else after(of_U, G)), lanes.of_signal(of_Y)
-    Z = U if of_Z is None else lanes.of_signal(of_Z)
+    n_lane = lanes.n_lane(n_line, signals.n_exp * signals.n_in, _ELEMENTS)
+    U, Y = (lanes.of_signal(x, n_lane) for x in (of_U if G is None else after(of_U, G), of_Y))
+    Z = U if of_Z is None else lanes.of_signal(of_Z, n_lane)
     X = lanes.inverse_of_products(U) if Z is U else U.times_adjoint(Z).inverse
     influence = Z.adjoint_times(X)
-    in_lanes = Y.times(influence) if G is None else lanes.of_lines(G)
+    in_lanes = Y.times(influence) if G is None else lanes.of_lines(G, n_lane)
     residual = Y - in_lanes.times(U)
     G = lanes.lines(in_lanes, n_line) if G is None else G
     S = lanes.lines(X if Z is U else influence.adjoint_times(influence), n_line)

@@ -6,8 +6,9 @@ is written down (`apart`), as XLA would otherwise work it out anew wherever the 
 it: its batched calls copy matrices, and hand work to threads that wait for each other.
 """
 
+import functools
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import jax
@@ -18,6 +19,7 @@ from jaxtyping import Complex, Float
 from .._compile import apart
 from .._types import Array
 from . import inverse as by_line
+from .complex_parts import conjugate, one, over, product, signs, square
 from .matrices import AbstractElimination, AbstractMatrices
 
 LANES = 8  # lines side by side; of more, matrices leave the innermost cache
@@ -95,15 +97,15 @@ class Lanes(AbstractMatrices):
         return Lanes(operator.sub(*_aligned(self.parts, other.parts)))
 
     def __mul__(self, other) -> "Lanes":
-        return Lanes(_product(self.parts, other.parts) if isinstance(other, Lanes) else self.parts * other)
+        return Lanes(product(self.parts, other.parts) if isinstance(other, Lanes) else self.parts * other)
 
     @property
     def adjoint(self) -> "Lanes":
-        return Lanes(_conjugate(self.parts.swapaxes(_ROW, _COLUMN)))
+        return Lanes(conjugate(self.parts.swapaxes(_ROW, _COLUMN)))
 
     @property
     def conjugate(self) -> "Lanes":
-        return Lanes(_conjugate(self.parts))
+        return Lanes(conjugate(self.parts))
 
     @property
     def transpose(self) -> "Lanes":
@@ -162,17 +164,25 @@ class Lanes(AbstractMatrices):
         return Lanes(jnp.stack([x.parts for x in several], axis=1))
 
 
-def of_signal(X: Complex[Array, "exp line channel"]) -> Lanes:
+def n_lane(n_line: int, n_element: int, most: int) -> int:
+    """How many lines of so many elements go side by side, in groups of one size that hold `most` elements: a multiple
+    of eight."""
+    side_by_side = max(most // n_element // LANES * LANES, LANES)
+    n_group = -(-n_line // side_by_side)
+    return -(-n_line // (LANES * n_group)) * LANES
+
+
+def of_signal(X: Complex[Array, "exp line channel"], n_lane: int = LANES) -> Lanes:
     """A signal as matrices (channel, exp): experiments side by side as columns."""
-    return of_lines(X.transpose(1, 2, 0))
+    return of_lines(X.transpose(1, 2, 0), n_lane)
 
 
-def of_lines(X: Complex[Array, "line row col"]) -> Lanes:
+def of_lines(X: Complex[Array, "line row col"], n_lane: int = LANES) -> Lanes:
     """Matrices of every line, in groups along one axis `batch`. The last group is filled up by repeats of the last
     line."""
-    missing = -len(X) % LANES
+    missing = -len(X) % n_lane
     X = jnp.pad(X, ((0, missing), (0, 0), (0, 0)), mode="edge") if missing else X
-    X = X.reshape(-1, LANES, *X.shape[1:]).transpose(0, 2, 3, 1)
+    X = X.reshape(-1, n_lane, *X.shape[1:]).transpose(0, 2, 3, 1)
     return Lanes(jnp.stack([X.real, X.imag]))
 
 
@@ -198,14 +208,17 @@ def lines(A: Lanes, n_line: int) -> Complex[Array, "line row col"]:
 
 def some_lines(A: Lanes, which: np.ndarray) -> Complex[Array, "chosen row col"]:
     """The matrices of some lines."""
-    group, lane = np.divmod(which, LANES)
+    group, lane = np.divmod(which, A.n_lane)
     return jax.lax.complex(A.real[group, :, :, lane], A.imag[group, :, :, lane])
 
 
 @apart
 def _power(A: Lanes) -> Float[Array, "*batch row lane"]:
     """The sum of squares of every row."""
-    return jnp.sum(by_line.squares(A), axis=_COLUMN)
+    n = A.shape[1]
+    if n > _TERMS:
+        return jnp.sum(by_line.squares(A), axis=_COLUMN)
+    return total(square(_along(A, _COLUMN, k)) for k in range(n))
 
 
 # Products -------------------------------------------------------------------------------------------------------------
@@ -246,8 +259,8 @@ def _sum(pairs, over: int, beside: int) -> Float[Array, "2 *batch row col lane"]
     assert sums is not None  # there is a term
     direct, exchanged = sums
     if over == _ROW:
-        return _conjugate(direct) + exchanged
-    return direct + exchanged * _signs([-1.0, 1.0] if beside == _ROW else [1.0, -1.0], exchanged)
+        return conjugate(direct) + exchanged
+    return direct + exchanged * signs([-1.0, 1.0] if beside == _ROW else [1.0, -1.0], exchanged)
 
 
 def _along(A: Lanes, axis: int, k: int) -> Float[Array, "2 *batch left lane"]:
@@ -287,40 +300,22 @@ def _plus_long(sums: _Sums, a, b, over: int, beside: int):
     return plus_part(sums, whole, n - whole)
 
 
+def total(terms: Iterable[Array]) -> Array:
+    """Their sum, term by term: XLA's own loop for the sum along an axis is not vectorised."""
+    return functools.reduce(operator.add, terms)
+
+
 def _aligned(a, b):
     """With as many axes `batch`."""
     more = b.ndim - a.ndim
     return a.reshape(2, *[1] * more, *a.shape[1:]), b.reshape(2, *[1] * -more, *b.shape[1:])
 
 
-def _signs(signs, x):
-    return np.asarray(signs).reshape(2, *[1] * (x.ndim - 1))
-
-
-def _conjugate(x: Float[Array, "2 ..."]) -> Float[Array, "2 ..."]:
-    return x * _signs([1.0, -1.0], x)
-
-
-def _turned(x: Float[Array, "2 ..."]) -> Float[Array, "2 ..."]:
-    """i x."""
-    return x[::-1] * _signs([-1.0, 1.0], x)
-
-
-def _product(x: Float[Array, "2 ..."], y: Float[Array, "2 ..."]) -> Float[Array, "2 ..."]:
-    """Element by element."""
-    return x * y[:1] + _turned(x) * y[1:]
-
-
-def _over(x: Float[Array, "2 ..."], y: Float[Array, "2 ..."]) -> Float[Array, "2 ..."]:
-    """x / y, element by element."""
-    return _product(x, _conjugate(y) * (1 / jnp.sum(jnp.square(y), axis=0)))
-
-
 def _unit(n: int, like: Lanes) -> Float[Array, "2 *batch row row lane"]:
     """1, for as many windows."""
     batch, lane = like.batch, like.n_lane
-    one = np.stack([np.eye(n), np.zeros((n, n))]).reshape(2, *[1] * len(batch), n, n, 1)
-    return jnp.broadcast_to(one, (2, *batch, n, n, lane))
+    unit = np.stack([np.eye(n), np.zeros((n, n))]).reshape(2, *[1] * len(batch), n, n, 1)
+    return jnp.broadcast_to(unit, (2, *batch, n, n, lane))
 
 
 # Elimination ----------------------------------------------------------------------------------------------------------
@@ -439,7 +434,7 @@ def _inverse(A: Lanes) -> Lanes:
 def _largest(W, used, k) -> Float[Array, "*batch row lane"]:
     """1 at the row of the largest element of column k, of those that are not used, the first of equal ones."""
     first = 1 - _TIE * np.arange(W.shape[_ROW])[:, None]
-    size = jnp.sum(jnp.square(_slice(W, k, _COLUMN)), axis=0)[..., 0, :] * first * (1 - used) - used
+    size = square(_slice(W, k, _COLUMN))[..., 0, :] * first * (1 - used) - used
     return _at_largest(size)
 
 
@@ -451,15 +446,14 @@ def _at_largest(size):
 @apart
 def _pivot_row(W, this, k) -> Float[Array, "2 *batch 1 col lane"]:
     """The row that is taken, solved for the unknown of column k."""
-    row = sum(W[..., i, :, :] * this[..., i, None, :] for i in range(W.shape[_ROW]))[..., None, :, :]
-    one = np.array([1.0, 0.0]).reshape(2, *[1] * (row.ndim - 1))
-    return _over(jnp.where(_is_column(W, k), one, row), _slice(row, k, _COLUMN))
+    row = total(W[..., i, :, :] * this[..., i, None, :] for i in range(W.shape[_ROW]))[..., None, :, :]
+    return over(jnp.where(_is_column(W, k), one(row), row), _slice(row, k, _COLUMN))
 
 
 @apart
 def _exchanged(W, this, row, k):
     """That row, and what it makes of the others."""
-    others = jnp.where(_is_column(W, k), 0.0, W) - _product(_slice(W, k, _COLUMN), row)
+    others = jnp.where(_is_column(W, k), 0.0, W) - product(_slice(W, k, _COLUMN), row)
     return jnp.where(this[..., :, None, :] > 0, row, others)
 
 
@@ -471,8 +465,8 @@ def _is_column(W, k):
 def _in_order(W, chosen) -> Lanes:
     """The inverse, its rows in the order of columns and its columns in that of rows; NaN where it is not finite."""
     n = W.shape[_ROW]
-    rows = jnp.stack([sum(W[..., i, :, :] * chosen[k, ..., i, None, :] for i in range(n)) for k in range(n)], _ROW)
-    found = sum(rows[..., k, None, :] * chosen[k, ..., None, :, :] for k in range(n))
+    rows = jnp.stack([total(W[..., i, :, :] * chosen[k, ..., i, None, :] for i in range(n)) for k in range(n)], _ROW)
+    found = total(rows[..., k, None, :] * chosen[k, ..., None, :, :] for k in range(n))
     finite = jnp.isfinite(jnp.sum(found, axis=(0, _ROW, _COLUMN)))
     return Lanes(jnp.where(finite[..., None, None, :], found, jnp.nan))
 

@@ -9,9 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from .._device import on_accelerator
 from .._threads import shared
 from .._types import Array
-from . import lanes
+from . import eigen, lanes
+from .complex_parts import square
 from .inverse import squares
 from .lanes import Lanes
 
@@ -27,14 +29,21 @@ def matrix_functions(
     leading axes. NaN where V is singular. The derivative is that of Daleckii & Krein (1965): divided differences of f
     between the eigenvalues.
     """
-    values, V, V_inverse = _eigen(A)
-    return _composed(f(values), V, V_inverse), values, _norm(V) * _norm(V_inverse)
+
+    def of_group(group: Lanes):
+        values, V, V_inverse = _eigen(group)
+        found = f(jax.lax.complex(*values))
+        each = [_composed(one, V, V_inverse).by_window for one in found.reshape(-1, *values.shape[1:])]
+        functions = jnp.stack(each).reshape(*found.shape[:-2], *each[0].shape)
+        return jnp.moveaxis(functions, -3, 0), jax.lax.complex(*values).T, _norm(V) * _norm(V_inverse)
+
+    functions, values, condition = _of_groups(of_group, A)
+    return jnp.moveaxis(functions, 0, -3), values, condition
 
 
 @matrix_functions.defjvp
 def _derivative(f, primals, tangents):
-    values, V, V_inverse = _eigen(primals[0])
-    condition = _norm(V) * _norm(V_inverse)
+    values, V, V_inverse, condition = _of_groups(_known, primals[0])
     turned = V_inverse @ tangents[0] @ V
     along = jnp.diagonal(turned, axis1=1, axis2=2)
     at, slope = jax.jvp(f, (values,), (jnp.ones_like(values),))
@@ -44,13 +53,40 @@ def _derivative(f, primals, tangents):
     divided = jnp.where(near, slope[..., None, :], change)
     _, own = jax.jvp(f, (values,), (along,))
     change = jnp.where(jnp.eye(values.shape[1], dtype=bool), own[..., None, :], divided * turned)
-    result = (_composed(at, V, V_inverse), values, condition)
+    result = ((V * at[..., None, :]) @ V_inverse, values, condition)
     return result, (V @ change @ V_inverse, along, jnp.zeros_like(condition))
 
 
-def _eigen(A):
-    values, V = jax.lax.platform_dependent(A, cpu=lambda a: tuple(jnp.linalg.eig(a)), default=eigen_on_host)
-    return values, V, lanes.lines(lanes.of_lines(V).inverse, len(V))
+def _known(group: Lanes):
+    """What derivatives need, line by line."""
+    values, V, V_inverse = _eigen(group)
+    return jax.lax.complex(*values).T, V.by_window, V_inverse.by_window, _norm(V) * _norm(V_inverse)
+
+
+def _of_groups(function, A: Complex[Array, "line n n"]):
+    """`function` of some lines after the others, each result with lines in front."""
+    n_line, n = A.shape[:2]
+    few = is_small(n) and not on_accelerator()
+    groups = lanes.of_lines(A, lanes.n_lane(n_line, n**2, eigen.ELEMENTS) if few else n_line)
+    found = jax.lax.map(lambda parts: function(Lanes(parts)), jnp.moveaxis(groups.parts, 1, 0))
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n_line], found)
+
+
+def is_small(n_row: int) -> bool:
+    """Whether eigenvalues of so many rows are found here, and not by LAPACK."""
+    return lanes.in_registers(n_row)
+
+
+def _eigen(A: Lanes) -> eigen.Eigen:
+    by_lapack = functools.partial(_by_library, lambda A: tuple(jnp.linalg.eig(A)))
+    on_cpu = eigen.eigen if is_small(A.shape[0]) else by_lapack
+    return jax.lax.platform_dependent(A, cpu=on_cpu, default=functools.partial(_by_library, eigen_on_host))
+
+
+def _by_library(function, A: Lanes) -> eigen.Eigen:
+    values, V = function(A.by_window)
+    V = lanes.of_lines(V, A.n_lane).at(0)
+    return eigen.Eigen(jnp.stack([values.T.real, values.T.imag]), V, V.inverse)
 
 
 def eigen_on_host(A: Complex[Array, "n n"]) -> tuple[Complex[Array, " n"], Complex[Array, "n n"]]:
@@ -72,21 +108,17 @@ def _eigen_of_each(A):
     )
 
 
-def _composed(values, V, V_inverse):
-    """V diag(values) V^-1 of every line, for one set of values or several."""
-    n_line, left, right = len(V), lanes.of_lines(V), lanes.of_lines(V_inverse)
-    every = values.reshape(-1, *values.shape[-2:])
-    found = [(left * lanes.of_lines(each[:, None])).times(right) for each in every]
-    return jnp.stack([lanes.lines(A, n_line) for A in found]).reshape(*values.shape[:-2], *V.shape)
+def _composed(values: Complex[Array, "n lane"], V: Lanes, V_inverse: Lanes) -> Lanes:
+    """V diag(values) V^-1."""
+    return (V * Lanes(jnp.stack([values.real, values.imag])[:, None])).times(V_inverse)
 
 
-def _norm(A):
-    return jnp.sqrt(jnp.sum(squares(A), axis=(-2, -1)))
+def _norm(A: Lanes) -> Float[Array, "lane"]:
+    return jnp.sqrt(jnp.sum(square(A.parts), axis=(0, 1)))
 
 
 _BLOCK = 256  # matrices that one core takes: some 20 ms
 _TERMS = 12  # of the series: where the norm is 1/2 at most, the next are below 4e-14
-_LEAST = 1e-60  # square of an element over the largest: smaller ones tell no ratio
 _OFTEN = 5  # squarings that are enough for norms up to 16
 _SQUARINGS = 10  # norms up to 512, once the mean eigenvalue is taken off: a logarithm's are some tens
 
@@ -103,7 +135,7 @@ def exponentials(
     n_line, n = A.shape[:2]
     mean, scale = jnp.trace(A, axis1=1, axis2=2)[:, None, None] / n, _units(A)[:, None]
     A = (A - mean * jnp.eye(n)) * (scale / scale.mT)
-    norm = _norm(A)
+    norm = jnp.sqrt(jnp.sum(squares(A), axis=(1, 2)))
     times = jnp.ceil(jnp.clip(jnp.log2(jnp.maximum(2.0 * jax.lax.stop_gradient(norm), 1.0)), 0.0, _SQUARINGS))
     result = _squared(_series(lanes.of_lines(A / 2.0 ** times[:, None, None])), lanes.of_numbers(times))
     return jnp.exp(mean) * lanes.lines(result, n_line) * (scale.mT / scale), norm
@@ -136,16 +168,7 @@ def _squared(A: Lanes, times: Float[Array, "group 1 1 lane"]) -> Lanes:
 
 
 def _units(A) -> Float[Array, "line n"]:
-    """The d for which diag(1/d) A diag(d) has rows as large as columns, by the mean logarithm of elements' ratios,
-    where that makes A smaller; powers of 2, so that nothing is rounded."""
-    A = jax.lax.stop_gradient(A)
-    size = squares(A)
-    least = _LEAST * size.max(axis=(1, 2), keepdims=True) + _LEAST
-    told = (size > least) & (size.mT > least)
-    logs = jnp.where(told, jnp.log2(jnp.maximum(size, least)), 0.0)
-    d = jnp.exp2(jnp.round(0.25 * jnp.sum(logs - logs.mT, axis=2) / jnp.maximum(told.sum(axis=2), 1)))
-    better = jnp.sum(size * jnp.square(d[:, None] / d[:, :, None]), axis=(1, 2)) < jnp.sum(size, axis=(1, 2))
-    return jnp.where(better[:, None], d, 1.0)
+    return eigen.units(jnp.moveaxis(squares(jax.lax.stop_gradient(A)), 0, -1)).T
 
 
 LARGEST_NORM = 0.5 * np.exp2(_SQUARINGS)

@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
+from marks import slow
 
-from jaxfrf.frf.matrix_functions import LARGEST_NORM, eigen_on_host, exponentials
+from jaxfrf.frf.matrix_functions import LARGEST_NORM, eigen_on_host, exponentials, matrix_functions
 
 
 @jax.jit
@@ -61,6 +62,21 @@ def test_derivatives():
     np.testing.assert_allclose(ours, along, atol=1e-8 * np.abs(along).max())
     slope = jax.jit(jax.grad(lambda x: jnp.sum(jnp.abs(exponential(A + x * B)[0]) ** 2)))(0.0)
     assert slope == pytest.approx(2.0 * np.sum(np.real(scipy.linalg.expm(A).conj() * along)), rel=1e-7)
+
+
+@pytest.mark.parametrize("n", [1, 4, slow(25)])  # the largest by LAPACK
+def test_functions_of_eigenvalues(n):
+    """Several at once, against SciPy's logarithm and root."""
+    A = np.stack([scipy.linalg.expm(some(0.3 / np.sqrt(n), seed, n)) for seed in range(3)])
+    (logs, roots), values, condition = jax.jit(
+        lambda A: matrix_functions(lambda values: jnp.stack([jnp.log(values), jnp.sqrt(values)]), A)
+    )(A)
+    for k, one in enumerate(A):
+        np.testing.assert_allclose(logs[k], scipy.linalg.logm(one), atol=1e-12)
+        np.testing.assert_allclose(roots[k], scipy.linalg.sqrtm(one), atol=1e-12)
+        _, V = np.linalg.eig(one)
+        assert condition[k] == pytest.approx(np.linalg.norm(V) * np.linalg.norm(np.linalg.inv(V)), rel=1e-9)
+        assert np.prod(values[k]) == pytest.approx(np.linalg.det(one), rel=1e-10)
 
 
 def test_eigenvalues_by_the_processor():
