@@ -416,7 +416,7 @@ def _by_lapack(function, A: Lanes) -> Lanes:
 
 def _inverse(A: Lanes) -> Lanes:
     """Gauss and Jordan's, in place: in every step the unknown of a column changes sides with the right-hand side of the
-    row that has the largest element there, of those rows that have not yet."""
+    row that has the largest element there, of those rows that have not yet. NaN where it is not finite."""
     n = A.shape[0]
 
     def exchanged(k, state):
@@ -427,7 +427,7 @@ def _inverse(A: Lanes) -> Lanes:
 
     none = jnp.zeros((n, *A.batch, n, A.n_lane))
     W, chosen, _ = jax.lax.fori_loop(0, n, exchanged, (A.parts, none, none[0]))
-    return _in_order(W, chosen)
+    return _where_finite(_columns_in_order(_rows_in_order(W, chosen), chosen))
 
 
 @apart
@@ -462,13 +462,23 @@ def _is_column(W, k):
 
 
 @apart
-def _in_order(W, chosen) -> Lanes:
-    """The inverse, its rows in the order of columns and its columns in that of rows; NaN where it is not finite."""
+def _rows_in_order(W, chosen):
+    """The rows of the inverse as columns were."""
     n = W.shape[_ROW]
-    rows = jnp.stack([total(W[..., i, :, :] * chosen[k, ..., i, None, :] for i in range(n)) for k in range(n)], _ROW)
-    found = total(rows[..., k, None, :] * chosen[k, ..., None, :, :] for k in range(n))
-    finite = jnp.isfinite(jnp.sum(found, axis=(0, _ROW, _COLUMN)))
-    return Lanes(jnp.where(finite[..., None, None, :], found, jnp.nan))
+    rows = [total(W[..., i, :, :] * chosen[k, ..., i, None, :] for i in range(n)) for k in range(n)]
+    return jnp.stack(rows, axis=_ROW)
+
+
+@apart
+def _columns_in_order(W, chosen):
+    """Its columns as rows were."""
+    return total(W[..., k, None, :] * chosen[k, ..., None, :, :] for k in range(W.shape[_COLUMN]))
+
+
+@apart
+def _where_finite(W) -> Lanes:
+    finite = jnp.isfinite(jnp.sum(W, axis=(0, _ROW, _COLUMN)))
+    return Lanes(jnp.where(finite[..., None, None, :], W, jnp.nan))
 
 
 def _within(n: int, part: slice) -> tuple[int, int]:

@@ -91,6 +91,7 @@ def test_inverse_where_pivots_differ_from_window_to_window(n):
     A[1] = np.eye(n)[rng.permutation(n)]  # which has no inverse without exchanges of rows
     A[2] *= 10.0 ** rng.uniform(-6, 6, size=(n, 1))
     A[3, -1] = A[3, 0] if n > 1 else 0.0
+    A[4] = np.exp(2j * np.pi * np.outer(np.arange(n), np.arange(n)) / n)  # elements of one size, but for rounding
     regular = np.arange(N_WINDOW) != 3
     for found in of_both_kinds(lambda A: A.inverse, A):
         expected = np.linalg.inv(A[regular])
