@@ -312,21 +312,32 @@ def _in_blocks(mean, G):
 def _matrix_means(G):
     """P^-1 exp(1/M sum_m log(P G_m)) of (line, block, n, n), and whether it is unsafe; NaN where there is none."""
     bad = ~jnp.isfinite(G).all(axis=(1, 2, 3))
-    G = jnp.where(_of_line(bad, G), jnp.eye(G.shape[-1]), G)
-    (P, P_inverse, first), _, condition = matrix_functions(_turn, G[:, 0])
-    usable = jnp.isfinite(first).all(axis=(1, 2))
-    P = jnp.where(_of_line(usable, P), P, jnp.eye(G.shape[-1]))
-    others = product(P[:, None], G[:, 1:])
-    logs, values, conditions = matrix_functions(jnp.log, others.reshape(-1, *P.shape[1:]))
-    logs, values, conditions = (x.reshape(*others.shape[:2], *x.shape[1:]) for x in (logs, values, conditions))
-    log_mean = (first + logs.sum(axis=1)) / G.shape[1]
+    logs, P_inverse, unsafe = _logarithms(jnp.where(_of_line(bad, G), jnp.eye(G.shape[-1]), G))
+    log_mean = logs / G.shape[1]
     finite = jnp.isfinite(log_mean).all(axis=(1, 2))
     mean, norm = exponentials(jnp.where(_of_line(finite, log_mean), log_mean, 0))
-    finite &= norm < LARGEST_NORM
-    unsafe = jnp.any(jnp.abs(jnp.angle(values)) > jnp.pi / 2, axis=(1, 2))
-    unsafe |= jnp.any(conditions > _CONDITION, axis=1) | (condition > _CONDITION)
-    known = ~bad & usable & finite
+    known = ~bad & finite & (norm < LARGEST_NORM)
     return jnp.where(_of_line(known, mean), product(P_inverse, mean), jnp.nan), unsafe
+
+
+def _logarithms(G):
+    """sum_m log(P G_m), P^-1, and whether a branch is unsafe: of one block after the other, the first of which says
+    what P is."""
+    one = jnp.broadcast_to(jnp.eye(G.shape[-1], dtype=G.dtype), G[:, 0].shape)
+
+    def with_block(before, block):
+        turns, logs, unsafe = before
+        number, G = block
+        is_first = number == 0
+        found, values, condition = matrix_functions((_turn, _only_logarithm), product(turns[0], G), 1 - is_first)
+        turns = jnp.where(is_first, found[:2], turns)
+        unsafe |= ~is_first & jnp.any(jnp.abs(jnp.angle(values)) > jnp.pi / 2, axis=1)
+        return (turns, logs + found[2], unsafe | (condition > _CONDITION)), None
+
+    first = jnp.stack([one, one]), jnp.zeros_like(one), jnp.zeros(len(G), bool)
+    blocks = jnp.arange(G.shape[1]), jnp.swapaxes(G, 0, 1)
+    ((_, P_inverse), logs, unsafe), _ = jax.lax.scan(with_block, first, blocks)
+    return logs, P_inverse, unsafe
 
 
 def _of_line(x, like):
@@ -339,6 +350,11 @@ def _turn(values):
     size = jnp.abs(values)
     turn = values.conj() / size
     return jnp.stack([turn, turn.conj(), jnp.log(size).astype(turn.dtype)])
+
+
+def _only_logarithm(values):
+    """Of one that is turned: beside two that are not asked for."""
+    return jnp.stack([jnp.ones_like(values), jnp.ones_like(values), jnp.log(values)])
 
 
 def _elementwise_mean(G):

@@ -115,25 +115,29 @@ def _in_units(A: Parts, d, scale) -> Parts:
 def _hessenberg(A: Parts) -> tuple[Parts, Parts]:
     """H of no elements below the first subdiagonal, and Q of Q^H A Q = H, by Householder's reflections."""
     n = A.shape[-2]
-    H, Q = A, identity(Lanes(A)).parts
-    for k in range(n - 2):
-        v = Lanes(_reflection(H[:, k + 1 :, k]))
-        below = Lanes(H)[k + 1 :, :]
-        below -= v.times(v.adjoint_times(below))
-        both = Lanes(_joined((H[:, : k + 1], below.parts, Q), -3))
-        behind = both[:, k + 1 :]
-        behind -= behind.times(v).times_adjoint(v)
-        parts = _joined((both[:, : k + 1].parts, behind.parts), -2)
-        H, Q = parts[:, :n], parts[:, n:]
-    return H, Q
+
+    def reflected(k, both):
+        v = Lanes(_reflection(both, k))
+        H = Lanes(both[:, :n])
+        both = jnp.concatenate([(H - v.times(v.adjoint_times(H))).parts, both[:, n:]], axis=1)
+        both = Lanes(both)
+        return (both - both.times(v).times_adjoint(v)).parts
+
+    both = jax.lax.fori_loop(0, n - 2, reflected, jnp.concatenate([A, identity(Lanes(A)).parts], axis=1))
+    return both[:, :n], both[:, n:]
 
 
 @apart
-def _reflection(x: Float[Array, "2 row lane"]) -> Float[Array, "2 row 1 lane"]:
-    """v, for which x - v v^H x has only its first element; zero where x is."""
-    first = _phase(x[:, 0], square(x[:, 0])) * jnp.sqrt(jnp.sum(square(x), axis=0))
-    v = jnp.concatenate([x[:, :1] + first[:, None], x[:, 1:]], axis=1)
-    length = jnp.sum(square(v), axis=0)
+def _reflection(H: Parts, k) -> Float[Array, "2 row 1 lane"]:
+    """v, for which x - v v^H x has only its first element, x being what column k has below the diagonal; zero where x
+    is."""
+    n = H.shape[-2]
+    x = jax.lax.dynamic_index_in_dim(H[:, :n], k, axis=2, keepdims=False)
+    x = jnp.where((np.arange(n) > k)[:, None], x, 0.0)
+    first = jax.lax.dynamic_index_in_dim(x, k + 1, axis=1, keepdims=False)
+    first = _phase(first, square(first)) * jnp.sqrt(_along(jnp.add, square(x)))
+    v = x + jnp.where((np.arange(n) == k + 1)[:, None], first[:, None], 0.0)
+    length = _along(jnp.add, square(v))
     some = length > _NOTHING
     return (v * jnp.where(some, jnp.sqrt(2.0 / jnp.where(some, length, 1.0)), 0.0))[:, :, None]
 
@@ -142,10 +146,6 @@ def _phase(x: Parts, squared) -> Parts:
     """x / |x|, and 1 of nothing."""
     nothing = squared <= _NOTHING
     return jnp.where(nothing, one(x), x / jnp.sqrt(jnp.where(nothing, 1.0, squared)))
-
-
-def _joined(several: tuple[Parts, ...], axis: int) -> Parts:
-    return apart(functools.partial(jnp.concatenate, axis=axis))(several)
 
 
 # Schur's form ---------------------------------------------------------------------------------------------------------
@@ -290,43 +290,46 @@ def _diagonal(A: Parts, offset: int = 0) -> Float[Array, "2 _ lane"]:
 def _vectors(T: Parts) -> Parts:
     """X, upper triangular with ones on its diagonal, of T X = X diag T."""
     values = _diagonal(T)
-    sizes = size(values)
 
-    def row(k: int, unit: Parts, behind: Parts) -> Parts:
-        return _plus(unit, behind, _one_over(values - values[:, k : k + 1], sizes))
+    def row(k, behind):
+        own = jax.lax.dynamic_slice_in_dim(values, k, 1, axis=1)
+        return _times_inverse(behind, values - own, size(values))
 
     return _from_the_last_row(T, row)
 
 
 def _inverse_of_triangle(X: Parts) -> Parts:
     """X^-1, X being upper triangular with ones on its diagonal."""
-    return _from_the_last_row(X, lambda k, unit, behind: _minus(unit, behind))
+    return _from_the_last_row(X, lambda k, behind: -behind)
 
 
 def _from_the_last_row(A: Parts, row) -> Parts:
-    """X whose row k is made from that of 1, and from those behind it times what A has right of its diagonal."""
+    """X, whose row k is that of 1 and `row(k, behind)`: of the rows behind it, times what A has right of its
+    diagonal."""
     n = A.shape[-2]
-    unit = identity(Lanes(A)).parts
-    rows = [unit[:, n - 1]]
-    for k in reversed(range(n - 1)):
-        behind = Lanes(A)[k : k + 1, k + 1 :].times(Lanes(_stacked(tuple(rows), -3)))
-        rows.insert(0, row(k, unit[:, k], behind.parts[:, 0]))
-    return _stacked(tuple(rows), -3)
+
+    def with_row(done, X):
+        k = n - 2 - done
+        right = Lanes(_right_of_diagonal(A, k))
+        more = row(k, right.times(Lanes(X)).parts[:, 0])
+        return jax.lax.dynamic_update_slice_in_dim(X, _plus_one(more, k)[:, None], k, axis=1)
+
+    return jax.lax.fori_loop(0, n - 1, with_row, identity(Lanes(A)).parts)
 
 
 @apart
-def _one_over(difference: Parts, sizes) -> Parts:
-    """Two eigenvalues that are the same are taken to differ by their rounding."""
+def _right_of_diagonal(A: Parts, k) -> Float[Array, "2 1 n lane"]:
+    row = jax.lax.dynamic_slice_in_dim(A, k, 1, axis=1)
+    return jnp.where((np.arange(A.shape[-2]) > k)[:, None], row, 0.0)
+
+
+@apart
+def _plus_one(row: Parts, k) -> Parts:
+    return row + one(row) * (np.arange(row.shape[1]) == k)[:, None]
+
+
+@apart
+def _times_inverse(x: Parts, difference: Parts, sizes) -> Parts:
+    """x over differences of eigenvalues: two that are the same are taken to differ by their rounding."""
     least = jnp.maximum(_EPS * sizes, np.sqrt(_NOTHING))
-    difference = jnp.where(size(difference) < least, least * one(difference), difference)
-    return over(jnp.broadcast_to(one(difference), difference.shape), difference)
-
-
-@apart
-def _plus(unit: Parts, x: Parts, factor: Parts) -> Parts:
-    return unit + product(x, factor)
-
-
-@apart
-def _minus(unit: Parts, x: Parts) -> Parts:
-    return unit - x
+    return over(x, jnp.where(size(difference) < least, least * one(difference), difference))

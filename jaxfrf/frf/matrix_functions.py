@@ -7,7 +7,7 @@ import operator
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 
 from .._device import on_accelerator
 from .._threads import shared
@@ -20,32 +20,43 @@ from .lanes import Lanes
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def matrix_functions(
-    f, A: Complex[Array, "line n n"]
+    functions: tuple, A: Complex[Array, "line n n"], which: int | Int[Array, ""]
 ) -> tuple[Complex[Array, "*function line n n"], Complex[Array, "line n"], Float[Array, "line"]]:
     """V diag(f(lambda)) V^-1 for A = V diag(lambda) V^-1 of every line, the eigenvalues, and the condition of V
     (Frobenius norm).
 
-    `f` need not be holomorphic; it is applied element by element, and may return several functions, stacked along
-    leading axes. NaN where V is singular. The derivative is that of Daleckii & Krein (1965): divided differences of f
-    between the eigenvalues.
+    f is that one of `functions` whose number is `which`. It need not be holomorphic; it is applied element by element,
+    and may return several functions, stacked along leading axes, the others as many: a program that takes them in turn
+    need not have eigenvalues, which take long to compile, twice. NaN where V is singular. The derivative is that of
+    Daleckii & Krein (1965): divided differences of f between the eigenvalues.
     """
 
     def of_group(group: Lanes):
         values, V, V_inverse = _eigen(group)
-        found = f(jax.lax.complex(*values))
-        each = [_composed(one, V, V_inverse).by_window for one in found.reshape(-1, *values.shape[1:])]
-        functions = jnp.stack(each).reshape(*found.shape[:-2], *each[0].shape)
-        return jnp.moveaxis(functions, -3, 0), jax.lax.complex(*values).T, _norm(V) * _norm(V_inverse)
 
-    functions, values, condition = _of_groups(of_group, A)
-    return jnp.moveaxis(functions, 0, -3), values, condition
+        def composed(f):
+            found = f(jax.lax.complex(*values))
+            each = [_composed(one, V, V_inverse).by_window for one in found.reshape(-1, *values.shape[1:])]
+            every = jnp.stack(each).reshape(*found.shape[:-2], *each[0].shape)
+            return jnp.moveaxis(every, -3, 0)
+
+        found = jax.lax.switch(which, [functools.partial(composed, f) for f in functions])
+        return found, jax.lax.complex(*values).T, _norm(V) * _norm(V_inverse)
+
+    found, values, condition = _of_groups(of_group, A)
+    return jnp.moveaxis(found, 0, -3), values, condition
 
 
 @matrix_functions.defjvp
-def _derivative(f, primals, tangents):
-    values, V, V_inverse, condition = _of_groups(_known, primals[0])
+def _derivative(functions, primals, tangents):
+    A, which = primals
+    values, V, V_inverse, condition = _of_groups(_known, A)
     turned = V_inverse @ tangents[0] @ V
     along = jnp.diagonal(turned, axis1=1, axis2=2)
+
+    def f(values):
+        return jax.lax.switch(which, functions, values)
+
     at, slope = jax.jvp(f, (values,), (jnp.ones_like(values),))
     gap = values[:, :, None] - values[:, None]
     near = jnp.abs(gap) <= 1e-12 * jnp.max(jnp.abs(values), axis=1)[:, None, None]

@@ -66,14 +66,17 @@ def test_derivatives():
 
 @pytest.mark.parametrize("n", [1, 4, slow(25)])  # the largest by LAPACK
 def test_functions_of_eigenvalues(n):
-    """Several at once, against SciPy's logarithm and root."""
+    """Several at once, of which a program is told which, against SciPy's logarithm and root."""
     A = np.stack([scipy.linalg.expm(some(0.3 / np.sqrt(n), seed, n)) for seed in range(3)])
-    (logs, roots), values, condition = jax.jit(
-        lambda A: matrix_functions(lambda values: jnp.stack([jnp.log(values), jnp.sqrt(values)]), A)
-    )(A)
+    functions = (lambda x: jnp.stack([jnp.log(x), jnp.sqrt(x)]), lambda x: jnp.stack([1 / x, x]))
+    each = jax.jit(lambda A, which: matrix_functions(functions, A, which))
+    (logs, roots), values, condition = each(A, 0)
+    (inverses, same), *_ = each(A, 1)
     for k, one in enumerate(A):
         np.testing.assert_allclose(logs[k], scipy.linalg.logm(one), atol=1e-12)
         np.testing.assert_allclose(roots[k], scipy.linalg.sqrtm(one), atol=1e-12)
+        np.testing.assert_allclose(inverses[k], np.linalg.inv(one), atol=1e-12)
+        np.testing.assert_allclose(same[k], one, atol=1e-13)
         _, V = np.linalg.eig(one)
         assert condition[k] == pytest.approx(np.linalg.norm(V) * np.linalg.norm(np.linalg.inv(V)), rel=1e-9)
         assert np.prod(values[k]) == pytest.approx(np.linalg.det(one), rel=1e-10)
