@@ -18,7 +18,7 @@ from ..spectra import Spectra, changed_signals
 from .classical import H1
 from .covariance import OuterSum, sum_over, variances
 from .inverse import product
-from .matrix_functions import LARGEST_NORM, exponentials, matrix_functions
+from .matrix_functions import LARGEST_NORM, exponentials, is_small, matrix_functions
 from .method import AbstractMethod, Estimate, Signals, arrays_of, on_host
 
 _CONDITION = 1e6  # of the eigenvectors: above it the matrix logarithm loses half of the digits
@@ -181,6 +181,10 @@ class LogMean(AbstractAverage):
             )
         super().check(spectra)
 
+    def calls_lapack(self, spectra: Spectra) -> bool:
+        large = not self.elementwise and not is_small(spectra.n_out)
+        return large or super().calls_lapack(spectra)
+
     def mean(self, G):
         if G.shape[1] == 1:
             return G[:, 0], jnp.zeros(len(G), bool)
@@ -311,7 +315,8 @@ def _in_blocks(mean, G):
 @apart
 def _matrix_means(G):
     """P^-1 exp(1/M sum_m log(P G_m)) of (line, block, n, n), and whether it is unsafe; NaN where there is none."""
-    bad = ~jnp.isfinite(G).all(axis=(1, 2, 3))
+    dead = ~((G != 0).any(axis=2).all(axis=2) & (G != 0).any(axis=3).all(axis=2)).all(axis=1)  # a row or column
+    bad = ~jnp.isfinite(G).all(axis=(1, 2, 3)) | dead
     logs, P_inverse, unsafe = _logarithms(jnp.where(_of_line(bad, G), jnp.eye(G.shape[-1]), G))
     log_mean = logs / G.shape[1]
     finite = jnp.isfinite(log_mean).all(axis=(1, 2))
@@ -332,7 +337,7 @@ def _logarithms(G):
         found, values, condition = matrix_functions((_turn, _only_logarithm), product(turns[0], G), 1 - is_first)
         turns = jnp.where(is_first, found[:2], turns)
         unsafe |= ~is_first & jnp.any(jnp.abs(jnp.angle(values)) > jnp.pi / 2, axis=1)
-        return (turns, logs + found[2], unsafe | (condition > _CONDITION)), None
+        return (turns, logs + found[2], unsafe | ~(condition <= _CONDITION)), None
 
     first = jnp.stack([one, one]), jnp.zeros_like(one), jnp.zeros(len(G), bool)
     blocks = jnp.arange(G.shape[1]), jnp.swapaxes(G, 0, 1)

@@ -2,8 +2,8 @@
 
 Schur's form by Hessenberg's and QR steps with Wilkinson's shift (Golub & Van Loan, Matrix Computations, 7.5; explicit
 shifts, as EISPACK's comqr2), all lines in step until the last is done; eigenvectors from it by substitution. Lines lie
-innermost, as many as the cache takes. LAPACK, one matrix after the other, takes four times as long for six rows, and
-its batched calls hand work to threads that wait for each other.
+innermost, as many as the cache takes. LAPACK, one matrix after the other, takes two to three times as long for six
+rows, and its batched calls hand work to threads that wait for each other.
 """
 
 import functools
@@ -17,7 +17,7 @@ from jaxtyping import Float
 from .._compile import apart
 from .._types import Array
 from .complex_parts import Parts, conjugate, one, over, product, root, size, square
-from .lanes import Lanes, identity
+from .lanes import Lanes, identity, total
 
 _EPS = np.finfo(float).eps
 _NOTHING = 1e-290  # square of an element, where the largest of the matrix is 1
@@ -31,7 +31,8 @@ _Rotation = Float[Array, "3 lane"]  # cosine, sine's real and imaginary part
 
 
 class Eigen(NamedTuple):
-    """A = V diag(values) V_inverse, columns of V of length one. NaN where there is none."""
+    """A = V diag(values) V_inverse, columns of V of length one. V is not finite, or of a large condition, where there
+    are no n eigenvectors."""
 
     values: Float[Array, "2 n lane"]
     V: Lanes
@@ -40,28 +41,40 @@ class Eigen(NamedTuple):
 
 def eigen(A: Lanes) -> Eigen:
     """Of one group of lines."""
-    parts, unit, scale = _balanced(A.parts)
+    turned = _begins_small(A.parts)
+    parts, unit, scale = _balanced(_turned(A.parts, turned, (1, 2)))
     T, Q = _schur(parts)
     X = _vectors(T)
-    V = Lanes(Q).times(Lanes(X)).parts * unit[:, None]
-    V_inverse = Lanes(_inverse_of_triangle(X)).times(Lanes(Q).adjoint).parts / unit
-    length = jnp.sqrt(jnp.sum(square(V), axis=0))
+    V = _turned(Lanes(Q).times(Lanes(X)).parts * unit[:, None], turned, (1,))
+    V_inverse = _turned(Lanes(_inverse_of_triangle(X)).times(Lanes(Q).adjoint).parts / unit, turned, (2,))
+    length = jnp.sqrt(total(square(V)))
     return Eigen(_diagonal(T) * scale, Lanes(V / length), Lanes(V_inverse * length[:, None]))
 
 
 # Balance --------------------------------------------------------------------------------------------------------------
 
 
+@apart
+def _begins_small(A: Parts):
+    """Whether rows and columns are to be taken from the last one on: QR steps find small eigenvalues exactly where the
+    small elements are the last ones."""
+    return size(A[:, -1, -1]) > size(A[:, 0, 0])
+
+
+def _turned(A: Parts, turned, axes: tuple[int, ...]) -> Parts:
+    return jnp.where(turned, jnp.flip(A, axes), A)
+
+
 def units(squares: Float[Array, "n n lane"]) -> Float[Array, "n lane"]:
     """The d for which diag(1/d) A diag(d) has rows as large as columns, by the mean logarithm of the ratios of
     elements, whose squares are given, where that makes A smaller; powers of 2, so that nothing is rounded."""
-    return _where_smaller(_even(_logarithms(squares)), squares)
+    return _where_smaller(_even(_log_ratios(squares)), squares)
 
 
 @apart
-def _logarithms(squares):
+def _log_ratios(squares):
     """Of every element over the one across the diagonal, NaN where one of them is zero."""
-    largest = _along(jnp.maximum, _along(jnp.maximum, squares))
+    largest = _largest(squares)
     least = _LEAST * largest + _LEAST
     logs = jnp.where(squares > least, jnp.log2(squares), jnp.nan)
     return logs - logs.swapaxes(0, 1)
@@ -70,20 +83,14 @@ def _logarithms(squares):
 @apart
 def _even(ratios):
     told = ~jnp.isnan(ratios)
-    total = _along(jnp.add, jnp.where(told, ratios, 0.0).swapaxes(0, 1))
-    return jnp.exp2(jnp.round(0.25 * total / jnp.maximum(_along(jnp.add, told.astype(float).swapaxes(0, 1)), 1.0)))
+    whole = total(jnp.where(told, ratios, 0.0).swapaxes(0, 1))
+    return _power_of_two(0.25 * whole / jnp.maximum(total(told.astype(float).swapaxes(0, 1)), 1.0))
 
 
 @apart
 def _where_smaller(d, squares):
     change = jnp.square(d / d[:, None]) - 1.0
-    smaller = _along(jnp.add, _along(jnp.add, squares * change)) < 0.0
-    return jnp.where(smaller, d, 1.0)
-
-
-def _along(operation, x):
-    """Over the first axis: XLA's own loop for it is not vectorised."""
-    return functools.reduce(operation, x)
+    return jnp.where(total(total(squares * change)) < 0.0, d, 1.0)
 
 
 def _balanced(A: Parts):
@@ -95,8 +102,19 @@ def _balanced(A: Parts):
 
 @apart
 def _size(A: Parts):
-    largest = _along(jnp.maximum, _along(jnp.maximum, size(A)))
-    return jnp.exp2(jnp.round(jnp.log2(jnp.where(largest > 0, largest, 1.0))))
+    largest = _largest(size(A))
+    return _power_of_two(jnp.log2(jnp.where(largest > 0, largest, 1.0)))
+
+
+def _largest(x: Float[Array, "n n lane"]) -> Float[Array, "lane"]:
+    of_columns = functools.reduce(jnp.maximum, list(x))  # XLA's own loop is not vectorised
+    return functools.reduce(jnp.maximum, list(of_columns))
+
+
+def _power_of_two(exponent):
+    """The nearest one; XLA's `exp2` is off by its rounding. 1 where there is no exponent."""
+    known = jnp.isfinite(exponent)
+    return jnp.ldexp(1.0, jnp.where(known, jnp.round(exponent), 0.0).astype(int))
 
 
 @apart
@@ -113,7 +131,8 @@ def _in_units(A: Parts, d, scale) -> Parts:
 
 
 def _hessenberg(A: Parts) -> tuple[Parts, Parts]:
-    """H of no elements below the first subdiagonal, and Q of Q^H A Q = H, by Householder's reflections."""
+    """H of no elements below the first subdiagonal, but for rounding, and Q of Q^H A Q = H: by Householder's
+    reflections."""
     n = A.shape[-2]
 
     def reflected(k, both):
@@ -135,9 +154,9 @@ def _reflection(H: Parts, k) -> Float[Array, "2 row 1 lane"]:
     x = jax.lax.dynamic_index_in_dim(H[:, :n], k, axis=2, keepdims=False)
     x = jnp.where((np.arange(n) > k)[:, None], x, 0.0)
     first = jax.lax.dynamic_index_in_dim(x, k + 1, axis=1, keepdims=False)
-    first = _phase(first, square(first)) * jnp.sqrt(_along(jnp.add, square(x)))
+    first = _phase(first, square(first)) * jnp.sqrt(total(square(x)))
     v = x + jnp.where((np.arange(n) == k + 1)[:, None], first[:, None], 0.0)
-    length = _along(jnp.add, square(v))
+    length = total(square(v))
     some = length > _NOTHING
     return (v * jnp.where(some, jnp.sqrt(2.0 / jnp.where(some, length, 1.0)), 0.0))[:, :, None]
 
@@ -172,9 +191,10 @@ def _schur(A: Parts) -> tuple[Parts, Parts]:
 
 
 def _qr_step(H: Parts, Q: Parts, left, odd) -> tuple[Parts, Parts]:
-    """R Q + s of H - s = Q R, s being a shift of each line's own."""
+    """R Q + S of H - S = Q R, S being a shift of each line's own, in those rows that are not done: it would round small
+    eigenvalues that are."""
     n = H.shape[-2]
-    shift = _shift(_last_block(H, _last(left)), odd)
+    shift = _shift(_last_block(H, _last(left)), odd)[:, None] * _undone(left)
     shifted = _shifted(H, left, shift)
     row, rotations, rows = shifted[:, 0], [], []
     for k in range(n - 1):
@@ -234,6 +254,13 @@ def _left(H: Parts, least) -> Float[Array, "_ lane"]:
 
 
 @apart
+def _undone(left) -> Float[Array, "n lane"]:
+    """1 of every row beside such an element."""
+    none = jnp.zeros_like(left[:1])
+    return jnp.maximum(jnp.concatenate([none, left]), jnp.concatenate([left, none]))
+
+
+@apart
 def _last(left) -> Float[Array, "_ lane"]:
     """1 of the last of those."""
     later = sum(left[k] * (np.arange(len(left)) < k)[:, None] for k in range(1, len(left)))
@@ -244,7 +271,8 @@ def _last(left) -> Float[Array, "_ lane"]:
 def _last_block(H: Parts, last) -> Float[Array, "4 2 lane"]:
     """Elements of the two rows and columns about it."""
     on = _diagonal(H)
-    return jnp.stack([jnp.sum(x * last, axis=1) for x in (on[:, :-1], _diagonal(H, 1), _diagonal(H, -1), on[:, 1:])])
+    along = (on[:, :-1], _diagonal(H, 1), _diagonal(H, -1), on[:, 1:])
+    return jnp.stack([total(x[:, k] * last[k] for k in range(len(last))) for x in along])
 
 
 @apart
@@ -253,7 +281,7 @@ def _shift(block: Float[Array, "4 2 lane"], odd) -> Parts:
     a, b, c, d = block
     half, across = 0.5 * (a - d), product(b, c)
     apart_by = root(product(half, half) + across)
-    away = half + jnp.where(jnp.sum(half * apart_by, axis=0) >= 0, apart_by, -apart_by)
+    away = half + jnp.where(half[0] * apart_by[0] + half[1] * apart_by[1] >= 0, apart_by, -apart_by)
     some = square(away) > _NOTHING
     wilkinson = d - jnp.where(some, over(across, jnp.where(some, away, one(away))), 0.0)
     return jnp.where(odd > 0, d + 0.75 * size(c) * one(d), wilkinson)
@@ -265,13 +293,13 @@ def _shifted(H: Parts, left, shift) -> Parts:
     n = H.shape[-2]
     counts = jnp.concatenate([jnp.zeros_like(left[:1]), left])[:, None]
     H = jnp.where(np.eye(n, k=-1)[..., None] > 0, H * counts, H)
-    return H - np.eye(n)[..., None] * shift[:, None, None]
+    return H - np.eye(n)[..., None] * shift[:, None]
 
 
 @apart
 def _plus_shift(columns: tuple[Parts, ...], shift) -> Parts:
     H = jnp.stack(columns, axis=-2)
-    return H + np.eye(len(columns))[..., None] * shift[:, None, None]
+    return H + np.eye(len(columns))[..., None] * shift[:, None]
 
 
 def _stacked(several: tuple[Parts, ...], axis: int) -> Parts:
@@ -331,5 +359,5 @@ def _plus_one(row: Parts, k) -> Parts:
 @apart
 def _times_inverse(x: Parts, difference: Parts, sizes) -> Parts:
     """x over differences of eigenvalues: two that are the same are taken to differ by their rounding."""
-    least = jnp.maximum(_EPS * sizes, np.sqrt(_NOTHING))
+    least = jnp.maximum(_EPS * sizes, _EPS**2)
     return over(x, jnp.where(size(difference) < least, least * one(difference), difference))

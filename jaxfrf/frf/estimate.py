@@ -171,7 +171,7 @@ def _groups(spectra: Spectra, threads: int) -> list[np.ndarray]:
     return [np.minimum(np.arange(i, i + size), last) for i in range(0, spectra.n_pos, size)]
 
 
-def _parts(spectra: Spectra, method: AbstractMethod, threads: int) -> int:
+def _part_count(spectra: Spectra, method: AbstractMethod, threads: int) -> int:
     """In how many parts the lines of a single operating point are shared out."""
     few = len(spectra.lines) * method.n_window(spectra) <= _SHARED
     alone = few or spectra.n_pos > 1 or method.looks or not method.shares_lines or on_accelerator()
@@ -182,7 +182,7 @@ def _estimates(spectra: Spectra, method: AbstractMethod, groups: list[np.ndarray
     """The estimate of every group of operating points, in threads of their own once the program is compiled."""
 
     if len(groups) == 1:
-        yield method.estimate(spectra, _parts(spectra, method, threads))
+        yield method.estimate(spectra, _part_count(spectra, method, threads))
         return
 
     def estimated(group):

@@ -125,7 +125,7 @@ def _composed(values: Complex[Array, "n lane"], V: Lanes, V_inverse: Lanes) -> L
 
 
 def _norm(A: Lanes) -> Float[Array, "lane"]:
-    return jnp.sqrt(jnp.sum(square(A.parts), axis=(0, 1)))
+    return jnp.sqrt(lanes.total(lanes.total(square(A.parts))))
 
 
 _BLOCK = 256  # matrices that one core takes: some 20 ms

@@ -116,6 +116,27 @@ def test_parallel_eigenvectors_are_told():
     assert_eigen(A[::2], values[::2], V[::2], V_inverse[::2])
 
 
+@pytest.mark.parametrize("down", [True, False])
+@pytest.mark.parametrize("n", [2, 6])
+def test_small_eigenvalues_of_very_different_channels(n, down):
+    """D A D with D over eight decades: as exact as those of the inverse, which are large there."""
+    D = 10.0 ** np.linspace(0, -8, n)[:: 1 if down else -1]
+    A = np.eye(n) + 0.1 * some(20, n)
+    values = found(D[:, None] * A * D)[0]
+    inverse = np.linalg.inv(A) / D[:, None] / D
+    for ours, matrix in zip(values, inverse, strict=True):
+        smallest = np.abs(ours).min()
+        largest = np.abs(np.linalg.eigvals(matrix)).max()
+        assert smallest * largest == pytest.approx(1.0, rel=1e-11)
+
+
+def test_equal_eigenvalues_of_nothing():
+    """Of rank 1, and Hermitian: eigenvectors there are, or it is said that there are none."""
+    values, V, V_inverse = found(np.stack([np.ones((6, 6)), np.eye(6, k=1)]))
+    np.testing.assert_allclose(np.sort(np.abs(values[0])), [0, 0, 0, 0, 0, 6], atol=1e-14)
+    assert not np.linalg.norm(V[1]) * np.linalg.norm(V_inverse[1]) <= 1e8
+
+
 @pytest.mark.parametrize("number", [np.nan, np.inf])
 def test_no_numbers_are_of_one_line_alone(number):
     A = some(9, 4)

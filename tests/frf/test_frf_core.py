@@ -340,7 +340,20 @@ def test_whether_a_gpu_is_meant():
 
 
 def test_logarithmic_mean_of_what_has_no_logarithm():
-    """A first block that is singular: no number is made up."""
-    G = np.stack([np.diag([1.0, 0.0]), np.eye(2)]).astype(complex)
-    mean, _ = jax.jit(jf.LogMean().mean)(jnp.asarray(G)[None])
-    assert np.isnan(mean).all()
+    """A block that is singular, by an output or input that is dead: no number is made up."""
+    rng = np.random.default_rng(3)
+    n = 3
+    G = rng.normal(size=(4 * n, 2, n, n)) + 1j * rng.normal(size=(4 * n, 2, n, n))
+    for line in range(4 * n):
+        block, channel, of_input = line % 2, line // 4, line // 2 % 2
+        G[line, block, *((slice(None), channel) if of_input else (channel,))] = 0.0
+    G = np.concatenate([G, np.eye(n) + 0.1 * G[:1]])
+    G[-1] += np.eye(n)
+    mean, _ = jax.jit(jf.LogMean().mean)(G)
+    assert np.isnan(mean[:-1]).all() and np.isfinite(mean[-1]).all()
+
+
+def test_logarithmic_mean_without_eigenvectors():
+    """Blocks that are Jordan's."""
+    G = np.stack([np.eye(3) + np.eye(3, k=1), np.eye(3)]).astype(complex)
+    assert jax.jit(jf.LogMean().mean)(G[None])[1].all() and jax.jit(jf.LogMean().mean)(G[None, ::-1])[1].all()

@@ -79,7 +79,7 @@ def test_part_of_a_line_alone(spectra):
 )
 def test_who_shares_lines(monkeypatch, spectra, method, parts):
     monkeypatch.setattr(module, "_SHARED", 400)
-    assert module._parts(spectra, method, 4) == parts
+    assert module._part_count(spectra, method, 4) == parts
 
 
 def test_methods_of_the_users_share_nothing():
@@ -98,6 +98,7 @@ def test_methods_of_the_users_share_nothing():
         (jf.JointInputOutput(), False),
         (jf.ArithmeticMean(jf.LPM()), False),
         (jf.LogMean(jf.LRM()), False),
+        (jf.LogMean(elementwise=True), False),
         (jf.CommonDenominatorLRM(), True),
         (jf.H2(), True),
     ],
@@ -111,5 +112,7 @@ def test_which_programs_call_lapack(spectra, method, calls):
 
 
 def test_large_windows_are_for_lapack(spectra):
+    many = dataclasses.replace(spectra, U=np.repeat(spectra.U, 13, -1), Y=np.repeat(spectra.Y, 13, -1), noise=None)
+    assert jf.LogMean(jf.LPM(order=0)).calls_lapack(many)  # for eigenvalues
     assert jf.LRM(order=20).calls_lapack(spectra)
     assert jf.Auto(jf.LRM(transient=1)).calls_lapack(spectra)
