@@ -228,7 +228,7 @@ def _line_by_line(signals: Signals, instrument, response=None, lines=None) -> tu
     of_U, of_Y, of_Z, noise = _at(lines, signals.U, signals.Y, instrument, signals.noise)
     n_line = of_U.shape[1]
     G = None if response is None else jax.vmap(lambda U, Y: response(U.T, Y.T), in_axes=1)(of_U, of_Y)
-    n_lane = lanes.n_lane(n_line, signals.n_exp * signals.n_in, _ELEMENTS)
+    n_lane = lanes.lane_count(n_line, signals.n_exp * signals.n_in, _ELEMENTS)
     U, Y = (lanes.of_signal(x, n_lane) for x in (of_U if G is None else after(of_U, G), of_Y))
     Z = U if of_Z is None else lanes.of_signal(of_Z, n_lane)
     X = lanes.inverse_of_products(U) if Z is U else U.times_adjoint(Z).inverse

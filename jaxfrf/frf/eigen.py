@@ -2,8 +2,8 @@
 
 Schur's form by Hessenberg's and QR steps with Wilkinson's shift (Golub & Van Loan, Matrix Computations, 7.5; explicit
 shifts, as EISPACK's comqr2), all lines in step until the last is done; eigenvectors from it by substitution. Lines lie
-innermost, as many as the cache takes. LAPACK, one matrix after the other, takes two to three times as long for six
-rows, and its batched calls hand work to threads that wait for each other.
+innermost, as many as the cache takes. LAPACK takes one matrix after the other, and its batched calls hand work to
+threads that wait for each other.
 """
 
 import functools
@@ -41,12 +41,12 @@ class Eigen(NamedTuple):
 
 def eigen(A: Lanes) -> Eigen:
     """Of one group of lines."""
-    turned = _begins_small(A.parts)
-    parts, unit, scale = _balanced(_turned(A.parts, turned, (1, 2)))
+    backwards = _begins_small(A.parts)
+    parts, unit, scale = _balanced(_reversed(A.parts, backwards, (1, 2)))
     T, Q = _schur(parts)
     X = _vectors(T)
-    V = _turned(Lanes(Q).times(Lanes(X)).parts * unit[:, None], turned, (1,))
-    V_inverse = _turned(Lanes(_inverse_of_triangle(X)).times(Lanes(Q).adjoint).parts / unit, turned, (2,))
+    V = _reversed(Lanes(Q).times(Lanes(X)).parts * unit[:, None], backwards, (1,))
+    V_inverse = _reversed(Lanes(_inverse_of_triangle(X)).times(Lanes(Q).adjoint).parts / unit, backwards, (2,))
     length = jnp.sqrt(total(square(V)))
     return Eigen(_diagonal(T) * scale, Lanes(V / length), Lanes(V_inverse * length[:, None]))
 
@@ -61,8 +61,8 @@ def _begins_small(A: Parts):
     return size(A[:, -1, -1]) > size(A[:, 0, 0])
 
 
-def _turned(A: Parts, turned, axes: tuple[int, ...]) -> Parts:
-    return jnp.where(turned, jnp.flip(A, axes), A)
+def _reversed(A: Parts, backwards, axes: tuple[int, ...]) -> Parts:
+    return jnp.where(backwards, jnp.flip(A, axes), A)
 
 
 def units(squares: Float[Array, "n n lane"]) -> Float[Array, "n lane"]:

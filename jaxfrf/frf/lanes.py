@@ -164,7 +164,7 @@ class Lanes(AbstractMatrices):
         return Lanes(jnp.stack([x.parts for x in several], axis=1))
 
 
-def n_lane(n_line: int, n_element: int, most: int) -> int:
+def lane_count(n_line: int, n_element: int, most: int) -> int:
     """How many lines of so many elements go side by side, in groups of one size that hold `most` elements: a multiple
     of eight."""
     side_by_side = max(most // n_element // LANES * LANES, LANES)

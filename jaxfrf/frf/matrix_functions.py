@@ -78,7 +78,7 @@ def _of_groups(function, A: Complex[Array, "line n n"]):
     """`function` of some lines after the others, each result with lines in front."""
     n_line, n = A.shape[:2]
     few = is_small(n) and not on_accelerator()
-    groups = lanes.of_lines(A, lanes.n_lane(n_line, n**2, eigen.ELEMENTS) if few else n_line)
+    groups = lanes.of_lines(A, lanes.lane_count(n_line, n**2, eigen.ELEMENTS) if few else n_line)
     found = jax.lax.map(lambda parts: function(Lanes(parts)), jnp.moveaxis(groups.parts, 1, 0))
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n_line], found)
 

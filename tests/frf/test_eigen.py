@@ -20,7 +20,7 @@ def _eigen(A):
         values, V, V_inverse = eigen(lanes.Lanes(parts))
         return jax.lax.complex(*values).T, V.by_window, V_inverse.by_window
 
-    groups = jnp.moveaxis(lanes.of_lines(A, lanes.n_lane(len(A), A.shape[1] ** 2, ELEMENTS)).parts, 1, 0)
+    groups = jnp.moveaxis(lanes.of_lines(A, lanes.lane_count(len(A), A.shape[1] ** 2, ELEMENTS)).parts, 1, 0)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: len(A)], jax.lax.map(of_group, groups))
 
 

@@ -37,7 +37,7 @@ def test_lines_in_groups(n_line, n_lane):
 )
 def test_how_many_lines_go_side_by_side(n_line, n_element, expected):
     """Whole registers of 8, about 4096 elements in a group, and groups of one size."""
-    assert lanes.n_lane(n_line, n_element, 4096) == expected
+    assert lanes.lane_count(n_line, n_element, 4096) == expected
 
 
 def test_products_of_more_channels_than_lanes_are_meant_for():
